@@ -149,9 +149,9 @@ class Session:
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]
         number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
-        told = "" if value is None else f", {number} {value:.5g}"
+        value_text = "" if value is None else f", {number} {value:.5g}"
         safety = ", stopped by safety" if s.get("safety") else ""
-        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{told}{safety}>"
+        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{value_text}{safety}>"
 
 
 def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
@@ -293,13 +293,13 @@ def run_session(
     # 4. Sum up what the log says, and what only this process knows.
     wall_s = (monotonic_ns() - begun) / 1e9
     if sink.error is not None:
-        told = f"disk full at slot {sink.failed_ns // experiment.period_ns}: {sink.error}"
+        message = f"disk full at slot {sink.failed_ns // experiment.period_ns}: {sink.error}"
         if not sink.messages:
             os.close(log)
             if gone is None:  # the name is still that of this log
                 sink.discard()
-            raise DiskFull(f"{told}; it took no record of the run; free some space, or write elsewhere (-o)")
-        outcome["log_error"] = f"{told}; what was written before is kept: hil recover {path}"
+            raise DiskFull(f"{message}; it took no record of the run; free some space, or write elsewhere (-o)")
+        outcome["log_error"] = f"{message}; what was written before is kept: hil recover {path}"
     if gone is not None:
         outcome["log_lost"] = f"{path} {gone}"
     try:
@@ -394,9 +394,9 @@ def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlook
             clock=None if onlooker is None else onlooker.clock, changes=None if onlooker is None else onlooker.changes,
         )  # fmt: skip
     end_ns = max(rig.k, 0) * loop.experiment.period_ns
-    for kind, told in out.items():
-        sink.event(end_ns, kind, told, severity="error")
-    out = {kind.replace(" ", "_"): told for kind, told in out.items()}
+    for kind, text in out.items():
+        sink.event(end_ns, kind, text, severity="error")
+    out = {kind.replace(" ", "_"): text for kind, text in out.items()}
     if signals.seen is not None:
         out |= _interrupted(signals.seen, sink, end_ns)
     sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
@@ -439,8 +439,8 @@ def _run_real(
         sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
     if real.controller_departed is not None:
         k, by = real.controller_departed
-        told = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
-        sink.event(real.pump.last_ns, WITHDRAWN, told, tick=k, severity="error")
+        message = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
+        sink.event(real.pump.last_ns, WITHDRAWN, message, tick=k, severity="error")
     unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)
     if unwanted:
         out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"

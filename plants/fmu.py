@@ -185,7 +185,7 @@ class FMU:
         return self.unit.signals[2]
 
     def model(self) -> StateSpace:
-        """Return the linear model that a controller is told."""
+        """Return the linear model that a controller knows."""
         return StateSpace(A=self.A, B=self.B, C=self.C)
 
     def beyond_model(self) -> tuple[str, ...]:
@@ -206,8 +206,8 @@ def _digest(path: Path) -> str:
             members = file.infolist()
         unpacked, most = sum(member.file_size for member in members), most_unpacked(path.stat().st_size)
         if len(members) > MOST_FILES or unpacked > most:
-            told = f"unpacks to {len(members)} files, {unpacked} bytes; at most {MOST_FILES} and {most}"
-            raise FieldError("file", f"{path}: {told}")
+            message = f"unpacks to {len(members)} files, {unpacked} bytes; at most {MOST_FILES} and {most}"
+            raise FieldError("file", f"{path}: {message}")
         return sha256(path.read_bytes()).hexdigest()
     except FieldError:
         raise

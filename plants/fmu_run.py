@@ -152,8 +152,8 @@ class FMURun:
         try:
             self._values = self._format.unpack(data[1:])
         except struct.error:  # native code that wrote to the descriptors of its process
-            told = f"{self._unit.path}: the unit's process answered {len(data)} bytes that are no values, {when}"
-            raise PlantError(told) from None
+            text = f"{self._unit.path}: the unit's process answered {len(data)} bytes that are no values, {when}"
+            raise PlantError(text) from None
 
     def measure(self) -> tuple[float, ...]:
         """Return what is measured."""

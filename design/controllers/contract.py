@@ -131,7 +131,7 @@ class KnownInBatch(NamedTuple):
 
 @runtime_checkable
 class MultiSampleController(Protocol):
-    """A running controller that is told which node measured what and when; any number of nodes serves it."""
+    """A running controller that knows which node measured what and when; any number of nodes serves it."""
 
     selection: Selection
     memory: int
@@ -225,7 +225,7 @@ class TellsAges(Protocol):
 
 
 def ages_told(controller: object) -> tuple[int, ...]:
-    """Return how many ages of each node the controller tells apart, see `TellsAges`; none: an empty tuple."""
+    """Return how many ages of each node the controller distinguishes, see `TellsAges`; none: an empty tuple."""
     return tuple(controller.ages) if isinstance(controller, TellsAges) else ()
 
 
@@ -240,5 +240,5 @@ def integrates(controller: object) -> bool:
 
 
 def sojourns_told(controller: object) -> int | Sequence[int]:
-    """Return which lengths of stay the controller tells apart, see `SojournDependent`; none: an empty tuple."""
+    """Return which lengths of stay the controller distinguishes, see `SojournDependent`; none: an empty tuple."""
     return controller.sojourns if isinstance(controller, SojournDependent) else ()

@@ -241,7 +241,7 @@ def as_chain(chain: DelayChain | npt.ArrayLike, field: str) -> DelayChain:
 MOST_MODES = 1024
 
 
-def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]], told: Sequence[int] = ()) -> DelayChain:
+def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]], label_counts: Sequence[int] = ()) -> DelayChain:
     r"""Return the chain of (tau_1, ..., tau_q), the ages of the newest samples of q nodes with independent networks.
 
     .. math:: \Lambda = \Lambda_1 \otimes \cdots \otimes \Lambda_q
@@ -249,21 +249,21 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     Args:
         chains: the delay chain of each node.
         outputs: per node the indices of the outputs that it measures; together every output once.
-        told: how many ages 0, 1, ... of each node have gains of their own, the last node's fastest; by default gains know the
+        label_counts: how many ages 0, 1, ... of each node have gains of their own, the last fastest; by default gains know the
             oldest of the ages only. A product of one chain is that chain.
 
     Raises:
-        FieldError: outputs that do not fit, ages beyond those distinguished, or more than `MOST_MODES` modes.
+        FieldError: outputs that do not fit, ages beyond those counts, or more than `MOST_MODES` modes.
 
     >>> step = DelayChain(transition=[[0.5, 0.5], [1.0, 0.0]])
-    >>> both = product_chain([step, step], [[0], [1]], told=(2, 2))
+    >>> both = product_chain([step, step], [[0], [1]], label_counts=(2, 2))
     >>> both.ages.tolist(), both.label.tolist(), both.delay.tolist()
     ([[0, 0], [0, 1], [1, 0], [1, 1]], [0, 1, 2, 3], [0, 1, 1, 1])
     """
     every = [output for own in outputs for output in own]
     if len(outputs) != len(chains) or sorted(every) != list(range(len(every))) or not every:
         raise FieldError("outputs", f"{[list(own) for own in outputs]}, expected every output once, on {len(chains)} nodes")
-    if len(chains) == 1 and not told:
+    if len(chains) == 1 and not label_counts:
         return chains[0]
     modes = prod(chain.modes for chain in chains)
     if modes > MOST_MODES:
@@ -274,13 +274,13 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     for node, measured in enumerate(outputs):
         ages[:, list(measured)] = own[node][:, None]
     label = None
-    if told:
-        if len(told) != len(chains):
-            raise FieldError("told", f"{len(told)} numbers for {len(chains)} nodes")
-        for node, (count, chain) in enumerate(zip(told, chains)):
+    if label_counts:
+        if len(label_counts) != len(chains):
+            raise FieldError("label_counts", f"{len(label_counts)} numbers for {len(chains)} nodes")
+        for node, (count, chain) in enumerate(zip(label_counts, chains)):
             if chain.max_delay >= count and chain.held is None:
-                raise FieldError(f"told[{node}]", f"{count} ages, but the delay of this node reaches {chain.max_delay}")
-        label = np.ravel_multi_index(tuple(np.minimum(own, np.array(told)[:, None] - 1)), tuple(told))
+                raise FieldError(f"label_counts[{node}]", f"{count} ages, but the delay of this node reaches {chain.max_delay}")
+        label = np.ravel_multi_index(tuple(np.minimum(own, np.array(label_counts)[:, None] - 1)), tuple(label_counts))
     exact = all(chain.between is None for chain in chains)
     low, high = ([chain.bounds[side] for chain in chains] for side in (0, 1))
     held = None

@@ -223,7 +223,7 @@ def fault_tolerant_feedback(
     if performance is not None:
         found = decide(build(performance.scale))
         if not found.holds:
-            raise Infeasible(f"{what}, SIQC, X shared by what is not told apart: {found.explain()}", value=found.margin)
+            raise Infeasible(f"{what}, SIQC, X shared by what is not distinguished: {found.explain()}", value=found.margin)
     else:
         found = smallest_gamma(build, what).found
     modes = {(): 1, ("r",): detections, ("eta", "r"): system.modes * detections}[measured]

@@ -202,9 +202,9 @@ def properties(session: Session) -> list[tuple[str, str]]:
     """
     s = session.summary
     timing = "valid" if s["timing"]["valid"] else f"NOT VALID: {'; '.join(s['timing']['why'])}"
-    told = {"log": s["log"]["path"], "seed": s["seed"], "verdict": (s["certificate"] or {}).get("state"), "timing": timing}
+    strings = {"log": s["log"]["path"], "seed": s["seed"], "verdict": (s["certificate"] or {}).get("state"), "timing": timing}
     numbers = {f"metric_{name}": value for name, value in s["metrics"].items() if not isinstance(value, dict)}
-    return [(f"hil_{name}", str(value)) for name, value in (told | numbers).items()]
+    return [(f"hil_{name}", str(value)) for name, value in (strings | numbers).items()]
 
 
 def folder_of(node_id: str) -> Path:
@@ -249,17 +249,17 @@ def explained(session: Session) -> str:
     """
     s = session.summary
     log = s["log"]["path"]
-    told = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['slots']} slots"]
+    lines = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['slots']} slots"]
     if s["safety"]:
-        told.append(f"safety: {s['safety']}")
+        lines.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:
-        told.append(f"timing NOT VALID: {'; '.join(s['timing']['why'])}")
-    told += [f"{name.removeprefix('hil_')}: {value}" for name, value in properties(session)[2:] if name != "hil_timing"]
-    told += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
+        lines.append(f"timing NOT VALID: {'; '.join(s['timing']['why'])}")
+    lines += [f"{name.removeprefix('hil_')}: {value}" for name, value in properties(session)[2:] if name != "hil_timing"]
+    lines += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
     quoted = shlex.quote(str(log))
-    told += [
+    lines += [
         f"hil report {quoted}   # a page with every signal",
         f"hil replay {quoted}   # the same run again, slot by slot",
         f"hil export {quoted} -o {shlex.quote(str(Path(log).with_suffix('.npz')))}   # the signals as numpy arrays",
     ]
-    return "\n".join(told)
+    return "\n".join(lines)

@@ -190,6 +190,6 @@ class DesignResult(SingleResult):
         c, problem = self.certificate, self.problem
         norm = c.hinf_norm if problem.objective == "hinf" else c.h2_norm
         name = "H-infinity" if problem.objective == "hinf" else "H2"
-        told = "" if norm is None else f", {name} norm {norm:.5g}"
+        norm_text = "" if norm is None else f", {name} norm {norm:.5g}"
         where = f"{self.target.plant} at {self.target.period_s * 1e3:g} ms"
-        return f"<Design {problem.objective} for {where}, {problem.information}{told}, {self.verdict.state}>"
+        return f"<Design {problem.objective} for {where}, {problem.information}{norm_text}, {self.verdict.state}>"

@@ -123,7 +123,7 @@ def cli() -> None:
 
 
 def guarded_main() -> Any:
-    """Run the command line of this process; a user's module that ends it in silence is told, see `hil.cli.guard`."""
+    """Run the command line of this process; a user's module that ends it in silence is reported, see `hil.cli.guard`."""
     guard = Guard(ProcessState.now())
     WATCH.set(guard)
     status = 1

@@ -156,8 +156,8 @@ def _soak(row: dict[str, Any]) -> None:
     print(f"log {row['log_bytes'] / 1e6:.1f} MB, {ratio}")
     print(f"overruns {row['overrun_share']:.3%}, late answers {row['late']}, lateness {_us(row['lateness_us'])}")
     beside = row["cyclictest_us"]
-    told = "no cyclictest here: apt-get install rt-tests"
-    print(told if beside is None else f"cyclictest missed {row['cyclictest_missed_share']:.3%}, lateness {_us(beside)}")
+    message = "no cyclictest here: apt-get install rt-tests"
+    print(message if beside is None else f"cyclictest missed {row['cyclictest_missed_share']:.3%}, lateness {_us(beside)}")
     for how, dropped in row["short_dropped"].items():
         statuses = ", ".join(f"{count} ended with status {s}" for s, count in row[how.replace(" ", "_")].items())
         print(f"{how}: {statuses}; {dropped} records dropped")

@@ -36,8 +36,8 @@ def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_js
     except (HilError, TransportError, KeyboardInterrupt):
         raise
     except BaseException as fault:  # whatever a plug-in raises
-        told = str(fault).partition("\n")[0] if isinstance(fault, AssertionError | PlantError) else words(fault)
-        raise HilError(f"check_{group[:-1]}: {kind}: {told}") from fault
+        text = str(fault).partition("\n")[0] if isinstance(fault, AssertionError | PlantError) else words(fault)
+        raise HilError(f"check_{group[:-1]}: {kind}: {text}") from fault
     if as_json:
         print_json({"group": group, "kind": kind, "earned": said})
         return

@@ -90,8 +90,8 @@ def _decode(database: Any, log: Path) -> None:
             signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
         except (DecodeError, ValueError) as e:
             raise HilError(f"{log}: a frame {frame.arbitration_id:#x} is none of {message.name}: {e}") from e
-        told = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
-        print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **told}))
+        values = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
+        print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
 
 
 def _database(text: str) -> Any:

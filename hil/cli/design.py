@@ -215,13 +215,13 @@ def _show(design: Design, document: dict[str, Any]) -> None:
         ("solved in", f"{document['wall_s']} s", f"{design.evaluations} norms, {len(design.starts)} starts, seed {problem.seed}"),
     ]
     if "uncertainty" in document:
-        told = document["uncertainty"]
-        for one in told["parameters"]:
+        found = document["uncertainty"]
+        for one in found["parameters"]:
             lines.append((one["name"], f"{one['nominal']:.5g}", f"from {one['low']:.5g} to {one['high']:.5g}, drifting or not"))
-        lines.append(("uncertainty", told["state"], told["reason"]))
-        if told["h2_norm"] is not None:
-            lines.append(("guaranteed H2 norm", f"{told['h2_norm']:.6g}", ""))
-            lines.append(("guaranteed H-infinity", f"{told['hinf_norm']:.6g}", ""))
+        lines.append(("uncertainty", found["state"], found["reason"]))
+        if found["h2_norm"] is not None:
+            lines.append(("guaranteed H2 norm", f"{found['h2_norm']:.6g}", ""))
+            lines.append(("guaranteed H-infinity", f"{found['hinf_norm']:.6g}", ""))
     if "network" in document:
         lines += network_lines(document["network"])
     if "file" in document:

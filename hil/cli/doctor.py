@@ -81,7 +81,7 @@ def _flags() -> set[str]:
     return set(next((line for line in lines if line.startswith("flags")), "").split())
 
 
-def told() -> str:
+def cpu_text() -> str:
     """Return all of it in one line."""
     units = ", ".join(vector_units()) or "its baseline"
     return f"{processor()}; numpy uses {units}; OpenBLAS {blas_kernel()}; {libm()}"
@@ -195,8 +195,8 @@ def _packages() -> Check:
     ]
     shadowed = shadows()
     if shadowed:
-        told = [f"{path or 'no module'} shadows our {name}" for name, path in shadowed.items()]
-        return "package ownership", False, "; ".join(told), REMEDY
+        found = [f"{path or 'no module'} shadows our {name}" for name, path in shadowed.items()]
+        return "package ownership", False, "; ".join(found), REMEDY
     if foreign:
         return "package ownership", False, "; ".join(foreign), "install hilrig in a virtual environment of its own"
     return "package ownership", True, f"hil, plants, transport, design are hilrig's, Python {sys.version.split()[0]}", ""
@@ -204,7 +204,7 @@ def _packages() -> Check:
 
 def _machine() -> tuple[bool, str, str]:
 
-    return True, f"{told()}; runs in virtual time have the same bits on all kinds", ""
+    return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
 
 
 def _who(uri: str | None) -> tuple[bool, str, str]:

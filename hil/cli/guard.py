@@ -120,25 +120,25 @@ def _watch(child: int, page: mmap.mmap, module: str) -> NoReturn:
 
 
 def _leave(status: int, asked: int, page: mmap.mmap, module: str) -> NoReturn:
-    told = ""
+    reason = ""
     code = status if status >= 0 else 128 - status
     if page[DONE]:
         ended, code = code, page[STATUS]
-        told = page[TEXT : TEXT + int.from_bytes(page[LENGTH:TEXT], "little")].decode(errors="replace")
-        if status == -signal.SIGKILL and not told:
-            told = "a thread or an exit function did not end, and was killed"
-        elif ended != code and not told:
-            told = f"an exit function ended the process with status {ended}"
-        code = code or int(bool(told))
+        reason = page[TEXT : TEXT + int.from_bytes(page[LENGTH:TEXT], "little")].decode(errors="replace")
+        if status == -signal.SIGKILL and not reason:
+            reason = "a thread or an exit function did not end, and was killed"
+        elif ended != code and not reason:
+            reason = f"an exit function ended the process with status {ended}"
+        code = code or int(bool(reason))
     elif asked:
         code = 128 + asked
-        told = f"it did not heed {signal.Signals(asked).name} for {STOPS_S:g} s, and was killed" if status < 0 else ""
+        reason = f"it did not heed {signal.Signals(asked).name} for {STOPS_S:g} s, and was killed" if status < 0 else ""
     elif status < 0:
-        told = f"the command was killed by {signal.Signals(-status).name} before it was done"
+        reason = f"the command was killed by {signal.Signals(-status).name} before it was done"
     else:
-        told = f"the process ended with status {status} before the command was done"
+        reason = f"the process ended with status {status} before the command was done"
         code = code or 1
-    if told:
+    if reason:
         with open(2, "w", closefd=False, errors="backslashreplace") as err:
-            err.write(f"hil: {module}: {told}\n")
+            err.write(f"hil: {module}: {reason}\n")
     os._exit(code)

@@ -146,8 +146,8 @@ def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json
     if as_json:
         found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
         counts = {"answers": verdict.answers, "states": verdict.states}
-        told = {} if tags is None else {"tags": asdict(tags)}
-        print_json({**found, **counts, **told, "records_sha256": sha256})
+        verified = {} if tags is None else {"tags": asdict(tags)}
+        print_json({**found, **counts, **verified, "records_sha256": sha256})
     else:
         alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
         print(alike if verdict.likeness != "different" else f"different: {verdict.difference}")

@@ -161,10 +161,10 @@ class _Progress:
         words = f"{self._chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
         done = self._before + step.seconds
         left = step.left + sum(seconds for name, seconds in self._left.items() if name != self._chapter)
-        told = remaining(time.perf_counter() - self._begun, done, left)
-        self._bar.update(self._task, description=words, completed=done, left=told)
+        left_text = remaining(time.perf_counter() - self._begun, done, left)
+        self._bar.update(self._task, description=words, completed=done, left=left_text)
         if not self._terminal and words != self._last:
-            print(words + (f" ({told})" if told else ""), file=sys.stderr, flush=True)
+            print(words + (f" ({left_text})" if left_text else ""), file=sys.stderr, flush=True)
         self._last = words
 
 

@@ -59,8 +59,9 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
                 path = path.with_name(f"{stem}-{number}.mcap")
     except OSError as e:
         if e.errno == errno.ELOOP and path.is_symlink():
-            told = f"{path}: is a symbolic link, and --force overwrites no file through one; name {os.path.realpath(path)} itself"
-            raise HilError(told) from None
+            real = os.path.realpath(path)
+            message = f"{path}: is a symbolic link, and --force overwrites no file through one; name {real} itself"
+            raise HilError(message) from None
         raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
 
 

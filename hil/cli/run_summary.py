@@ -116,10 +116,10 @@ def least_cost(claim: dict[str, Any]) -> str:
     'no controller below 54.756 from this start, over any network; this one 55.197, 0.81 % above'
     """
     bound, cost = float(claim["bound_full_state"]), claim.get("cost")
-    told = f"no controller below {number(bound)} from this start, over any network"
+    text = f"no controller below {number(bound)} from this start, over any network"
     if cost is None:
-        return told
-    return f"{told}; this one {number(float(cost))}" + (f", {100 * (float(cost) / bound - 1):.2f} % above" if bound > 0 else "")
+        return text
+    return f"{text}; this one {number(float(cost))}" + (f", {100 * (float(cost) / bound - 1):.2f} % above" if bound > 0 else "")
 
 
 def timing_rows(timing: dict[str, Any]) -> list[tuple[str, str]]:

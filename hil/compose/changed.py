@@ -64,8 +64,8 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     if table is None or (table in ON_THE_TIME_LINE and path != table):
         raise _fixed(loop, path)
     if table.startswith("network.") and (loop.rig.media or len(loop.rig.sensors) > 1):
-        told = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
-        raise ExperimentError(e.name, [told])
+        message = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
+        raise ExperimentError(e.name, [message])
     if table in ON_THE_TIME_LINE and len(getattr(e, table)) >= ROOM:
         raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
     # Of a schedule the new entry alone is checked: the others were, and there may be thousands.
@@ -104,8 +104,8 @@ def _fixed(loop: Loop, path: str) -> ExperimentError:
     e = loop.experiment
     fields = e.plant.may_change() if isinstance(e.plant, GoesOn) else ()
     what = ", ".join((*ON_THE_TIME_LINE, *REPLACED, *(PLANT + name for name in fields)))
-    told = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
-    return ExperimentError(e.name, [told])
+    message = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
+    return ExperimentError(e.name, [message])
 
 
 def is_schedule(loop: Loop, path: str) -> bool:

@@ -11,7 +11,7 @@ from hil.plugins.user_plugins import words
 
 
 def check_own(controller: Controller, model: LoopModel) -> None:
-    """Refuse a controller of the user's own that does not answer as a loop asks: told now, and not in slot 17."""
+    """Refuse a controller of the user's own that does not answer as a loop asks: said now, and not in slot 17."""
     from hil.plugins.checks import check_answers, check_statements, check_table  # which no run of ours needs
 
     try:

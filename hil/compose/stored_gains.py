@@ -145,8 +145,8 @@ def _said(value: Any) -> Any:
     """Return a value as `digest` takes it; what is no number, text, table or list has no digest."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {f.name: _said(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
-        told = {name: said for name, said in fields.items() if said not in (None, "", [], {})}  # what is left out says nothing
-        return {"class": type(value).__qualname__, **told}
+        stated = {name: said for name, said in fields.items() if said not in (None, "", [], {})}  # what is left out says nothing
+        return {"class": type(value).__qualname__, **stated}
     if isinstance(value, msgspec.Struct):
         return {"class": type(value).__qualname__, **{f: _said(getattr(value, f)) for f in value.__struct_fields__}}
     if isinstance(value, np.ndarray | np.generic):

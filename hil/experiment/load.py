@@ -170,34 +170,34 @@ def _apply(raw: dict[str, Any], change: str) -> None:
     set_field(raw, path, parsed, f"--set {change!r:.60}")
 
 
-def set_field(raw: dict[str, Any], path: str, value: Any, told: str) -> None:
+def set_field(raw: dict[str, Any], path: str, value: Any, label: str) -> None:
     """Put a value into the tables of an experiment.
 
     Args:
         raw: the tables; changed in place.
         path: of the field, such as ``network.sc.law``; entries of a list by their numbers.
         value: as the file's parser would give it.
-        told: what messages call the change.
+        label: what messages call the change.
 
     Raises:
         HilError: there is no such place.
     """
     keys = path.strip().split(".")
     if not all(keys):
-        raise HilError(f"{told}: expected path=value, such as plant.gain=170")
+        raise HilError(f"{label}: expected path=value, such as plant.gain=170")
     if len(keys) > DEEPEST:
-        raise HilError(f"{told}: the key has {len(keys)} parts; at most {DEEPEST}")
+        raise HilError(f"{label}: the key has {len(keys)} parts; at most {DEEPEST}")
     node: Any = raw
     for i, key in enumerate(keys):
         at = ".".join(keys[:i])
         if isinstance(node, list):
             if not key.isdigit() or int(key) >= len(node):
-                raise HilError(f"{told}: {at} has entries 0 to {len(node) - 1}, not {key!r}")
+                raise HilError(f"{label}: {at} has entries 0 to {len(node) - 1}, not {key!r}")
             index: Any = int(key)
         elif isinstance(node, dict):
             index = key
         else:
-            raise HilError(f"{told}: {at} is a value, not a table")
+            raise HilError(f"{label}: {at} is a value, not a table")
         if i == len(keys) - 1:
             node[index] = value
         else:

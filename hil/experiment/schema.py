@@ -98,8 +98,8 @@ def _or_file(field: dict[str, Any]) -> dict[str, Any]:
         inner = inner["items"]
     if inner is field or inner.get("type") not in ("number", "integer"):
         return field
-    told = {key: field[key] for key in ("description", "default") if key in field}
-    return told | {"anyOf": [{key: value for key, value in field.items() if key not in told}, FILE]}
+    kept = {key: field[key] for key in ("description", "default") if key in field}
+    return kept | {"anyOf": [{key: value for key, value in field.items() if key not in kept}, FILE]}
 
 
 def _explain(definition: dict[str, Any]) -> None:

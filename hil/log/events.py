@@ -101,7 +101,7 @@ def encode_event(
 
 
 def decode_event(payload: bytes) -> dict[str, Any]:
-    """Return an event as ``encode_event`` was told it.
+    """Return an event as ``encode_event`` was given it.
 
     Args:
         payload: CDR.

@@ -57,6 +57,6 @@ class Haptics:
 
 
 def _length(signals: Signals) -> tuple[float, str]:
-    """Return what a depth is multiplied by, and its unit then: metres are told in millimetres, as on the curves."""
+    """Return what a depth is multiplied by, and its unit then: metres are shown in millimetres, as on the curves."""
     unit = signals.tracked_unit() or ""
     return (1e3, "mm") if unit == "m" else (1.0, unit)

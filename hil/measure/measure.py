@@ -36,7 +36,7 @@ class Quantity:
         absent: what None means in a run that has had what it `needs`.
         needs: label of the mark without which it is not defined, such as "reference step".
         better: which values are better, where that can be said; a comparison is judged by the first that has it.
-        per_output: whether it is also told for every tracked output.
+        per_output: whether it is also given for every tracked output.
     """
 
     name: str
@@ -213,10 +213,10 @@ def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> 
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # whatever a user's measure does
-        told = str(error) if isinstance(error, HilError) else f"measure {type(measure).__name__}: {words(error)}"
+        message = str(error) if isinstance(error, HilError) else f"measure {type(measure).__name__}: {words(error)}"
         if failed is None:
-            raise HilError(told) from error
-        failed[measure.title] = told
+            raise HilError(message) from error
+        failed[measure.title] = message
         return {quantity.name: None for quantity in measure.quantities(view.signals)}
 
 

@@ -137,8 +137,10 @@ def certificate_of(run: Run) -> dict[str, Any] | None:
     """Return the certificate of a run, None without one: undecided where the run itself showed what it rests on to be untrue."""
     if not run.certificate:
         return None
-    told, found = withdrawal(run), dict(run.certificate)
-    return found if told is None else {**found, "state": "undecided", "reason": told, "stable": False, "stated": found["reason"]}
+    reason, found = withdrawal(run), dict(run.certificate)
+    return found if reason is None else {
+        **found, "state": "undecided", "reason": reason, "stable": False, "stated": found["reason"],
+    }  # fmt: skip
 
 
 def withdrawal(run: Run) -> str | None:

@@ -11,7 +11,7 @@ PAPER_STYLE: Any = {
     "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
     "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
-"""What matplotlib is told for a figure that is printed in a column."""
+"""The style of matplotlib for a figure that is printed in a column."""
 
 
 def paper_style(asked: str) -> AbstractContextManager[None]:

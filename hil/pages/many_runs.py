@@ -204,8 +204,8 @@ def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> 
     rows: list[list[Any]] = []
     for number, i in enumerate(found):
         gap = sweep.difference(number, against, quantity.name)
-        told = (None, "-") if number == against or gap.n < 2 else (gap.value, within(gap) or "-")
-        rows.append([*sweep.points.values[number], i.n, i.value if np.isfinite(i.value) else None, within(i) or "-", *told])
+        gap_cells = (None, "-") if number == against or gap.n < 2 else (gap.value, within(gap) or "-")
+        rows.append([*sweep.points.values[number], i.n, i.value if np.isfinite(i.value) else None, within(i) or "-", *gap_cells])
     which = "best" if best is not None else "first"
     columns = (
         *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval", f"difference to the {which} point",

@@ -22,7 +22,7 @@ class Axis(NamedTuple):
 
     @property
     def note(self) -> str:
-        """What a reader of a plot is told of its axis, nothing of a linear one."""
+        """What a plot says of its axis, nothing of a linear one."""
         if self.asinh is None:
             return "The axis is logarithmic." if self.log else ""
         return f"The axis is linear up to {self.asinh:.2g} on both sides of 0, and logarithmic beyond."

@@ -147,16 +147,16 @@ def _heat_map(plot: Matrix, axis: Any) -> None:
 
 
 def _map(plot: Scene, axis: Any) -> None:
-    told: set[str] = set()
+    labels: set[str] = set()
     for shape in plot.shapes:
         points = np.asarray(shape.points, dtype=np.float64)
         style: dict[str, Any] = {"color": _ink(shape), "linewidth": 0.5 if shape.faint else 1.0}
-        style["label"] = shape.label if shape.label not in told else None
+        style["label"] = shape.label if shape.label not in labels else None
         if shape.filled:
             axis.fill(points[:, 0], points[:, 1], **{**style, "alpha": 0.3, "linewidth": 0.0})
         else:
             axis.plot(points[:, 0], points[:, 1], alpha=0.5 if shape.faint else 1.0, **style)
-        told.add(shape.label)
+        labels.add(shape.label)
     for x, y, words in plot.labels:
         axis.text(x, y, words)
     axis.set_aspect("equal", adjustable="datalim")
@@ -164,7 +164,7 @@ def _map(plot: Scene, axis: Any) -> None:
         axis.set_axis_off()
     axis.set_xlabel(plot.x_label)
     axis.set_ylabel(plot.y_label)
-    if told - {""}:
+    if labels - {""}:
         axis.legend(frameon=False)
 
 

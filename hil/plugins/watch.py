@@ -7,7 +7,7 @@ from typing import Final, Protocol
 
 
 class Watch(Protocol):
-    """Is told what it cannot see from outside."""
+    """Receives what it cannot see from outside."""
 
     def begin(self, module: str) -> None:
         """Watch from here: the first line of a module, named by its file, is next."""

@@ -88,12 +88,12 @@ def experiment_of(
     experiment = experiment_from_resolved(run.resolved, run.experiment_text, source, folder=folder, objects=objects)
     absent = [part for part in (experiment.plant, experiment.controller) if isinstance(part, UnavailablePlugin)]
     if absent:
-        told = "; ".join(f"its {part.field} was {part.why}" for part in absent)
+        text = "; ".join(f"its {part.field} was {part.why}" for part in absent)
         asked = ", ".join(f"{part.field}=..." for part in absent if part.kind.startswith(OBJECT))
         helps = [f"in Python, hil.verify({source!r}, {asked}) takes what ran"] if asked else []
         if any(not part.kind.startswith(OBJECT) for part in absent):
             helps.append("--folder DIR (in Python folder=...) says where its file stands")
-        raise HilError(f"{source}: {told}; {'; '.join(helps)}")
+        raise HilError(f"{source}: {text}; {'; '.join(helps)}")
     return experiment
 
 
@@ -106,7 +106,7 @@ def changed_files(run: Run, experiment: Experiment) -> list[str]:
     """
     now = experiment.origins()
     pairs = {name: (run.metadata.get(name), now.get(name)) for name in ("plant", "controller", *now)}
-    return [f"{name}: {was} ran; now it is {told}" for name, (was, told) in pairs.items() if was and told and was != told]
+    return [f"{name}: {was} ran; now it is {runs}" for name, (was, runs) in pairs.items() if was and runs and was != runs]
 
 
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:

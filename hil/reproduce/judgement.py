@@ -54,7 +54,7 @@ class Rule(Protocol):
     kind: ClassVar[Kind]
 
     def says(self, value: Value) -> bool | None:
-        """Whether the value fulfils it, None where that cannot be told; NaN never does."""
+        """Whether the value fulfils it, None where that is not known; NaN never does."""
         ...
 
 

@@ -131,7 +131,7 @@ def _chain(way: Received, sojourns: int | Sequence[int] = ()) -> DelayChain | No
 
 
 def _refuse_sojourns(law: NetworkLaw, sojourns: int | Sequence[int]) -> int:
-    """Return the most lengths of stay that are told apart."""
+    """Return the most lengths of stay that are distinguished."""
     most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
     if most > 1 and not isinstance(law, SemiMarkovLaw):
         raise FieldError(

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 OLDEST_TOLD = 16
-"""Ages that are told apart for a controller whose matrices all of them change."""
+"""Ages that are distinguished for a controller whose matrices all of them change."""
 
 
 class LoopChains(NamedTuple):
@@ -64,9 +64,9 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     elif chains.applied.states is not None:
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
-        told = _told(controller, model)
-        slack, shares = _slack(rig) if told == 1 and packet_samples(controller) == 1 else ((), ())
-        found = received_ages(rig, chains.arriving, told, bands=bool(slack or shares))
+        distinguished = _told(controller, model)
+        slack, shares = _slack(rig) if distinguished == 1 and packet_samples(controller) == 1 else ((), ())
+        found = received_ages(rig, chains.arriving, distinguished, bands=bool(slack or shares))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
         return LoopChains(*settled(found, ca), "", "", slack, shares)

@@ -13,7 +13,7 @@ from hil.plugins.user_plugins import told_of
 
 @contextmanager
 def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
-    """Say of which part of the user's own an exception comes that nobody expected, and in which line: told before anything runs.
+    """Say of which part of the user's own an exception comes that was not foreseen, and in which line: before anything runs.
 
     Raises:
         ExperimentError: the exception came of plant, controller or a network law that is not ours.
@@ -23,12 +23,12 @@ def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
     except HilError:
         raise
     except Exception as error:  # whatever an author's part raises when it is asked
-        told = told_of(error, _parts(experiment).values())
-        if told is None:
+        text = told_of(error, _parts(experiment).values())
+        if text is None:
             raise
         asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
         paths = [path for path, part in _parts(experiment).items() if any(part is each for each in asked)]
-        raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {told}"]) from error
+        raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {text}"]) from error
 
 
 def _parts(e: Experiment) -> dict[str, object]:

@@ -93,7 +93,7 @@ def law_states(way: Received) -> LawStates | str:
 
 
 def received_ages(
-    rig: RigSpec, arriving: Sequence[Received], told: int | Sequence[int], *, bands: bool = False
+    rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: bool = False
 ) -> DelayChain | str:
     """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
 
@@ -102,7 +102,8 @@ def received_ages(
     Args:
         rig: its laws' files read.
         arriving: the law of each sensor node, as the controller meets it.
-        told: how many ages 0, 1, ... the controller tells apart, of the oldest sample or of every node; the last for all beyond.
+        distinguished: how many ages 0, 1, ... the controller distinguishes, of the oldest sample or of every node; the last for
+            all beyond.
         bands: whether nodes with a dead band or a relative trigger are known.
     """
     from design.processes.delay_chain import DelayChain
@@ -122,7 +123,7 @@ def received_ages(
         if isinstance(found, str):
             return f"{way.path}: {found}"
         laws.append(found)
-    counts = [told] * len(sensors) if isinstance(told, int) else list(told)
+    counts = [distinguished] * len(sensors) if isinstance(distinguished, int) else list(distinguished)
     on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
     waits = [s.clock.every - 1 if n in on_bus else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
     far = [max(max(law.ages) + wait, count - 2) + 1 for law, wait, count in zip(laws, waits, counts)]  # received before: held
@@ -138,8 +139,8 @@ def received_ages(
         for sensor, age, bound in zip(sensors, own, far):
             ages[i, list(sensor.outputs)], held[i, list(sensor.outputs)] = min(age, bound - 1), age >= bound
         label[i] = (
-            min(max(own), told - 1) if isinstance(told, int)
-            else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, told)], tuple(told))
+            min(max(own), distinguished - 1) if isinstance(distinguished, int)
+            else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, distinguished)], tuple(distinguished))
         )  # fmt: skip
         begins[i] = first
     exact = all(low == chance == high for _, _, (chance, low, high) in steps)

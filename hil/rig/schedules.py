@@ -83,7 +83,7 @@ def beyond_the_end(e: Experiment) -> str:
     'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of network.sc for 1 s never happens'
     """
     return "; ".join(
-        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {told(fault)} never happens"
+        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {fault_text(fault)} never happens"
         for i, fault in enumerate(e.fault)
         if fault.slots(float(e.period))[0] >= e.slots
     )
@@ -115,11 +115,11 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
 
 
-def told(fault: Fault) -> str:
+def fault_text(fault: Fault) -> str:
     """Return what a fault is, in words.
 
     >>> from hil.experiment import Seconds
-    >>> told(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
+    >>> fault_text(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
     'cut of network.ca for 0.5 s'
     """
     words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", BIT_ERRORS: "bit errors on",

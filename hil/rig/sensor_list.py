@@ -33,7 +33,7 @@ def first_identifiers(given: Sequence[int | None], framing: CanFraming) -> list[
     count, base = len(given), framing.base
     many = count > FRAGMENTS
     below = [range(base + n, base + n + 1) for n in range(count)] if many else derived(base, framing.fd, count).sensors
-    return [own[0] if told is None else told for told, own in zip(given, below)]
+    return [own[0] if set_here is None else set_here for set_here, own in zip(given, below)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

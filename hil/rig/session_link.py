@@ -47,8 +47,8 @@ class SessionLink:
         own = self.identifiers
         if own is None:
             return {}
-        told = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
-        return {"/link/sensor": told, "/link/control": {"can_id.control": said(own.control)}}
+        described = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
+        return {"/link/sensor": described, "/link/control": {"can_id.control": said(own.control)}}
 
 
 @dataclass(frozen=True, slots=True)

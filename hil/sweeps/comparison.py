@@ -96,8 +96,8 @@ class Comparison(ShownResult):
         for each in self.quantities:
             for name, values in self.values.items():
                 found, gap = interval_of(values[each.name]), self.difference(name, each.name)
-                told = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
-                rows.append([with_unit(each.name, each.unit), name, found.n, found.value if found.n else None, *told])
+                gap_cells = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
+                rows.append([with_unit(each.name, each.unit), name, found.n, found.value if found.n else None, *gap_cells])
         heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
         answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))

@@ -86,12 +86,12 @@ class ParameterSweep(ShownResult):
         others = [p for p in range(len(self.columns)) if p != best]
         gaps = [self.difference(p, best, quantity) for p in others]
         clear = sum(g.n > 1 and (g.low > 0.0 or g.high < 0.0) for g in gaps)
-        told = f"best point: {', '.join(self.points.changes(best))}; {mean_and_interval(self.columns[best][quantity], asked_for)}"
+        text = f"best point: {', '.join(self.points.changes(best))}; {mean_and_interval(self.columns[best][quantity], asked_for)}"
         if not others:
-            return told
+            return text
         stopped = int(self.columns[best]["stopped"].sum())
         safety = f"; safety stopped {stopped} of its {self.columns[best]['stopped'].size} runs" if stopped else ""
-        return f"{told}; {clear} of {len(others)} other points differ on the same seeds (95 % interval each){safety}"
+        return f"{text}; {clear} of {len(others)} other points differ on the same seeds (95 % interval each){safety}"
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a row per run: what was changed, the seed, whether safety stopped it, every quantity.
@@ -115,8 +115,8 @@ class ParameterSweep(ShownResult):
         rows: list[list[Any]] = []
         for point, interval in enumerate(found):
             gap = None if best is None or point == best else self.difference(point, best, of.name)
-            told = "best" if point == best else within(gap) if gap is not None and gap.n > 1 else None
-            rows.append([*self.points.values[point], interval.n, interval.value, within(interval), told])
+            cell = "best" if point == best else within(gap) if gap is not None and gap.n > 1 else None
+            rows.append([*self.points.values[point], interval.n, interval.value, within(interval), cell])
         heads = (*keys, "runs", with_unit(f"mean {of.name}", of.unit), "95 % interval", "difference to the best, paired")
         paint = self._paint(of, found)
         return Result(line=repr(self)[1:-1], answer=[self.answer(of.name)], columns=heads, rows=rows, paint=paint)

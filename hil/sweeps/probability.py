@@ -39,12 +39,12 @@ class Frequency:
         t = self.test
         seeds = ", ".join(map(str, self.failed[:SHOWN_SEEDS])) + (", ..." if len(self.failed) > SHOWN_SEEDS else "")
         count = f"{self.experiment}: required {t.p0:g}, observed {self.runs - len(self.failed)} of {self.runs} runs"
-        told = {
+        text = {
             True: f"a true probability of {t.p0:g} or less would give this with probability at most {t.alpha:g}",
             False: f"a true probability of {t.p1:g} or more would give this with probability at most {t.beta:g}",
             None: f"too few to tell {t.p0:g} from {t.p1:g}; allow more runs (most_runs) or a wider margin",
         }[self.holds]
-        return f"{count}; {told}" + (f"; failed seeds: {seeds}" if self.failed else "")
+        return f"{count}; {text}" + (f"; failed seeds: {seeds}" if self.failed else "")
 
 
 def frequency(

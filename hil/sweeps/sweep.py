@@ -70,15 +70,15 @@ class Sweep(ShownResult):
             shares = (s["percentiles"].get(p) for p in ("5", "50", "95"))
             rows.append([with_unit(each.name, each.unit), s["n"], s["mean"], inner, s["sd"], *shares])
         heads = ("quantity", "runs", "mean", "95 % interval", "sd", "5 %", "50 %", "95 %")
-        told = f"{mean_and_interval(self.values[of.name], of)}; {stopped_in_words(self.values)}"
+        value_text = f"{mean_and_interval(self.values[of.name], of)}; {stopped_in_words(self.values)}"
         paint = paint_distributions({self.experiment: self.values}, of)
-        answer = [told, *filter(None, [self.caution])]
+        answer = [value_text, *filter(None, [self.caution])]
         return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
 
     def __repr__(self) -> str:
         of, runs = asked(self.quantities, None), self.values["seed"].size
-        told = mean_and_interval(self.values[of.name], of)
-        return f"<Sweep {self.experiment}: {runs} runs, {told}, {stopped_in_words(self.values)}>"
+        value_text = mean_and_interval(self.values[of.name], of)
+        return f"<Sweep {self.experiment}: {runs} runs, {value_text}, {stopped_in_words(self.values)}>"
 
 
 def statistics(values: NDArray[np.float64]) -> dict[str, Any]:

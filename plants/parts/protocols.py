@@ -174,7 +174,7 @@ class GoesOn(Protocol):
 
 @runtime_checkable
 class ReferencesFiles(Protocol):
-    """A plant that names files, which are told from where the experiment stands."""
+    """A plant that names files, which are relative to the experiment's folder."""
 
     def with_files(self, folder: str) -> Self:
         """Return the same plant with its files found and checked.

@@ -80,12 +80,12 @@ def main(arguments: Sequence[str]) -> int:
     if arguments[:1] == ["files"]:
         print(*files())
         return 0
-    from hil.cli.doctor import told
+    from hil.cli.doctor import cpu_text
 
     known = json.loads(DATA.read_text())["attacks"] if DATA.is_file() else {}
     found = known | rows_of(map(Path, arguments[1:]))
     order = [*ATTACKS, *sorted(found.keys() - ATTACKS.keys())]
-    data = {"machine": told(), "attacks": {attack: found[attack] for attack in order if attack in found}}
+    data = {"machine": cpu_text(), "attacks": {attack: found[attack] for attack in order if attack in found}}
     DATA.write_text(json.dumps(data, indent=1) + "\n")
     PAGE.write_text(with_section(PAGE.read_text(), data))
     print(section(data))

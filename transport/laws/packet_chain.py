@@ -313,7 +313,7 @@ def newest_received(
         sent: of every slot, whether the packet leaves, and whether a copy follows it; (slots, runs) each.
         delays: of both, slots, (slots, runs) each.
         reordering: whether a packet may overtake an earlier one.
-        queue: packets in flight at most; a run in which one more leaves is not told.
+        queue: packets in flight at most; a run in which one more leaves is not counted.
     """
     slots, runs = sent[0].shape
     newest = np.full((slots, runs), -1, dtype=np.int32)

@@ -210,7 +210,7 @@ class PacketAges(Protocol):
     """A packet law whose ages may be a Markov chain, once the slots are known."""
 
     def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> AgeChain | str:
-        """Return the chain of the ages of the newest packet, all of them up to `reach` told apart; in words why there is none."""
+        """Return the chain of the ages of the newest packet, those up to `reach` distinguished; in words why there is none."""
         ...
 
 

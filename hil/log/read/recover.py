@@ -139,7 +139,7 @@ class _Plan:
             else:
                 self._take(record)
         except DamagedRecord:
-            return  # told when it is this record's turn
+            return  # said when it is this record's turn
 
     def _take(self, record: Record) -> None:
         if record.opcode == Opcode.SCHEMA:

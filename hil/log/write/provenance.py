@@ -35,13 +35,13 @@ def commit(checkout: Path = CHECKOUT) -> str:
     if not (checkout / ".git").exists():
         return ""
     try:
-        told = subprocess.run(
+        answer = subprocess.run(
             ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12", "--match=v*"],
             capture_output=True, text=True, timeout=10, check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):
         return ""
-    return told.stdout.strip() if told.returncode == 0 else ""
+    return answer.stdout.strip() if answer.returncode == 0 else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -29,7 +29,7 @@ from hil.session import simulate
 CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06
 TOLD_APART = 0.01
-"""Relative difference of two stiffnesses below which they cannot be told apart."""
+"""Relative difference of two stiffnesses below which they cannot be distinguished."""
 
 
 def equations(device: HeldDevice) -> dict[str, Any]:

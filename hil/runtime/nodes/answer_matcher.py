@@ -29,7 +29,7 @@ Arrival = Literal["in time", "late"]
 """When a frame came: before the deadline, or after it."""
 
 MOST_LOST = 6
-"""Frames of a slot up to which an answer to some of them is told from one to forged frames."""
+"""Frames of a slot up to which an answer to some of them is distinguished from one to forged frames."""
 
 
 class AnswerMatcher:

@@ -55,15 +55,15 @@ class AnswerWatch:
         """Return what the controller answers; see `RunningController.rows` and `MultiSampleController.rows`."""
         found = self._own(*asked)
         if self._left is None:
-            told = self._twin(*asked)
+            expected = self._twin(*asked)
             still = None
             if self._still is not None:
                 at_rest = self._at_rest(asked)
                 still = self._still[0](*at_rest), self._still[1](*at_rest)
                 aim = asked[-1].reference if self._by_samples else asked[-1]
                 self._added.take(asked[0], aim, _apart(*still))
-            if found != told:
-                self._compare(asked[0], found, told, still)
+            if found != expected:
+                self._compare(asked[0], found, expected, still)
         return found
 
     def _at_rest(self, asked: tuple[Any, ...]) -> tuple[Any, ...]:
@@ -73,13 +73,13 @@ class AnswerWatch:
         k, known = asked
         return k, Known(tuple(s._replace(values=(0.0,) * len(s.values)) for s in known.samples), known.reference)
 
-    def _compare(self, k: int, found: Rows, told: Rows, still: tuple[Rows, Rows] | None) -> None:
-        if [len(row) for row in found] != [len(row) for row in told]:
+    def _compare(self, k: int, found: Rows, expected: Rows, still: tuple[Rows, Rows] | None) -> None:
+        if [len(row) for row in found] != [len(row) for row in expected]:
             self._left = k, "rows of another number"
             return
         lost, worst = 0.0, 0.0
         largest = self._largest
-        for i, (row, by_table) in enumerate(zip(found, told)):
+        for i, (row, by_table) in enumerate(zip(found, expected)):
             for j, (a, b) in enumerate(zip(row, by_table)):
                 if still is not None:
                     own, stated = still[0][i][j], still[1][i][j]

@@ -19,5 +19,5 @@ def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, 
     if isinstance(error, PlantError):
         return PLANT_FAILED, str(error)
     parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
-    told = None if isinstance(error, KeyboardInterrupt) else told_of(error, parts)
-    return None if told is None else (PLUG_IN_FAILED, told)
+    text = None if isinstance(error, KeyboardInterrupt) else told_of(error, parts)
+    return None if text is None else (PLUG_IN_FAILED, text)

@@ -6,7 +6,7 @@ from typing import Any
 
 from hil.compose.loop import Loop
 from hil.experiment.rig_tables import RESTART, Fault
-from hil.rig.schedules import told
+from hil.rig.schedules import fault_text
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
 from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath
@@ -68,9 +68,9 @@ class FaultInjector:
         """
         for i, (first, end, fault) in enumerate(self._faults):
             if k == first:
-                self._event(journal, t_ns, k, f"fault: {fault.kind}", told(fault), i, "warning")
+                self._event(journal, t_ns, k, f"fault: {fault.kind}", fault_text(fault), i, "warning")
             elif k == end and fault.kind != RESTART:
-                self._event(journal, t_ns, k, f"fault over: {fault.kind}", f"{told(fault)}: over", i, "info")
+                self._event(journal, t_ns, k, f"fault over: {fault.kind}", f"{fault_text(fault)}: over", i, "info")
 
     def _event(self, journal: Journal, t_ns: int, k: int, kind: str, message: str, number: int, severity: str) -> None:
         first, end, fault = self._faults[number]

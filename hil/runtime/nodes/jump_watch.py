@@ -118,8 +118,8 @@ class JumpWatch:
         for number, at_far in enumerate(far.tolist(), start=1):
             if _too_many(number, unseen * at_far, UNLIKELY if stride == 1 else SUSPECT):
                 i = int(share[:, at_far].argmax())
-                told = "{:.2g} {} ({})".format(apart[i, at_far], *reversed(step.names[i])).replace(" 1 (", " (")
-                return Missed(len(at), len(far), (begin + stride * int(at[at_far] + 1), told))
+                text = "{:.2g} {} ({})".format(apart[i, at_far], *reversed(step.names[i])).replace(" 1 (", " (")
+                return Missed(len(at), len(far), (begin + stride * int(at[at_far] + 1), text))
         return Missed(len(at), len(far), None)
 
     def departed(self) -> tuple[int, str] | None:

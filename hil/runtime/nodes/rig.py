@@ -312,10 +312,10 @@ class Rig:
 
     def _bus_status(self, at_ns: int, name: str, node: CanNode) -> None:
         errors = node.errors
-        told = f"{name} is {STATES[errors.state]}: TEC {errors.tec}, REC {errors.rec}"
+        message = f"{name} is {STATES[errors.state]}: TEC {errors.tec}, REC {errors.rec}"
         severity = "info" if errors.state == "active" else "warning"
         self._journal.event(
-            max(self.k, 0) * self._period_ns, "bus status", told, tick=self.k, severity=severity, node=name, at_ns=at_ns
+            max(self.k, 0) * self._period_ns, "bus status", message, tick=self.k, severity=severity, node=name, at_ns=at_ns
         )
 
     def _note_trip(self, t_ns: int, reason: str) -> None:
@@ -336,8 +336,8 @@ class Rig:
             if departed is not None:
                 k, by = departed
                 kind, claim = (WITHDRAWN, "certificate withdrawn: ") if self._claimed else (DEPARTED, "")
-                told = f"{claim}{what} at slot {k} by {by}"
-                self._journal.event(max(self.k, 0) * self._period_ns, kind, told, tick=k, severity="error")
+                message = f"{claim}{what} at slot {k} by {by}"
+                self._journal.event(max(self.k, 0) * self._period_ns, kind, message, tick=k, severity="error")
 
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""

@@ -26,10 +26,10 @@ class Forced(KeyboardInterrupt):
 
 
 class StopSignals:
-    """While it is open, the first of these signals is kept and told, instead of ending the process where it stands.
+    """While it is open, the first of these signals is kept and handed on, instead of ending the process where it stands.
 
     Args:
-        told: called in the signal handler, with the signal's number.
+        on_signal: called in the signal handler, with the signal's number.
         force_s: after so long `Forced` is raised where the main thread stands, at a second signal at once; None: never.
 
     >>> with StopSignals() as signals:
@@ -38,9 +38,9 @@ class StopSignals:
     True
     """
 
-    def __init__(self, told: Callable[[int], None] = lambda number: None, force_s: float | None = None) -> None:
+    def __init__(self, on_signal: Callable[[int], None] = lambda number: None, force_s: float | None = None) -> None:
         self.seen: int | None = None
-        self._told = told
+        self._told = on_signal
         self._force_s = force_s
         self._old: dict[int, Any] = {}
 

@@ -266,7 +266,7 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
 
     What was built in Python takes its class along, or the folders it is found in.
     """
-    if not any(told.startswith(OBJECT) for told in loop.experiment.origins().values()):
+    if not any(origin.startswith(OBJECT) for origin in loop.experiment.origins().values()):
         return Child, pickle.dump
     from cloudpickle import dump
 

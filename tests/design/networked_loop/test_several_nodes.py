@@ -19,17 +19,17 @@ ANGLE = DelayChain(transition=[[0.1, 0.9], [0.2, 0.8]])
 SPEED = DelayChain(transition=PI)
 A, B, _ = MOTOR
 C = np.eye(2)
-BOTH = product_chain([ANGLE, SPEED], [[0], [1]], told=(2, 2))
+BOTH = product_chain([ANGLE, SPEED], [[0], [1]], label_counts=(2, 2))
 
 
-def run_nodes(gains, told, node_ages, outputs, ds, selection, rows, x0, w):
+def run_nodes(gains, label_counts, node_ages, outputs, ds, selection, rows, x0, w):
     """Plant, nodes, controller and actuator as programs; what came before slot 0 is zero. Returns x(k)."""
     x, measured, packets, states, d_before = x0, {}, {}, [], 0
     for k, (ages, d) in enumerate(zip(node_ages, ds, strict=True)):
         states.append(x)
         measured[k] = C @ x
         y, index = np.zeros(2), 0
-        for age, own, count in zip(ages, outputs, told, strict=True):
+        for age, own, count in zip(ages, outputs, label_counts, strict=True):
             y[own] = measured.get(k - age, np.zeros(2))[own]
             index = index * count + age
         packets[k] = ([K @ y for K in gains[index]], d, d_before)
@@ -48,7 +48,7 @@ def run_nodes(gains, told, node_ages, outputs, ds, selection, rows, x0, w):
 def test_the_loop_of_the_product_chain_is_the_loop_of_the_nodes(selection: str, outputs: tuple[list[int], list[int]]) -> None:
     rng = np.random.default_rng(3)
     chains = (DelayChain(transition=LAMBDA), SPEED)
-    sc = product_chain(chains, outputs, told=(3, 2))
+    sc = product_chain(chains, outputs, label_counts=(3, 2))
     loop = loop_structure(0.9 * A, B / 8, C, sc, PI, selection)
     gains = 0.3 * rng.standard_normal(loop.gain_shape)
     triples = zip(loop.sc_mode.tolist(), loop.ca_mode.tolist(), loop.ca_before.tolist(), strict=True)
@@ -89,12 +89,12 @@ def test_two_nodes_of_one_age_are_one_node() -> None:
 
 
 def test_what_does_not_fit_is_refused() -> None:
-    for outputs, told, field in (
-        ([[0], [0]], (), "outputs"), ([[0]], (), "outputs"), ([[0], [2]], (), "outputs"), ([[0], [1]], (2,), "told"),
-        ([[0], [1]], (1, 2), "told[0]"),
+    for outputs, label_counts, field in (
+        ([[0], [0]], (), "outputs"), ([[0]], (), "outputs"), ([[0], [2]], (), "outputs"), ([[0], [1]], (2,), "label_counts"),
+        ([[0], [1]], (1, 2), "label_counts[0]"),
     ):  # fmt: skip
         with pytest.raises(FieldError) as caught:
-            product_chain([ANGLE, SPEED], outputs, told)
+            product_chain([ANGLE, SPEED], outputs, label_counts)
         assert caught.value.field == field
     many = DelayChain(transition=np.full((40, 40), 1 / 40))
     with pytest.raises(FieldError, match=f"1600 modes together, at most {MOST_MODES}"):
@@ -139,8 +139,8 @@ def test_the_norm_of_a_design_is_the_energy_of_its_impulse_response(designs) -> 
     energy = certify_loop(
         A, B, C, BOTH, PI, ours.gains, ours.selection, Q=[[1.0, 0.0]], R=np.zeros((1, 1)), initial=np.kron(*stationary)
     ).h2_norm ** 2  # fmt: skip
-    told = predict_tracking(
+    label_counts = predict_tracking(
         A, B, C, BOTH, PI, ours.gains, ours.selection, zero, period_s=1.0, disturbance=impulse, initial=stationary
     )  # fmt: skip
-    assert told.error_mean[6] == pytest.approx(B[:, 0])
-    assert float((told.error_mean[:, 0] ** 2 + told.error_sd[:, 0] ** 2).sum()) == pytest.approx(energy, rel=1e-6)
+    assert label_counts.error_mean[6] == pytest.approx(B[:, 0])
+    assert float((label_counts.error_mean[:, 0] ** 2 + label_counts.error_sd[:, 0] ** 2).sum()) == pytest.approx(energy, rel=1e-6)

@@ -80,8 +80,8 @@ def _certificate(title: str, certificate: Mapping[str, Any]) -> list[Table]:
         ("How it is decided", str(said.get("method", ""))),
         ("What it assumes", _cell(said.get("assumptions", ""))),
     ]
-    told = {"state", "reason", "kind", "quantity", "number", "limit", "method", "assumptions"}
-    others = [[_quantity(str(k)), _cell(v)] for k, v in said.items() if k not in told]
+    shown = {"state", "reason", "kind", "quantity", "number", "limit", "method", "assumptions"}
+    others = [[_quantity(str(k)), _cell(v)] for k, v in said.items() if k not in shown]
     found = [Table(title=title, columns=["question", "answer"], rows=[list(row) for row in answers if row[1]], wide=True)]
     if others:
         found.append(
