@@ -22,13 +22,9 @@ OTHERS = {name: environment for name, environment in stand_ins().items() if "Neh
 def logs(folder: Path, environment: dict[str, str]) -> dict[str, Path]:
     """Run the experiments for an instant, as on another machine; return their logs."""
     folder.mkdir()
-    found = {name: folder / f"{name}.mcap" for name in NAMES}
-    for name, path in found.items():
-        subprocess.run(
-            [sys.executable, "-m", "hil", "run", name, "--duration", "0.5", "--quiet", "-o", str(path)],
-            cwd=Path(__file__).parents[1], env={**os.environ, **environment}, capture_output=True, check=True,
-        )  # fmt: skip
-    return found
+    run = f"import hil\nfor name in {NAMES}: hil.run(name, duration='0.5 s', log=f'{{name}}.mcap')"
+    subprocess.run([sys.executable, "-P", "-c", run], cwd=folder, env={**os.environ, **environment}, check=True)
+    return {name: folder / f"{name}.mcap" for name in NAMES}
 
 
 @pytest.fixture(scope="module")

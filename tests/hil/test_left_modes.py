@@ -66,7 +66,7 @@ def test_a_plant_that_leaves_its_modes_late_loses_the_certificate(cls: type[Any]
     assert FROM <= int(told.split(" slot ")[1].split()[0]) < 1500
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize(("cls", "name"), CASES)
 def test_one_that_keeps_to_its_modes_keeps_the_certificate(cls: type[Any], name: str, seed: int) -> None:
     pulse = {"at": "0.5 s", "samples": 100, "value": [0.3] * (1 if name == "smjls-robust" else 2)}

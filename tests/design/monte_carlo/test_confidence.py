@@ -19,7 +19,7 @@ from design.monte_carlo.confidence import (
     ratio_interval,
 )
 
-STUDIES = 2000
+STUDIES, FEW = 2000, 1000
 
 
 def fewest_hits(level: float, studies: int) -> int:
@@ -37,9 +37,9 @@ def test_mean_interval_holds_the_mean_of_normal_samples() -> None:
 def test_deviation_interval_holds_the_deviation(law: str) -> None:
     rng = np.random.default_rng(2)
     draw = (lambda: rng.normal(0.0, 2.0, 1000)) if law == "normal" else (lambda: rng.gamma(4.0, 1.0, 1000))
-    found = [deviation_interval(draw(), 0.95) for _ in range(STUDIES)]
+    found = [deviation_interval(draw(), 0.95) for _ in range(FEW)]
     hits = sum(i.low <= 2.0 <= i.high for i in found)
-    assert hits >= fewest_hits(0.94, STUDIES)  # asymptotic: one per cent allowed at n = 1000
+    assert hits >= fewest_hits(0.94, FEW)  # asymptotic: one per cent allowed at n = 1000
 
 
 LAWS: dict[str, tuple[Callable[[np.random.Generator, int], FloatArray], float, float]] = {
@@ -77,10 +77,10 @@ def test_a_deviation_has_an_interval_that_holds_it_or_none(law: str, n: int, giv
     """Error rate: at most 6 % of all samples get an interval that misses (binomial bound 1e-4). Power: a share gets one."""
     draw, _, deviation = LAWS[law]
     rng = np.random.default_rng(6)
-    found = [deviation_interval(draw(rng, n)) for _ in range(STUDIES)]
+    found = [deviation_interval(draw(rng, n)) for _ in range(FEW)]
     misses = sum(math.isfinite(i.high) and not i.low <= deviation <= i.high for i in found)
-    assert misses <= STUDIES - fewest_hits(0.94, STUDIES)
-    assert sum(math.isfinite(i.high) for i in found) >= given * STUDIES
+    assert misses <= FEW - fewest_hits(0.94, FEW)
+    assert sum(math.isfinite(i.high) for i in found) >= given * FEW
 
 
 @pytest.mark.parametrize("law", LAWS)

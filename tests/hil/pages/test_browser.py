@@ -93,7 +93,7 @@ def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path) -> 
 
 
 def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path) -> None:
-    run = run_of("dc-motor-1khz", 'duration="6 s"', timed=True)
+    run = run_of("dc-motor-1khz", 'duration="2 s"', timed=True)
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
     with chromium.Page(width=1400, height=900) as page:

@@ -91,9 +91,9 @@ def test_intervals_of_a_channel_cover_in_93_to_97_percent(channel: GilbertElliot
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_every_parameter_of_a_channel_has_an_interval_that_covers(channel: GilbertElliott) -> None:
-    """40 records of 5000 packets: 32 or fewer of 95 % come once in 1400; of those of half the width, 67 %, 97 times in 100."""
-    for name, share in shares_covered(channel, 40, 5000).items():
-        assert share > 32 / 40, (name, share)
+    """30 records of 5000 packets: 23 or fewer of 95 % come once in 1700; of those of half the width, 67 %, 91 times in 100."""
+    for name, share in shares_covered(channel, 30, 5000).items():
+        assert share > 23 / 30, (name, share)
 
 
 def test_intervals_of_a_markov_row_cover() -> None:
