@@ -224,6 +224,12 @@ class DelayChain:
         return np.asarray(low), np.asarray(high)
 
     @property
+    def open(self) -> bool:
+        """Whether it says which modes may follow a mode, and not how likely: every bound is 0 or 1, and several follow one."""
+        low, high = self.bounds
+        return self.between is not None and bool(np.isin(low, (0.0, 1.0)).all() and np.isin(high, (0.0, 1.0)).all())
+
+    @property
     def stationary(self) -> Array:
         """(N,) stationary distribution (of the recurrent part; the chain should have one recurrent class)."""
         system = np.vstack([self.matrix.T - np.eye(self.modes), np.ones(self.modes)])

@@ -19,6 +19,7 @@ from design.verdict import Verdict
 from hil.certify.bounded_departures import ends_within
 from hil.certify.certifier import CertificationProblem, limited_to_model, table_of, undecided
 from hil.certify.not_covered import jumping
+from hil.certify.open_order import in_every_order
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
 
@@ -45,10 +46,6 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
     gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
-    verdict = judge_gains(
-        loop.motion, loop.sc, loop.ca, gains, controller.selection, samples=packet_samples(controller),
-        integral=integrates(controller), digest=loop.digest,
-    )  # fmt: skip
     sc, ca, selection = loop.sc, loop.ca, controller.selection
     samples, integral = packet_samples(controller), float(integrates(controller))
 
@@ -58,6 +55,11 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral)
         return structure.matrices(gains), structure.transition if structure.between is None else structure.between[1]
 
+    if sc.open or ca.open:
+        return in_every_order(loop, sc, ca, modes)
+    verdict = judge_gains(
+        loop.motion, sc, ca, gains, selection, samples=samples, integral=integrates(controller), digest=loop.digest
+    )  # fmt: skip
     return ends_within(loop, verdict, modes)
 
 
@@ -140,11 +142,12 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
     if isinstance(controller, AgedFeedback):
         if loop.sc.holds.any() or not np.array_equal(loop.sc.label, loop.sc.delay):
             return undecided(loop, "mean-square stability", "its matrices depend on ages that the chain does not distinguish")
+        if loop.sc.open or loop.ca.open:
+            return undecided(loop, "mean-square stability", "its matrices change with ages that have no probabilities")
         laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
         verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
         return limited_to_model(loop.plant, verdict)
     law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
-    verdict = judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest)
 
     def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
         from design.networked_loop.dynamic_loop import dynamic_loop
@@ -153,7 +156,9 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
         chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
         return np.asarray(found.system.A), chances
 
-    return ends_within(loop, verdict, modes)
+    if sc.open or ca.open:
+        return in_every_order(loop, sc, ca, modes)
+    return ends_within(loop, judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest), modes)
 
 
 def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:

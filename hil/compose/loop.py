@@ -47,6 +47,7 @@ from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController, Plant
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
+from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop_chains import loop_chains
 from hil.rig.normal_form import rig_of
@@ -290,6 +291,9 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
         sc, ca = without_held(sc), without_held(ca)
         chainless = chainless or "the theory of this design has no packet laws"
+    on_bus = bus_chains(rig, longest=True) if isinstance(e.controller, IntegralAction) else None
+    if on_bus is not None:
+        (sc, ca), chainless = (None, None) if isinstance(on_bus, str) else on_bus, on_bus if isinstance(on_bus, str) else ""
     jumps: dict[str, Any] = {}
     if isinstance(plant, JumpPlant):
         try:

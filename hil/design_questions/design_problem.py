@@ -67,6 +67,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.experiment import load_experiment
+        from hil.rig.bus_delays import bus_chains
         from hil.rig.delay_chains import chains_of
         from hil.rig.normal_form import rig_of
 
@@ -80,9 +81,13 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
             chains = chains_of(rig, sojourns)
         except ValueError as error:
             raise HilError(f"{name}: {error}") from None
-        if chains.sc is None or chains.ca is None:
+        on_bus = bus_chains(rig, longest=True)
+        if isinstance(on_bus, str):
+            raise HilError(f"{name}: a design needs a chain of ages on both links, but {on_bus}")
+        own_sc, own_ca = (chains.sc, chains.ca) if on_bus is None else on_bus
+        if own_sc is None or own_ca is None:
             raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
-        sc, ca = chains.sc, chains.ca
+        sc, ca = own_sc, own_ca
         name = experiment.kinds.get("plant", name)
     if not (np.isfinite(period) and period > 0):
         raise HilError(f"--period: {period:g} s, expected a number > 0")

@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from design.controllers import AgedFeedback, Controller, GainTable, LoopModel, ages_told, packet_samples, sojourns_told
+from design.controllers import (
+    AgedFeedback,
+    Controller,
+    GainTable,
+    LinearFeedback,
+    LoopModel,
+    ages_told,
+    packet_samples,
+    row_count,
+    sojourns_told,
+)
+from hil.rig.bus_delays import bus_chains
+from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, within_reach
 from hil.rig.received_ages import BANDS, received_ages, recorded_cycle
 from hil.rig.spec import RigSpec
@@ -44,6 +56,8 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         controller: what runs.
         model: what it knows of the loop.
     """
+    if can_bus_of(rig) is not None:
+        return _over_bus(rig, controller, model)
     sc, ca, begun, unmet = chains.sc, chains.ca, chains.initial(), ""
     if sc is not None and ca is not None:
         if begun is not None:
@@ -71,6 +85,16 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
             return LoopChains(None, ca, "", found)
         return LoopChains(*settled(found, ca), "", "", slack, shares)
     return LoopChains(*settled(sc, ca), "", "")
+
+
+def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopChains:
+    """The chains of all ages that a CAN bus with time leaves possible."""
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or sojourns_told(controller):
+        return LoopChains(None, None, "", "the theory of this controller knows no CAN bus with time")
+    found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
+    if found is None or isinstance(found, str):
+        return LoopChains(None, None, "", found or "")
+    return LoopChains(*settled(*found), "", "")
 
 
 def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -30,7 +30,7 @@ SERVED = {
     "dc-motor-5g", "dc-motor-wifi",
 }  # fmt: skip
 ALONE = {
-    "dc-motor-busy-can", "multisensor-event", "omni-1khz", "omni-identify",
+    "dc-motor-busy-can", "dc-motor-ours-busy-can", "multisensor-event", "omni-1khz", "omni-identify",
     "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published", "vtol-delayed",
     "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned", "vtol-fault-published",
 }  # fmt: skip

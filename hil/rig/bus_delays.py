@@ -1,0 +1,286 @@
+"""The ages that a CAN bus with time makes of the loop's packets: what comes again and again, and between which bounds.
+
+The packet of a slot comes late by so many slots as its response time says; where the bounds of that time lie in different slots,
+it comes in any of them, whatever the others do. The newest packet that has come gives the measured age. So a state is the slot's
+number in the cycle and the age, and from each state all ages follow that some response times within the bounds lead to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import lcm
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
+from hil.rig.delay_chains import delay_chain
+from hil.rig.packet_ages import Receiver, received, why_no_ages
+from hil.rig.sensors import SharedMedium
+from hil.rig.spec import RigSpec
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bits import frame_length
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
+    from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage
+
+MOST_SLOTS: Final = 1024
+"""Of a cycle: the theory takes a matrix for each of its slots."""
+
+Late = tuple[int, int]
+"""Slots by which a packet is late, at least and at most; of a slot without a packet none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusDelays:
+    """By how many slots the packets of a rig are late on a bus, slot by slot of a cycle that comes again for ever.
+
+    Args:
+        sensor: of the sensor node's packets; None in a slot without one.
+        control: of the control packets; empty where they do not travel on the bus.
+        worst_ns: the longest response time of a sensor packet and of a control packet; the latter 0 where there is none.
+        offsets_known: whether every slot has bounds of its own; otherwise all have those that hold from any offsets.
+    """
+
+    sensor: tuple[Late | None, ...]
+    control: tuple[Late, ...]
+    worst_ns: tuple[int, int]
+    offsets_known: bool
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing is left open: the ages repeat."""
+        return all(late is None or late[0] == late[1] for late in (*self.sensor, *self.control))
+
+
+def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, longest: bool = False) -> BusDelays | str:
+    """Return by how many slots packets are late; or in words what of the traffic prevents to know it.
+
+    Args:
+        rig: its laws' files read.
+        bus: its CAN bus.
+        rows: of a control packet; by default one for each age.
+        longest: take every frame as its longest, and every message as due without jitter: then the ages repeat.
+    """
+    why = _why_unknown(rig, bus)
+    if why:
+        return why
+    from transport.can_analysis.response_ranges import response_ranges
+
+    rates, timed = rates_of(bus.table), _timed(rig, bus, rows, longest)
+    if len({each.message.key() for each in timed}) < len(timed):
+        return f"two messages of network.media.{bus.name} have one identifier"
+    found = response_ranges(timed, rates)
+    if not isinstance(found, str):
+        return _by_slot(rig, bus, rows, found)
+    return f"network.media.{bus.name}: {found}" if longest else _from_any_offset(rig, bus, rows, timed, found)
+
+
+def _why_unknown(rig: RigSpec, bus: SharedMedium) -> str:
+    """Return what of the rig or the traffic prevents bounds, in words; empty where nothing does."""
+    at, table = f"network.media.{bus.name}", bus.table
+    if len(rig.sensors) > 1:
+        return f"{at}: {len(rig.sensors)} sensor nodes; the ages of one are computed"
+    if table.bit_error_rate:
+        return f"{at}.bit_error_rate: disturbed frames are sent again, any number of times, and no bound holds"
+    if table.recorded:
+        return f"{at}: frames of a recording have no period, and what follows behind its end is not known"
+    sensor = rig.sensors[0]
+    if sensor.trigger.kind != "every-slot":
+        return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+    if sensor.clock.drawn:
+        return f"{sensor.path}.clock draws when it sends"
+    return ""
+
+
+def _timed(rig: RigSpec, bus: SharedMedium, rows: int | None, longest: bool) -> list[TimedMessage]:
+    """Return all messages with the instants at which they are due: the rig's own first."""
+    from transport.can_analysis.response_ranges import TimedMessage
+
+    fd, sensor, medium = bus.table.dbitrate is not None, rig.sensors[0], bus.table
+    deadline_ns = round(rig.at_controller.deadline_s * 1e9)
+    offsets = [
+        deadline_ns if packet.sender != sensor.name else sensor.clock.phase * rig.period_ns
+        for packet in own_packets(rig, bus, rows)
+        for _ in packet.sizes(fd=fd)
+    ]
+    offsets += [round(float(message.offset) * 1e9) for message in medium.traffic]
+    exact = [None] * (len(offsets) - len(medium.traffic)) + [
+        frame_length(frame_of(message, medium)) if message.data is not None or not message.length else None
+        for message in medium.traffic
+    ]
+    found = []
+    for message, offset, bits in zip(analysed(rig, bus, rows), offsets, exact, strict=True):
+        known = message if bits is None else replace(message, bits=bits)
+        if longest:
+            known, bits = replace(known, jitter_ns=0), known.frame_length()
+        found.append(TimedMessage(message=known, offset_ns=offset, shortest=bits))
+    return found
+
+
+def _last_frames(rig: RigSpec, bus: SharedMedium, rows: int | None) -> list[int]:
+    """Return the places of the frames with which the packets are complete: the sensor's, then the controller's."""
+    ends, at = [], -1
+    for packet in own_packets(rig, bus, rows):
+        at += len(packet.sizes(fd=bus.table.dbitrate is not None))
+        ends.append(at)
+    return ends
+
+
+def _slots(rig: RigSpec) -> tuple[int, int]:
+    """Return until when a packet counts in its own slot, in units from when it is queued: a sensor's, a control packet."""
+    deadline_ns = round(rig.at_controller.deadline_s * 1e9)
+    return BitRates.units(deadline_ns), BitRates.units(rig.period_ns - deadline_ns)
+
+
+def _late(response: int, within: int, slot: int) -> int:
+    """Slots by which a packet is late that takes so long."""
+    return max(0, -(-(response - within) // slot))
+
+
+def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, found: ResponseRanges) -> BusDelays | str:
+    cycle, rest = divmod(lcm(found.hyperperiod_ns, rig.period_ns), rig.period_ns)
+    if rest or cycle > MOST_SLOTS:
+        return f"network.media.{bus.name}: its traffic comes again after {cycle} slots, at most {MOST_SLOTS} are computed with"
+    every, phase = rig.sensors[0].clock.every, rig.sensors[0].clock.phase
+    slot, within, ends = BitRates.units(rig.period_ns), _slots(rig), _last_frames(rig, bus, rows)
+    begin = cycle * max(-(-found.lead[end] // found.count[end]) for end in ends)  # slot from which on all comes again
+    worst = [0, 0]
+
+    def late(way: int, instance: int) -> Late | None:
+        low, high = found.of(ends[way], instance)
+        worst[way] = max(worst[way], BitRates.ns(high))
+        return _late(low, within[way], slot), _late(high, within[way], slot)
+
+    slots = range(begin, begin + cycle)
+    sensor = [late(0, (k - phase) // every) if k >= phase and (k - phase) % every == 0 else None for k in slots]
+    control = [late(1, k) for k in slots] if len(ends) > 1 else []
+    if bus.table.buffer == "overwritten":
+        for way, packets, apart in ((0, sensor, every), (1, control, 1)):
+            if worst[way] > apart * BitRates.ns(slot) and packets:
+                return _replaced(bus, ("sensor", "control")[way])
+    return BusDelays(
+        sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1]), offsets_known=True
+    )
+
+
+def _replaced(bus: SharedMedium, which: str) -> str:
+    return (
+        f"network.media.{bus.name}: a {which} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
+        "less traffic above it"
+    )
+
+
+def _from_any_offset(
+    rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[TimedMessage], why: str
+) -> BusDelays | str:  # fmt: skip
+    """Return the bounds that hold whatever the offsets are: the critical instant for every packet."""
+    from transport.can_analysis import response_times
+
+    rates, clock = rates_of(bus.table), rig.sensors[0].clock
+    bounds = {each.message.name: each.response_ns for each in response_times([each.message for each in timed], rates)}
+    found, worst = [], [0, 0]
+    for way, end in enumerate(_last_frames(rig, bus, rows)):
+        own, within, slot = timed[end], _slots(rig)[way], BitRates.units(rig.period_ns)
+        bound = bounds[own.message.name]
+        if bound is None:
+            return f"network.media.{bus.name}: {own.message.name!r} has no bound: {why}"
+        if bus.table.buffer == "overwritten" and bound > own.message.period_ns:
+            return _replaced(bus, ("sensor", "control")[way])
+        worst[way] = bound
+        found.append((_late(rates.duration(own.least()), within, slot), _late(BitRates.units(bound), within, slot)))
+    sensor = tuple(found[0] if k == clock.phase else None for k in range(clock.every))
+    return BusDelays(sensor=sensor, control=tuple(found[1:]), worst_ns=(worst[0], worst[1]), offsets_known=False)
+
+
+def bus_chains(
+    rig: RigSpec, rows: int | None = None, *, longest: bool = False
+) -> tuple[DelayChain, DelayChain] | str | None:  # fmt: skip
+    """Return the chains of both ages over the CAN bus of a rig; in words why there are none; None where it has no such bus.
+
+    Args:
+        rig, rows, longest: as of `bus_delays`; of the longest frames the ages repeat, and a design takes those.
+    """
+    bus = can_bus_of(rig)
+    if bus is None:
+        return None
+    found = bus_delays(rig, bus, rows, longest=longest)
+    if isinstance(found, str):
+        return found
+    ways = [received(f"{rig.sensors[0].path}.law", rig.sensors[0].law, rig.at_controller)]
+    ways += [received("network.ca.law", rig.ca_law, rig.at_actuator)] if bus.table.control else []
+    for way in ways:
+        if way.states is None or way.states.ages.any():
+            return f"{way.path} comes behind network.media.{bus.name} and adds ages of its own; a constant age of 0 adds none"
+    sc = chain_of_ages(found.sensor, rig.at_controller)
+    if bus.table.control:
+        return sc, chain_of_ages(found.control, rig.at_actuator)
+    applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
+    ca = applied.delays() if applied.of_packets else delay_chain(applied.law, states=applied.states)
+    return (sc, ca) if ca is not None else f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
+
+
+def chain_of_ages(packets: Sequence[Late | None], at: Receiver) -> DelayChain:
+    """Return the chain of the ages at a receiver; where several may follow, their probabilities are not known (0 to 1).
+
+    Args:
+        packets: of each slot of a cycle by how many slots its packet is late, at least and at most.
+        at: who receives.
+    """
+    from design.processes.delay_chain import DelayChain
+
+    steps = _steps(packets)
+    states = sorted(steps)
+    index = {state: i for i, state in enumerate(states)}
+    low, high = (np.zeros((len(states), len(states))) for _ in range(2))
+    for state, following in steps.items():
+        for after in following:
+            high[index[state], index[after]] = 1.0
+            low[index[state], index[after]] = float(len(following) == 1)
+    ages = np.array([age for _, age in states], dtype=np.int64)
+    oldest = at.max_age if at.holds_input else max(at.max_age, int(ages.max()))
+    beyond = bool((ages > at.max_age).any())
+    return DelayChain(
+        transition=high / high.sum(axis=1, keepdims=True), delays=np.minimum(ages, oldest), labels=np.minimum(ages, at.max_age),
+        between=None if np.array_equal(low, high) else (low, high), held=ages > oldest if beyond else None,
+        begins=np.array([phase == 0 for phase, _ in states]),
+    )  # fmt: skip
+
+
+def _steps(packets: Sequence[Late | None]) -> dict[tuple[int, int], set[tuple[int, int]]]:
+    """Return every (slot of the cycle, age) that comes again for ever, and what follows it."""
+    packets = _shortest(packets)
+    cycle = len(packets)
+
+    def after(k: int, age: int) -> set[tuple[int, int]]:
+        """What may be newest in slot k, of what was sent behind the packet that was the newest in the slot before."""
+        found, oldest = set(), age + 1
+        for own in range(age + 1):  # from the newest on; the first that must have come ends the search
+            late = packets[(k - own) % cycle]
+            if late is not None and late[0] <= own:
+                found.add((k % cycle, own))
+                if late[1] <= own:
+                    return found
+        return found | {(k % cycle, oldest)}
+
+    longest = max(late[1] for late in packets if late is not None) + cycle
+    steps: dict[tuple[int, int], set[tuple[int, int]]] = {}
+    ahead = [(k, age) for k in range(cycle) for age in range(longest + 1)]
+    for k, age in ahead:
+        steps[k, age] = after(k + 1, age)
+    while True:  # what nothing leads to is left out
+        led = set().union(*steps.values())
+        kept = {state: following for state, following in steps.items() if state in led}
+        if len(kept) == len(steps):
+            return kept
+        steps = kept
+
+
+def _shortest(packets: Sequence[Late | None]) -> Sequence[Late | None]:
+    """The cycle without its repetitions."""
+    for n in range(1, len(packets)):
+        if len(packets) % n == 0 and all(packets[k] == packets[k % n] for k in range(len(packets))):
+            return packets[:n]
+    return packets

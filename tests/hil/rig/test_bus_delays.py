@@ -1,0 +1,92 @@
+"""The ages that a CAN bus makes: those of every run are among those of the chain, and what prevents a chain is named."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.log.topics import APPLIED, ROWS
+from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages
+from hil.rig.can_bus import can_bus_of
+from hil.rig.normal_form import rig_of
+from hil.session import simulate
+
+NAME = "dc-motor-busy-can"
+TWO = '{name="a", can_id=1, data="0102", period="10 ms"}, {name="b", can_id=2, length=0, period="25 ms"}'
+FIXED = f"network.media.bus.traffic=[{TWO}]"
+SHAKEN = 'network.media.bus.traffic=[{name="a", can_id=1, period="5 ms", jitter="3 ms"}, {name="b", can_id=2, period="10 ms"}]'
+OFTEN = '{name="a", can_id=1, period="10.000019 ms"}, {name="b", can_id=2, period="9.999991 ms"}'
+
+
+def rig(*sets: str):  # type: ignore[no-untyped-def]
+    return rig_of(load_experiment(NAME, sets))
+
+
+def steps(chain) -> set[tuple[int, int]]:  # type: ignore[no-untyped-def]
+    """Pairs of ages that follow each other."""
+    return {(int(chain.delay[i]), int(chain.delay[j])) for i, j in np.argwhere(chain.bounds[1] > 0.0)}
+
+
+def test_the_busy_bus_leaves_open_what_the_length_of_its_frames_decides() -> None:
+    own = rig()
+    found = bus_delays(own, can_bus_of(own), 1)
+    assert not isinstance(found, str) and found.offsets_known and not found.exact
+    assert found.sensor == ((1, 1), *((0, 0), (0, 1)) * 9, (0, 0)) and set(found.control) == {(0, 0)}
+    assert found.worst_ns[1] <= 39_656_000 <= 40_000_000  # the bound of any offsets; the deadline leaves 40 ms
+    chain = chain_of_ages(found.sensor, own.at_controller)
+    assert chain.open and chain.modes == 29 and steps(chain) == {(0, 0), (0, 1), (1, 0)}
+    longest = bus_delays(own, can_bus_of(own), 1, longest=True)
+    assert not isinstance(longest, str) and longest.exact
+    design = chain_of_ages(longest.sensor, own.at_controller)
+    assert not design.open and design.delay.tolist() == [1, 0] and design.matrix.tolist() == [[0.0, 1.0], [1.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        (), ("network.media.bus.bitrate=250000",), (FIXED, "network.media.bus.bitrate=20000"),
+        ('period="20 ms"', "network.media.bus.bitrate=250000"), (SHAKEN,), (SHAKEN, "timing.deadline=0.03"),
+    ],
+)  # fmt: skip
+def test_the_ages_of_a_run_follow_each_other_as_the_chain_says(sets: tuple[str, ...]) -> None:
+    experiment = load_experiment(NAME, ("duration=4", "allow_uncertified=true", *sets))
+    loop = compose(experiment, certify=False)
+    found = bus_chains(loop.rig, loop.rows)
+    assert found is not None
+    assert not isinstance(found, str)
+    run = simulate(loop, 3).arrays
+    for ages, chain in ((run[ROWS.name]["tau"], found[0]), (run[APPLIED.name]["d"], found[1])):
+        assert set(pairwise(ages[20:].tolist())) <= steps(chain)
+
+
+def test_frames_of_known_length_make_the_ages_repeat_exactly() -> None:
+    own = rig(FIXED, "network.media.bus.bitrate=50000")
+    sc, ca = bus_chains(own, 1)  # type: ignore[misc]
+    assert not sc.open and not ca.open and sc.between is None
+
+
+def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None:
+    own = rig(f"network.media.bus.traffic=[{OFTEN}]")
+    found = bus_delays(own, can_bus_of(own), 1)
+    assert not isinstance(found, str) and not found.offsets_known and len(found.sensor) == 1
+    assert found.sensor == ((0, 0),) and found.control == ((0, 0),)
+
+
+@pytest.mark.parametrize(
+    ("sets", "said"),
+    [
+        (("network.media.bus.bit_error_rate=1e-6",), "network.media.bus.bit_error_rate: disturbed frames are sent again"),
+        (('network.media.bus.recorded=["1 123#11"]',), "frames of a recording have no period"),
+        (("network.nodes.motor.clock.every=2", "network.nodes.motor.clock.jitter=1"), "network.nodes.motor.clock draws"),
+        (('network.nodes.motor.trigger={kind="dead-band", threshold=0.1}',), "lets a node keep silent"),
+        (("network.media.bus.bitrate=100000",), "the messages may need more than the whole bus"),
+        (('network.sc.law={kind="constant", age=1}',), "adds ages of its own"),
+    ],
+)
+def test_what_prevents_a_chain_is_named_in_the_verdict(sets: tuple[str, ...], said: str) -> None:
+    verdict = compose(load_experiment(NAME, ("allow_uncertified=true", *sets))).verdict
+    assert verdict is not None and verdict.state == "undecided" and said in verdict.reason

@@ -1,0 +1,235 @@
+r"""Bounds of the response time of every instance of a message, where offsets are known: a loop has slots, not rates.
+
+The bus never waits while a frame is queued, and never interrupts one. So after n frames all that matters is which instances are
+through and when the bus is idle, from :math:`E` at the earliest to :math:`L` at the latest. Of message i the next instance is
+queued between :math:`r_i` and :math:`r_i + J_i`; it may be the next on the bus if
+
+.. math:: \max(E, r_i) \le \min\bigl(\max(L, \min_j r_j + J_j),\ \min_{j \in hp(i)} r_j + J_j - 1\bigr)
+
+with hp(i) the messages that win over it, and then it starts between the two sides. All orders in which frames may come are
+followed; those that end with the same instances through, at times that overlap, are followed together. What holds in one
+hyperperiod holds in all later ones once it begins with nothing that the one before it did not begin with.
+
+Lengths are between the shortest and the longest frame. That shorter frames may delay others is covered.
+
+Reference: Nasri, Brandenburg, An exact and sustainable analysis of non-preemptive scheduling, RTSS 2017, sections III and IV.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import lcm
+from typing import Final
+
+from transport.can_analysis import PeriodicMessage
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.bits import INTERMISSION, FrameLength, longest_frame
+from transport.errors import FieldError
+
+MOST_FRAMES: Final = 40_000
+"""Frames that are followed, over all hyperperiods."""
+MOST_ORDERS: Final = 500
+"""Orders in which frames may come that are followed at once."""
+
+Interval = tuple[int, int]
+States = dict[tuple[int, ...], list[Interval]]
+"""Instances of every message that are through, to the intervals in which the bus becomes idle."""
+
+
+def shortest_frame(length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False) -> FrameLength:
+    """Return the length of a frame with its intermission and without dynamic stuff bits.
+
+    Args:
+        length: bytes of data.
+        extended: identifier of 29 bits.
+        fd: CAN FD.
+        bitrate_switch: with the data bit rate; CAN FD only.
+
+    Raises:
+        ValueError: there is no frame of that length.
+
+    >>> shortest_frame(8), shortest_frame(64, fd=True, bitrate_switch=True)
+    (FrameLength(nominal=111, data=0), FrameLength(nominal=29, data=550))
+    """
+    longest = longest_frame(length, extended=extended, fd=fd, bitrate_switch=bitrate_switch)
+    bits = 8 * length
+    if not fd:
+        return FrameLength((39 if extended else 19) + bits + 15 + 13)
+    crc_field = 28 if length <= 16 else 33
+    if not bitrate_switch:
+        return FrameLength((41 if extended else 22) + bits + crc_field + 12)
+    return FrameLength((33 if extended else 14) + 3 + 12, min(5 + bits + crc_field, longest.data))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TimedMessage:
+    """A message whose instants are known.
+
+    Args:
+        message: what is sent; its length is the longest.
+        offset_ns: when the first instance is due.
+        shortest: its shortest frame; by default one of its length without stuff bits.
+
+    Raises:
+        FieldError: a negative offset.
+    """
+
+    message: PeriodicMessage
+    offset_ns: int = 0
+    shortest: FrameLength | None = None
+
+    def __post_init__(self) -> None:
+        if self.offset_ns < 0:
+            raise FieldError("offset_ns", f"{self.offset_ns} is negative")
+
+    def least(self) -> FrameLength:
+        """Return the length of its shortest frame."""
+        own = self.message
+        return self.shortest or shortest_frame(own.length, extended=own.extended, fd=own.fd, bitrate_switch=own.bitrate_switch)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResponseRanges:
+    """How long every instance takes, in units, from when it is due to the end of its EOF.
+
+    Args:
+        hyperperiod_ns: after which everything comes again.
+        lead: of each message, instances before those that come again.
+        count: of each message, instances in a hyperperiod.
+        ranges: (message, instance) to the least and the most; instances from `lead` on stand for all that come again.
+    """
+
+    hyperperiod_ns: int
+    lead: tuple[int, ...]
+    count: tuple[int, ...]
+    ranges: Mapping[tuple[int, int], Interval] = field(repr=False)
+
+    def of(self, message: int, instance: int) -> Interval:
+        """Return the least and the most of an instance, in units.
+
+        Args:
+            message: its place among those that were given.
+            instance: counted from 0.
+        """
+        first, every = self.lead[message], self.count[message]
+        at = instance if instance < first else first + (instance - first) % every
+        return self.ranges[message, at]
+
+
+class _Timed:
+    """What is needed of a message, in units."""
+
+    def __init__(self, place: int, timed: TimedMessage, rates: BitRates) -> None:
+        own = timed.message
+        self.place, self.key = place, own.key()
+        self.offset, self.period, self.jitter = (rates.units(ns) for ns in (timed.offset_ns, own.period_ns, own.jitter_ns))
+        self.gap = INTERMISSION * rates.bit
+        self.least, self.most = rates.duration(timed.least()), rates.duration(own.frame_length())
+
+
+def response_ranges(messages: Sequence[TimedMessage], rates: BitRates) -> ResponseRanges | str:
+    """Return how long every instance of every message takes; or in words why that is not known.
+
+    Args:
+        messages: all that is sent on the bus; each node queues by priority, and nothing is disturbed.
+        rates: of the bus.
+
+    Raises:
+        ValueError: two messages have one identifier.
+    """
+    order = sorted((_Timed(i, each, rates) for i, each in enumerate(messages)), key=lambda each: each.key)
+    if len({each.key for each in order}) < len(order):
+        raise FieldError("identifier", "two messages have one identifier, expected one each")
+    cycle = lcm(*(each.period for each in order))
+    count = tuple(cycle // each.period for each in order)
+    frames = sum(count)
+    if 2 * frames > MOST_FRAMES:
+        said = f"the messages come again after {rates.ns(cycle) / 1e9:g} s and {frames} frames"
+        return f"{said}, at most {MOST_FRAMES // 2} are followed"
+    if sum(each.most * n for each, n in zip(order, count)) > cycle:
+        return "the messages may need more than the whole bus"
+    found: dict[tuple[int, int], Interval] = {}
+    states, before, last = _idle({(0,) * len(order): [(0, 0)]}, order), None, ()
+    for passed in range(MOST_FRAMES // frames + 1):
+        begun = _begun(states, count, passed, cycle)
+        if before is not None and _within(begun, before):
+            return _closed(found, order, count, rates.ns(cycle), last)
+        before, last = begun, tuple(min(own) for own in zip(*states))
+        for _ in range(frames):
+            states = _idle(_next(states, order, found), order)
+            if sum(map(len, states.values())) > MOST_ORDERS:
+                return f"frames may come in more than {MOST_ORDERS} orders"
+    return f"after {passed} times {rates.ns(cycle) / 1e9:g} s the bus is still not where it was before"
+
+
+def _next(states: States, order: Sequence[_Timed], found: dict[tuple[int, int], Interval]) -> States:
+    """Return what may be after one frame more, and note how long it took."""
+    after: States = {}
+    for through, idles in states.items():
+        due = [each.offset + n * each.period for each, n in zip(order, through)]
+        soonest = min(at + each.jitter for at, each in zip(due, order))
+        for earliest, latest in idles:
+            waits = max(latest, soonest)
+            last = waits  # when it begins at the latest, for all that win are not queued yet
+            for i, own in enumerate(order):
+                first = max(earliest, due[i])
+                if first <= last:
+                    end = first + own.least, last + own.most
+                    job, cut = (own.place, through[i]), due[i] + own.gap
+                    low, high = found.get(job, (end[0] - cut, end[1] - cut))
+                    found[job] = min(low, end[0] - cut), max(high, end[1] - cut)
+                    after.setdefault((*through[:i], through[i] + 1, *through[i + 1 :]), []).append(end)
+                last = min(last, due[i] + own.jitter - 1)
+    return {through: _merged(idles) for through, idles in after.items()}
+
+
+def _merged(idles: list[Interval]) -> list[Interval]:
+    """Return intervals with those that overlap as one."""
+    if len(idles) == 1:
+        return idles
+    kept: list[Interval] = []
+    for low, high in sorted(idles):
+        if kept and low <= kept[-1][1]:
+            kept[-1] = kept[-1][0], max(kept[-1][1], high)
+        else:
+            kept.append((low, high))
+    return kept
+
+
+def _idle(states: States, order: Sequence[_Timed]) -> States:
+    """Return the states with the time left out in which nothing is queued: it changes nothing."""
+    found = {}
+    for through, idles in states.items():
+        first = min(each.offset + n * each.period for each, n in zip(order, through))
+        found[through] = _merged([(max(low, first), max(high, first)) for low, high in idles])
+    return found
+
+
+def _begun(states: States, count: Sequence[int], passed: int, cycle: int) -> States:
+    """Return the states counted from the beginning of the present hyperperiod."""
+    return {
+        tuple(n - passed * each for n, each in zip(through, count)): [(a - passed * cycle, b - passed * cycle) for a, b in idles]
+        for through, idles in states.items()
+    }
+
+
+def _within(now: States, before: States) -> bool:
+    return all(
+        any(low <= a and b <= high for low, high in before.get(through, ())) for through, idles in now.items() for a, b in idles
+    )
+
+
+def _closed(
+    found: Mapping[tuple[int, int], Interval], order: Sequence[_Timed], count: Sequence[int], cycle_ns: int, last: Sequence[int]
+) -> ResponseRanges:
+    """Return the ranges; from the last hyperperiod on an instance stands for all that come again in its place."""
+    ranges = dict(found)
+    leads, counts = [0] * len(order), [0] * len(order)
+    for own, every, first in zip(order, count, last):
+        leads[own.place], counts[own.place] = first, every
+        for (place, instance), (low, high) in found.items():
+            if place == own.place and instance >= first:
+                at = place, first + (instance - first) % every
+                ranges[at] = min(ranges[at][0], low), max(ranges[at][1], high)
+    return ResponseRanges(hyperperiod_ns=cycle_ns, lead=tuple(leads), count=tuple(counts), ranges=ranges)
