@@ -69,6 +69,40 @@ def analyse(
         _print(found)
 
 
+@command.command()
+@click.argument("channel")
+@click.argument("interface")
+@click.option("--bitrate", required=True, metavar="RATE", help="Nominal bit rate of CHANNEL, as 500k or 500000.")
+@click.option("--dbitrate", metavar="RATE", help="Data bit rate, as 2M; without it INTERFACE carries classic frames alone.")
+@click.option("--restart-ms", type=click.IntRange(0, 1_000_000), default=0, show_default=True, metavar="MS",
+              help="From bus-off to when recovery begins; 0: it stays off.")  # fmt: skip
+@click.option("--berr-reporting/--no-berr-reporting", default=True, show_default=True,
+              help="An error frame for every destroyed frame, beside those of state changes.")  # fmt: skip
+def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, restart_ms: int, berr_reporting: bool) -> None:
+    """Be the CAN controller between a SocketCAN interface and a bus with time: hil can bridge rig0 vcan0 --bitrate 500k
+
+    What programs send on INTERFACE, such as vcan0, goes onto the bus CHANNEL (can:hil:CHANNEL?timed=1) in its turn; what others
+    send there, and the error frames of this controller, come onto INTERFACE. Runs until Ctrl-C.
+    """
+    from transport.links.can_bridge import bridge
+    from transport.links.can_bus import HilBus
+    from transport.links.python_can import can
+
+    flexible = dbitrate is not None
+    try:
+        with HilBus(
+            channel, fd=flexible, timed=True, bitrate=bitrate, dbitrate=dbitrate, restart_ms=restart_ms,
+            berr_reporting=berr_reporting,
+        ) as bus, can.Bus(interface, interface="socketcan", fd=flexible, ignore_config=True) as beside:  # fmt: skip
+            said = f"its error frames: candump -e {interface},0:0,#FFFFFFFF"
+            print(f"{interface} is a node of the bus {channel}; {said}", flush=True)
+            bridge(bus, beside, lambda: False)
+    except (can.CanError, OSError) as error:
+        if str(error).startswith("hil:"):
+            raise HilError(str(error).removeprefix("hil: ")) from error
+        raise HilError(f"{interface}: {error}; is it there and up? `hil vcan -- COMMAND` has a vcan0") from error
+
+
 def _of_traffic(
     path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None
 ) -> BusAnalysis:  # fmt: skip

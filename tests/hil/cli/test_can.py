@@ -99,3 +99,13 @@ def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line:
     (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\n{line}\n')
     with within(), pytest.raises(HilError, match=r"is no DBC: .*no message has so many bits"):
         run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
+
+
+def test_a_bridge_to_an_interface_that_is_not_there_and_impossible_rates_are_refused() -> None:
+    for rate, said in (("501k", "bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
+                       ("500k", "vcan9: ")):  # fmt: skip
+        with pytest.raises(HilError) as caught:
+            CliRunner().invoke(
+                command, ["bridge", "cli", "vcan9", "--bitrate", rate], catch_exceptions=False, standalone_mode=False
+            )  # fmt: skip
+        assert said in str(caught.value)
