@@ -32,6 +32,7 @@ from hil.measure.measure import Named, measures_of, own_measures, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
+from hil.rig.link_faults import refuse_undisturbed
 from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
@@ -247,6 +248,7 @@ def run_session(
     refuse_unsound_measures(loop)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
+    refuse_undisturbed(experiment, loop.rig, on)
     loop = _assuming(loop, CARRIED) if clock == "real" and on.unproved else loop
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.

@@ -35,15 +35,18 @@ class FaultSchedule:
     restarts: tuple[tuple[int, int], ...]
 
 
-def fault_schedule_faults(e: Experiment, on_bus: Sequence[str] = ()) -> list[str]:
+def fault_schedule_faults(e: Experiment, on_bus: Sequence[str] = (), *, timed_link: bool = False) -> list[str]:
     """Return what is wrong with the time line, each with its path.
 
     Args:
         e: the experiment.
         on_bus: names of the nodes on its CAN bus with time; none where it has no such bus.
+        timed_link: whether its link is one, too.
     """
-    none = "there is no CAN bus with time, whose bits could be disturbed; give the experiment a medium of kind 'can'"
-    bits = [f"fault[{i}].kind: {none}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS and not on_bus]
+    none = "there is no CAN bus with time, whose bits could be disturbed; give the experiment a medium of kind 'can', or "
+    none += "links.uri = 'can:hil:rig0?timed=1&bitrate=500k' in real time"
+    there_is = bool(on_bus) or timed_link
+    bits = [f"fault[{i}].kind: {none}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS and not there_is]
     there = f"there are: {', '.join(e.network.nodes)}" if e.network.nodes else "no node is named: use link"
     return bits + [
         f"fault[{i}].node: there is no node {fault.node!r} ({there})"

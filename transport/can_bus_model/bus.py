@@ -38,6 +38,7 @@ class Transmission(NamedTuple):
         end: end of the EOF, or of the error delimiter.
         idle: when the bus is idle again.
         error_bit: position of the bit at which it was destroyed; None: it got through.
+        others: who else sent, with its frame: the very same one, or one with its identifier that collided with it.
     """
 
     node: int
@@ -46,6 +47,7 @@ class Transmission(NamedTuple):
     end: int
     idle: int
     error_bit: int | None
+    others: tuple[tuple[int, Waiting], ...] = ()
 
 
 class CanBus:
@@ -190,8 +192,9 @@ class CanBus:
         idle = start + self.rates.duration(length)
         if error is not None:
             idle = start + self._broken(sent, length, error, senders, answered=not unanswered)
-        transmission = Transmission(senders[0], sent, start, idle - INTERMISSION * self.rates.bit, idle, error)
-        self._now.append((transmission, tuple((i, heads[i]) for i in senders)))
+        all_of_them = tuple((i, heads[i]) for i in senders)
+        end = idle - INTERMISSION * self.rates.bit
+        self._now.append((Transmission(senders[0], sent, start, end, idle, error, all_of_them[1:]), all_of_them))
 
     def _disturbed(self, senders: Sequence[int]) -> bool:
         """Return whether a node with other bit rates than the sender's destroys the frame."""

@@ -52,7 +52,7 @@ def restored(state: list[Any]) -> CanBus:
         senders = tuple(
             (i, _frame(each) if place is None else bus.nodes[i].waiting.frames[place]) for i, place, each in places
         )  # fmt: skip
-        now.append((Transmission(senders[0][0], senders[0][1], start, end, idle, error_bit), senders))
+        now.append((Transmission(senders[0][0], senders[0][1], start, end, idle, error_bit, senders[1:]), senders))
     bus.remember(memory, now)
     return bus
 

@@ -18,16 +18,19 @@ Reference: NIST SP 800-38B (CMAC); AUTOSAR, Specification of Secure Onboard Comm
 from __future__ import annotations
 
 from binascii import unhexlify
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from hmac import compare_digest
 from time import monotonic
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from transport.links.link import LOOK_S, Closing, Link, LinkCounters, OneOfARole, Role, TransportError
+from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.planned_faults import BusFault
 
 HELLO: Final = 0xFFFFFFFF
 SILENCE_S: Final = 1.0
@@ -142,6 +145,14 @@ class AuthenticatedLink(Closing):
     def check_alone(self) -> None:
         if isinstance(self._link, OneOfARole):
             self._link.check_alone()
+
+    def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
+        if not isinstance(self._link, OnBus):
+            raise TransportError(f"link {self.uri!r}: no CAN bus whose bits could be disturbed")
+        self._link.disturb(faults, seed)
+
+    def statuses(self) -> list[BusStatus]:
+        return self._link.statuses() if isinstance(self._link, OnBus) else []
 
     def close(self) -> None:
         self._link.close()

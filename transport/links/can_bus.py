@@ -164,19 +164,21 @@ class HilBus(can.BusABC):
             told = "the transmit buffer is full: no other participant acknowledges, or the bus is busy"
             raise can.CanOperationError(f"{self.channel_info}: {told}")
 
-    def _got_through(self, item: Any, end_ns: int) -> None:
+    def _got_through(self, item: Any, end_ns: int, alone: bool) -> None:
         """Hand a frame to everybody, with the end of its EOF as its time."""
         identifier, length, flags, data = item
         stamp = time() - (monotonic_ns() - end_ns) / 1e9
-        self._mesh.send(FRAME.pack(stamp, 0, identifier, length, flags) + data)
+        if alone:
+            self._mesh.send(FRAME.pack(stamp, 0, identifier, length, flags) + data)
         if self._own:
             self._mesh.echo(FRAME.pack(stamp, 0, identifier, length, flags | OWN) + data)
 
-    def _was_destroyed(self, item: Any, bit: int) -> None:
+    def _was_destroyed(self, item: Any, bit: int, alone: bool) -> None:
         """Put an error frame into our own queue and the others', as drivers of SocketCAN do with ``berr-reporting on``."""
         frame = frame_of(*item)
         own, theirs = (destroyed(frame, bit, sender=sender) for sender in (True, False))
-        self._mesh.send(FRAME.pack(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
+        if alone:
+            self._mesh.send(FRAME.pack(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
         self._mesh.echo(FRAME.pack(time(), 0, ERROR | own.kind, 8, 0) + own.data)
 
     def _state_changed(self, before: State, change: StateChange) -> None:

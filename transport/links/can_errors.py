@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 from transport.can_bus_model.bits import CanFrame, wire_bits
 from transport.can_bus_model.node import PASSIVE, WARNING, State
+from transport.links.link import BusStatus
 
 CONTROLLER, PROTOCOL, ACKNOWLEDGE, BUS_OFF, BUS_ERROR, RESTARTED = 0x004, 0x008, 0x020, 0x040, 0x080, 0x100
 _BIT0, _BIT1, _BY_SENDER = 0x08, 0x10, 0x80
@@ -107,3 +108,23 @@ def changed(before: State, state: State, tec: int, rec: int) -> ErrorFrame:
     send, hear = ((level >= WARNING) + (level >= PASSIVE) for level in (tec, rec))
     said = (_TRANSMIT[send] if send >= hear else 0) | (_RECEIVE[hear] if hear >= send else 0)
     return ErrorFrame(CONTROLLER | (RESTARTED if before == "off" else 0), bytes((0, said or _ACTIVE, 0, 0, 0, 0)) + counters)
+
+
+def status(kind: int, data: bytes) -> BusStatus | None:
+    """Return the state that an error frame says its controller has reached, None where it says none.
+
+    Args:
+        kind: its error classes.
+        data: its bytes.
+
+    >>> status(CONTROLLER, bytes((0, 0x20, 0, 0, 0, 0, 128, 0)))
+    BusStatus(state='passive', tec=128, rec=0)
+    """
+    if len(data) < 8 or not kind & (BUS_OFF | CONTROLLER | RESTARTED):
+        return None
+    said = data[1]
+    levels: tuple[tuple[int, State], ...] = ((0x30, "passive"), (0x0C, "warning"), (_ACTIVE, "active"))
+    known: State | None = "off" if kind & BUS_OFF else next((state for bits, state in levels if said & bits), None)
+    if known is None:
+        return BusStatus("active", data[6], data[7]) if kind & RESTARTED else None
+    return BusStatus(known, data[6], data[7])

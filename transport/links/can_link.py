@@ -14,6 +14,7 @@ again when the interface does.
 from __future__ import annotations
 
 import select
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -21,16 +22,20 @@ from errno import EBADF, ENODEV, ENXIO
 from time import monotonic
 from typing import Final, Protocol
 
+from transport.can_bus_model.node import State
+from transport.can_bus_model.planned_faults import BusFault
 from transport.links.can_bus import HilBus
-from transport.links.can_datagram import ERROR, EXTENDED, REMOTE
+from transport.links.can_datagram import ERROR, EXTENDED, ID_MASK, REMOTE
+from transport.links.can_errors import status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
-from transport.links.link import LOOK_S, Closing, LinkCounters, Role
+from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError
 from transport.links.python_can import can
 from transport.packets import decode, frame_length, node_of, packet_size
 
 _FAULTS: Final = (can.CanError, OSError, ValueError)
 _GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
 _REOPEN_EVERY: Final = 10
+_MOST_STATUSES: Final = 16
 _FAULT_PAUSE_S: Final = 0.01
 _SKIPPED: Final = 2 * FRAGMENTS
 """So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
@@ -101,7 +106,7 @@ class CanLink(Closing):
     """
 
     __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_hear", "_join", "_lengths", "_pad", "_parts", "_row",
-                 "_say", "_step", "uri")  # fmt: skip
+                 "_say", "_state", "_statuses", "_step", "uri")  # fmt: skip
 
     def __init__(
         self,
@@ -125,6 +130,8 @@ class CanLink(Closing):
         self._bus = _frames_of(join(), fd)
         self._closed = False
         self._parts = [b""] * len(heard)  # of each sender, what has come of a packet in fragments
+        self._state: State = "active"
+        self._statuses: deque[BusStatus] = deque(maxlen=_MOST_STATUSES)
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
 
     @property
@@ -186,6 +193,10 @@ class CanLink(Closing):
         if place is None:
             if identifier & ERROR:
                 self._counters.errors += 1
+                reached = status(identifier & ID_MASK, data)
+                if reached is not None and reached.state != self._state:
+                    self._state = reached.state
+                    self._statuses.append(reached)
             elif identifier & REMOTE:
                 self._counters.malformed += 1
             else:
@@ -220,6 +231,20 @@ class CanLink(Closing):
             self._counters.malformed += 1
             return None
         return data[:size]
+
+    def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
+        bus = self._bus
+        if not isinstance(bus, HilBus):
+            raise TransportError(f"link {self.uri!r}: no bus of ours, whose bits could be disturbed")
+        try:
+            bus.plan(faults, seed, [[], [*self._hear]])
+        except _FAULTS as error:
+            raise TransportError(f"link {self.uri!r}: {error}") from error
+
+    def statuses(self) -> list[BusStatus]:
+        found = [*self._statuses]
+        self._statuses.clear()
+        return found
 
     def _fault(self, error: BaseException, wait_s: float) -> None:
         """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""

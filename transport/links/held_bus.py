@@ -34,11 +34,14 @@ class Ended(NamedTuple):
         tag: number that its sender gave it.
         end_ns: end of its EOF or error delimiter, CLOCK_MONOTONIC.
         error_bit: None if it got through; otherwise where it was destroyed, and it is sent again.
+        alone: False where another participant sent it at once, the very same frame or one with its identifier: that one hands
+            it out.
     """
 
     tag: int
     end_ns: int
     error_bit: int | None
+    alone: bool
 
 
 class StateChange(NamedTuple):
@@ -143,11 +146,12 @@ class HeldBus:
 
     def _pass(self, ns: int) -> None:
         for each in self.living.advance(BitRates.units(ns)):
-            if self.owners[each.node]:
-                mail = self.mail[each.node]
-                mail.append([each.waiting.tag, BitRates.ns(each.end), each.error_bit])
-                if each.error_bit is not None and len(mail) > _MOST_FAILURES:
-                    del mail[next(i for i, (_, _, bit) in enumerate(mail) if bit is not None)]
+            for i, waiting in ((each.node, each.waiting), *each.others):
+                if self.owners[i]:
+                    mail = self.mail[i]
+                    mail.append([waiting.tag, BitRates.ns(each.end), each.error_bit, i == each.node])
+                    if each.error_bit is not None and len(mail) > _MOST_FAILURES:
+                        del mail[next(i for i, (_, _, bit, _) in enumerate(mail) if bit is not None)]
 
     def queue(self, i: int, waiting: Waiting) -> None:
         """Let a frame wait that was not queued before."""
@@ -181,7 +185,7 @@ class HeldBus:
 
     def due(self, i: int, now_ns: int) -> tuple[list[Ended], bool]:
         """Take what one participant may hand out; return whether more of its own waits for others."""
-        others = [end for j, mail in enumerate(self.mail) for _, end, bit in mail if j != i and bit is None]
+        others = [end for j, mail in enumerate(self.mail) for _, end, bit, _ in mail if j != i and bit is None]
         first = min((end for end in others if end > now_ns - PATIENCE_NS), default=now_ns)
         mine = [Ended(*each) for each in self.mail[i]]
         self.mail[i] = [list(each) for each in mine if each.end_ns > first]

@@ -7,11 +7,15 @@ first colon is the scheme, a plug-in found in the entry point group ``hil.links`
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Final, Literal, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Final, Literal, Protocol, Self, runtime_checkable
 from urllib.parse import parse_qsl
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.node import State
+    from transport.can_bus_model.planned_faults import BusFault
 
 Role = Literal["rig", "controller"]
 
@@ -119,6 +123,41 @@ class OneOfARole(Protocol):
         Raises:
             TransportError: who has the role.
         """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class BusStatus:
+    """An error state that a node on a CAN bus has reached.
+
+    Attributes:
+        state: as `transport.can_bus_model.node.State` has it.
+        tec, rec: its transmit and receive error counter.
+    """
+
+    state: State
+    tec: int
+    rec: int
+
+
+@runtime_checkable
+class OnBus(Protocol):
+    """A link over a CAN bus whose bits can be disturbed, and whose nodes can be off it."""
+
+    def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
+        """Say what is wrong with the bus when, in place of what was said before.
+
+        Args:
+            faults: their instants in CLOCK_MONOTONIC, ns; `off`: 0 for this end, 1 for the other one.
+            seed: of the bits that are disturbed at random.
+
+        Raises:
+            TransportError: the bus takes no time.
+        """
+        ...
+
+    def statuses(self) -> list[BusStatus]:
+        """Return the error states that this end has reached since the last call, in order; of very many the last ones."""
         ...
 
 

@@ -31,8 +31,8 @@ _IDLE_S: Final = 0.25
 _SPELLS: Final = 16
 _MOST_RESTART_MS: Final = 1_000_000
 
-Deliver = Callable[[object, int], None]
-Destroyed = Callable[[object, int], None]
+Deliver = Callable[[object, int, bool], None]
+Destroyed = Callable[[object, int, bool], None]
 Changed = Callable[[State, StateChange], None]
 
 
@@ -93,8 +93,9 @@ class TimedSender:
     Args:
         directory: where the participants of the bus meet.
         rates: of this participant.
-        deliver: called with (item, CLOCK_MONOTONIC ns of the end of its EOF) when a frame got through, from a thread of its own.
-        destroyed: called with (item, bit) when a frame was destroyed at a bit; it is sent again.
+        deliver: called with (item, CLOCK_MONOTONIC ns of the end of its EOF, see `Ended.alone`) when a frame got through, from a
+            thread of its own.
+        destroyed: called with (item, bit, likewise) when a frame was destroyed at a bit; it is sent again.
         changed: called with (the state before, the change) when the error state of this participant has changed.
         others_changed: called when that of another one has.
         restart_s: from bus-off to when recovery begins, s; None: it stays off.
@@ -177,9 +178,9 @@ class TimedSender:
         if each.tag not in self._items:
             return
         if each.error_bit is None:
-            self._deliver(self._items.pop(each.tag), each.end_ns)
+            self._deliver(self._items.pop(each.tag), each.end_ns, each.alone)
         else:
-            self._destroyed(self._items[each.tag], each.error_bit)
+            self._destroyed(self._items[each.tag], each.error_bit, each.alone)
 
     def _take(self, seen: Seen) -> None:
         self._waiting = seen.waiting

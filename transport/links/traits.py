@@ -106,6 +106,7 @@ class LinkTraits:
         can: how packets become CAN frames with identifiers; None for a link of whole datagrams.
         one_process: whether both ends live in one process.
         in_process: whether the rig's process runs the controller itself, so that there is no way between them that takes time.
+        timed: whether its frames take the time of a CAN bus, whose bits faults can disturb.
         own_threads: whether packets pass through threads of the link's own at each end.
         takes: tables of keys that its URI has options for, beside the key of `auth=`, which every link takes.
         keyed: whether every packet has a message authentication code.
@@ -117,6 +118,7 @@ class LinkTraits:
     can: CanFraming | None = None
     one_process: bool = False
     in_process: bool = False
+    timed: bool = False
     own_threads: bool = False
     takes: frozenset[KeyTable] = frozenset()
     keyed: bool = False
@@ -221,8 +223,8 @@ def _can(uri: str) -> LinkTraits:
     )  # fmt: skip
     interface, _, channel = address.partition(":")
     commanders = on_can(interface, channel, hops=options.get("hop_limit", "0"))
-    timed = options.get("timed") in ("1", "true")  # a thread hands out what has got through
-    return LinkTraits(can=framing, commanders=commanders, own_threads=timed, one_process=interface == "virtual")
+    timed = interface == "hil" and options.get("timed") in ("1", "true")  # a thread hands out what has got through
+    return LinkTraits(can=framing, commanders=commanders, timed=timed, own_threads=timed, one_process=interface == "virtual")
 
 
 def _zenoh(uri: str) -> LinkTraits:

@@ -19,11 +19,12 @@ from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.frames_dbc import about_rig
+from hil.rig.link_faults import link_faults
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import log_change, log_late, take
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of
-from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.child import read_job
@@ -35,7 +36,7 @@ from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
-from transport.links.link import Link, Tells, TransportError
+from transport.links.link import Link, OnBus, Tells, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
@@ -44,6 +45,7 @@ PACE_NS = 2_000_000
 
 SETTLE_NS = 1_000_000
 """From the end of the rehearsals to slot 0: no longer than between two slots, so that caches and threads stay awake."""
+PLAN_NS = 20_000_000
 CLOSES_S = 0.5
 """For the link to close, s: a flood keeps zenoh from it for as long as it lasts."""
 REHEARSED = 1000
@@ -77,6 +79,8 @@ class RealLoop:
             job.loop, job.seed, sink, channels, self.kernel.stop, wire, first, lambda t_ns: self._woken_ns, job.changes_fd >= 0
         )  # fmt: skip
         self.overruns = 0
+        self._on_bus = link if isinstance(link, OnBus) else None
+        self._wrong, self._seed = link_faults(e, job.loop.rig, job.link), job.seed
         self._sink = sink
         self._period_ns = e.period_ns
         self._log = record_to(sink, channels[TIMING.name])
@@ -93,8 +97,11 @@ class RealLoop:
         self.clock.wait_until(self.clock.now() + min(self._period_ns, PACE_NS))
 
     def begin(self) -> None:
-        """Let session time be 0 in `SETTLE_NS`."""
-        start_ns = monotonic_ns() + SETTLE_NS
+        """Let session time be 0 in `SETTLE_NS`; in `PLAN_NS` where the bus of the link learns its faults before."""
+        start_ns = monotonic_ns() + (PLAN_NS if self._wrong else SETTLE_NS)
+        if self._wrong and self._on_bus is not None:
+            shifted = [each._replace(first_ns=start_ns + each.first_ns, end_ns=start_ns + each.end_ns) for each in self._wrong]
+            self._on_bus.disturb(shifted, self._seed)
         self.clock.begin(start_ns)
         self._sink.begin(wall_clock_ns(start_ns))
         self._change(0)
@@ -113,6 +120,10 @@ class RealLoop:
             work_us = (end - self._woken_ns - exchange.waited_ns) / 1e3
             late = rig.answers.late - self._late
             self._log(t_ns, (lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
+        for status in self._on_bus.statuses() if self._on_bus is not None else ():
+            told = f"the rig on its link is {STATES[status.state]}: TEC {status.tec}, REC {status.rec}"
+            severity = "info" if status.state == "active" else "warning"
+            self._sink.event(t_ns, "bus status", told, tick=rig.k, node="rig", severity=severity)
         self._sink.commit()
         self._change(rig.k + 1)
 
