@@ -13,7 +13,7 @@ from importlib import import_module
 from typing import Final
 
 _NAMES: Final = {
-    "plants.dc_motor": "DCMotor DCMotorRun LoadTorque",
+    "plants.dc_motor": "DCMotor LoadTorque",
     "plants.delayed_states": "DelayedStates",
     "plants.errors": "PlantError",
     "plants.fmu": "FMU",
@@ -24,6 +24,7 @@ _NAMES: Final = {
     "plants.parts.friction": "Friction RubbingAxis",
     "plants.parts.events": "JumpModel JumpRates",
     "plants.parts.linear": "DiscreteStateSpace LinearRun Signal StateSpace",
+    "plants.parts.motor_run": "DCMotorRun",
     "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasSensorNoise HasStateDelays "
     "HasStateHistory JumpPlant MovesOtherwise Plant PlantRun ReferencesFiles",
     "plants.parts.semi_markov": "JumpProcess TransitionRates",

@@ -1,7 +1,6 @@
 """Names of the face for type checkers; at run time `__init__.py` brings each one when it is first used."""
 
 from plants.dc_motor import DCMotor as DCMotor
-from plants.dc_motor import DCMotorRun as DCMotorRun
 from plants.dc_motor import LoadTorque as LoadTorque
 from plants.delayed_states import DelayedStates as DelayedStates
 from plants.errors import PlantError as PlantError
@@ -19,6 +18,7 @@ from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
 from plants.parts.linear import LinearRun as LinearRun
 from plants.parts.linear import Signal as Signal
 from plants.parts.linear import StateSpace as StateSpace
+from plants.parts.motor_run import DCMotorRun as DCMotorRun
 from plants.parts.protocols import BeyondModel as BeyondModel
 from plants.parts.protocols import Departure as Departure
 from plants.parts.protocols import GoesOn as GoesOn

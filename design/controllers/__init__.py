@@ -32,11 +32,12 @@ if TYPE_CHECKING:
         row_count,
         sojourns_told,
     )
+    from design.controllers.gain_rows import GainIndex, nested
     from design.controllers.gain_rows_many import feedforward, held_exactly
     from design.controllers.historical import Historical
     from design.controllers.linear_law import AgedFeedback, AgedRows, LinearFeedback, LinearLaw, OutputFeedback, RowsLaw
     from design.controllers.published_motor import PublishedH2, PublishedHinf
-    from design.controllers.send_all import Constant, GainIndex, Local, SendAll, nested
+    from design.controllers.send_all import Constant, Local, SendAll
     from design.controllers.sensor_nodes import SensorNodes, Turns
 
 _HOMES: Final = {
@@ -46,7 +47,7 @@ _HOMES: Final = {
     "Controller": "design.controllers.contract",
     "SojournDependent": "design.controllers.contract",
     "MultiSampleController": "design.controllers.contract",
-    "GainIndex": "design.controllers.send_all",
+    "GainIndex": "design.controllers.gain_rows",
     "GainTable": "design.controllers.contract",
     "Gains": "design.controllers.contract",
     "Historical": "design.controllers.historical",
@@ -75,7 +76,7 @@ _HOMES: Final = {
     "feedforward": "design.controllers.gain_rows_many",
     "held_exactly": "design.controllers.gain_rows_many",
     "integrates": "design.controllers.contract",
-    "nested": "design.controllers.send_all",
+    "nested": "design.controllers.gain_rows",
     "packet_samples": "design.controllers.contract",
     "row_count": "design.controllers.contract",
     "sojourns_told": "design.controllers.contract",

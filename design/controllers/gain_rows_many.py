@@ -54,7 +54,7 @@ def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
 
 
 def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:
-    """Return for every tau the first and the last of its gains; see `design.controllers.send_all.GainIndex`."""
+    """Return for every tau the first and the last of its gains; see `design.controllers.gain_rows.GainIndex`."""
     first = [sum(sojourns[:tau]) for tau in range(len(sojourns))]
     own = [tau for tau, count in enumerate(sojourns) if count]
     taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]

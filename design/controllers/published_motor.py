@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController
+from design.controllers.gain_rows import GainRows
 from design.controllers.gain_rows_many import BatchGainRows
-from design.controllers.send_all import GainRows
 from design.errors import FieldError
 
 

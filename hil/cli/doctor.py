@@ -26,6 +26,7 @@ from threadpoolctl import threadpool_info
 
 from hil.cli.json_output import json_option, print_json
 from hil.cli.terminal import visible
+from hil.log.write.loop_form import loop_form
 from hil.plugins.user_modules import REMEDY, shadows
 from hil.runtime.real.machine import processor
 from hil.vcan import what_would_run
@@ -207,6 +208,10 @@ def _machine() -> tuple[bool, str, str]:
     return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
 
 
+def _loop() -> Check:
+    return "loop", True, f"{loop_form()}; both forms compute the same bits", ""
+
+
 def _who(uri: str | None) -> tuple[bool, str, str]:
     from transport.links.traits import traits_of
 
@@ -257,7 +262,7 @@ def command(link: str | None, as_json: bool) -> None:
     checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), _own_vcan(), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),
-              _ours("kind of machine", _machine),
+              _ours("kind of machine", _machine), _loop(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     if as_json:

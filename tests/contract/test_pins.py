@@ -3,6 +3,7 @@
 import re
 import tomllib
 from importlib.metadata import distributions
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -49,6 +50,19 @@ def test_build_and_installer_are_pinned_with_their_hashes() -> None:
         version = requirement.partition(";")[0].strip()
         assert version in (ROOT / "constraints.txt").read_text() + (ROOT / ".ci/build.txt").read_text(), requirement
         assert plain(version.partition("==")[0]) in known
+
+
+def test_what_compiles_the_loop_is_pinned_and_every_module_that_it_compiles_is_there() -> None:
+    spec = spec_from_file_location("hatch_build", ROOT / "hatch_build.py")
+    assert spec is not None and spec.loader is not None
+    hook = module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    asked = hook.pinned(ROOT / "constraints.txt")
+    assert {line.partition("==")[0] for line in asked} == set(hook.COMPILERS)
+    assert all(pinned()[line.partition("==")[0]].startswith(f"{line} ") for line in asked)
+    modules = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["hooks"]["custom"]["compiled"]
+    assert modules and all((ROOT / module).is_file() for module in modules)
+    assert len(set(modules)) == len(modules)
 
 
 def test_every_install_of_the_makefile_checks_hashes_and_fetches_nothing_else() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from dataclasses import dataclass
 from math import nan
 from typing import Protocol, cast
 
@@ -182,13 +181,13 @@ class GappedAgeImpairment:
                 draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
 
 
-@dataclass(slots=True)
 class _Offered:
     """A packet that was offered. Its copy shares it: whichever arrives second is the duplicate."""
 
-    tick: int
-    packet: object
-    arrived: bool = False
+    __slots__ = ("arrived", "packet", "tick")
+
+    def __init__(self, tick: int, packet: object) -> None:
+        self.tick, self.packet, self.arrived = tick, packet, False
 
 
 class PacketImpairment:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 from math import nan
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class Waiting(NamedTuple):
     """
 
     tick: int
-    packet: object
+    packet: Any
 
 
 class Arbitration:

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from hil.files.installed import versions_of
 from hil.log.events import to_json
+from hil.log.write.loop_form import LoopForm, loop_form
 
 CHECKOUT: Final = Path(__file__).parents[3]
 """The folder of this package: the root of a checkout, or `site-packages`."""
@@ -57,6 +58,7 @@ class Provenance:
         clock: ``virtual`` or ``real``.
         link: URI of the link.
         versions: package name to version.
+        loop: whether the loop ran compiled or interpreted; its records are the same.
         commit: of the checkout that runs; empty where there is none. The same for every run of one checkout.
         codes: names behind the small integers of the records, for instance ``{"reason": REASONS}``.
         channels: topic to what its channel says of itself in the file, such as the CAN identifiers of its frames.
@@ -73,6 +75,7 @@ class Provenance:
     clock: str
     link: str
     versions: Mapping[str, str] = field(default_factory=package_versions)
+    loop: LoopForm = field(default_factory=loop_form)
     commit: str = field(default_factory=commit)
     codes: Mapping[str, Sequence[str]] = field(default_factory=dict)
     channels: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -82,7 +85,7 @@ class Provenance:
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata records by name, in the order of the file."""
         head = {"format": FORMAT, "experiment": self.experiment, "seed": str(self.seed), "clock": self.clock,
-                "link": self.link} | dict(self.origins) | ({"commit": self.commit} if self.commit else {})
+                "link": self.link, "loop": self.loop} | dict(self.origins) | ({"commit": self.commit} if self.commit else {})
         records = {
             "hilrig": head,
             "versions": dict(self.versions),

@@ -22,6 +22,6 @@ def test_one_comparison_of_round_trips_is_no_fault(free: float, said: str, monke
 
 def test_what_is_fine_has_no_remedy() -> None:
     checks = [doctor._vcan(), doctor._own_vcan(), doctor._zenoh(), doctor._scheduler(), doctor._idle(), doctor._clock(),
-              doctor._cpus(), doctor._packages(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
+              doctor._cpus(), doctor._packages(), doctor._loop(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
     for what, fine, finding, remedy in checks:
         assert finding and bool(remedy) is not fine, what

@@ -19,6 +19,7 @@ from hil.experiment import load_experiment
 from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
+from hil.log.write.loop_form import loop_form
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import commit
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
@@ -59,6 +60,7 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     assert run.resolved == {"period": 0.001, "limits": {"voltage": 24.0}}
     assert run.certificate == {"radius": 0.9}
     own = {"commit": commit()} if commit() else {}  # an installed package has none
+    own |= {"loop": loop_form()}
     assert run.metadata == own | {"format": "2", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
     assert run.versions["numpy"] == np.__version__
     assert run.codes["reason"] == ["delivered", "lost"]

@@ -5,7 +5,11 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+import pytest
+
 import hil
+from hil.log.write import frame_length
+from hil.log.write.loop_form import loop_form
 from hil.log.write.provenance import Provenance, commit
 
 
@@ -39,3 +43,11 @@ def test_a_run_logs_its_commit_and_stays_the_same_file() -> None:
     first, second = (hil.run("dc-motor-hinf", duration=1) for _ in range(2))
     assert first.run.metadata.get("commit", "") == commit()
     assert first.summary["log"]["sha256"] == second.summary["log"]["sha256"]
+
+
+@pytest.mark.parametrize(("file", "form"), [("frame_length.py", "interpreted"), ("frame_length.cpython-311.so", "compiled")])
+def test_a_log_says_whether_its_loop_was_compiled(file: str, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert hil.run("dc-motor-hinf", duration=0.1).run.metadata["loop"] == loop_form()
+    monkeypatch.setattr(frame_length, "__file__", f"/somewhere/{file}")
+    about = Provenance(experiment="x", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:")
+    assert loop_form() == about.metadata()["hilrig"]["loop"] == form
