@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from hil.experiment import shipped
 
 ROOT = Path(__file__).parents[2]
@@ -33,6 +34,12 @@ assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2
 PLUG_IN = """
 def test_mine(hil):
     assert hil.run("dc-motor-hinf", clock="real", link="can:hil:shadowed{pid}", duration="0.5 s").summary["slots"] == 10
+"""
+
+PLOT = """
+from hil.log.read.run import read_run
+from hil.notebook import figure
+figure(read_run("a.mcap"), "figures/a.svg")
 """
 
 COMMANDS = {
@@ -106,14 +113,15 @@ def test_every_python_of_ours_starts_without_its_working_folder() -> None:
 
 @pytest.mark.parametrize("kind", ["settings", "bytes", "pipe"])
 def test_a_matplotlibrc_of_the_folder_is_not_read(kind: str, tmp_path: Path) -> None:
-    """It could run TeX, take a canvas of its own, or never end."""
-    subprocess.run([HIL, "run", "dc-motor-hinf", "--duration", "1", "--quiet", "-o", "a.mcap"], cwd=tmp_path, check=True)
+    """It could run TeX, take a canvas of its own, or never end: of a page's figures, and of one figure of a log."""
+    hil.run("dc-motor-hinf", duration=1, log=tmp_path / "a.mcap")
     if kind == "pipe":
         os.mkfifo(tmp_path / "matplotlibrc")
     else:
         text = b"text.usetex: True\nbackend: module://pickle\nfont.size: 1000\n" if kind == "settings" else bytes(range(256))
         (tmp_path / "matplotlibrc").write_bytes(text)
-    asked = [HIL, "report", "a.mcap", "--figures", "figures"]
+    (tmp_path / "figures").mkdir()
+    asked = [HIL, "report", "a.mcap", "--figures", "figures"] if kind == "settings" else [sys.executable, "-P", "-c", PLOT]
     done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert [*(tmp_path / "figures").glob("*.svg")]
