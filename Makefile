@@ -135,7 +135,7 @@ $(INSTALLED): pyproject.toml constraints.txt .ci/build.txt
 	    echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) -V 2>&1). Another one: make PYTHON=python3.12"; exit 1; }
 	@$(BIN)/python -c '' 2>/dev/null || $(PYTHON) -m venv --clear .venv || { \
 	    echo "$(PYTHON) -m venv failed; on Debian: apt-get install python3-venv"; exit 1; }
-	@echo "installing into .venv (once): 118 packages, 1.1 GB on disk, each held to its hash"
+	@echo "installing into .venv (once): 119 packages, 1.1 GB on disk, each held to its hash"
 	@$(PIP) --require-hashes --no-deps -r .ci/build.txt
 	@if $(BIN)/uv --version >/dev/null 2>&1; then \
 	   install="$(BIN)/uv pip install -q --python $(BIN)/python --compile-bytecode"; \

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.foxglove_option import foxglove_beside, foxglove_option
 from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 
@@ -34,11 +35,12 @@ if TYPE_CHECKING:
 @click.option("--force", is_flag=True, help="Replace a log that is there.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
+@foxglove_option
 @json_option("Print the summary as one JSON object, with --script.")
 def command(
     experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
     speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
-    as_json: bool,
+    foxglove: int | None, as_json: bool,
 ) -> None:  # fmt: skip
     """Watch a run of EXPERIMENT in the browser, and change it there: reference, disturbance, network, controller, faults.
 
@@ -60,14 +62,16 @@ def command(
     if experiments[0].endswith(".mcap"):
         from hil.log.read.run import read_run
 
-        if len(experiments) > 1 or script is not None:
-            raise HilError("a log is shown alone, and takes no script; hil live EXPERIMENT --script LOG.mcap runs it again")
+        if len(experiments) > 1 or script is not None or foxglove is not None:
+            told = "hil live EXPERIMENT --script LOG.mcap runs it again; Foxglove opens a log itself"
+            raise HilError(f"a log is shown alone, and takes no script and no --foxglove; {told}")
         show_log(read_run(Path(experiments[0])), experiments[0], port=port, folder=folder, opened=opened)
         return
     if len(experiments) > 2:
         raise HilError(f"{len(experiments)} experiments; one, or two side by side, are shown")
-    if len(experiments) == 2 and (clock == "real" or output is not None or script is not None):
-        raise HilError("two experiments run side by side in virtual time, with logs below runs/, and without --script or -o")
+    if len(experiments) == 2 and (clock == "real" or output is not None or script is not None or foxglove is not None):
+        told = "in virtual time, with logs below runs/, and without --script, --foxglove or -o"
+        raise HilError(f"two experiments run side by side {told}")
     if clock == "virtual" and link is not None:
         raise HilError("--link needs --clock real: virtual time runs in one process, without a link")
 
@@ -80,7 +84,8 @@ def command(
 
         scripted = Scripted(read_script(script), real=clock == "real")
         experiment = load_experiment(experiments[0], sets, seed=seed, duration=duration)
-        session = run_session(experiment, clock=clock, link=link, path=path(experiment), onlooker=scripted)  # type: ignore[arg-type]
+        with foxglove_beside(scripted, foxglove) as onlooker:
+            session = run_session(experiment, clock=clock, link=link, path=path(experiment), onlooker=onlooker)  # type: ignore[arg-type]
         if as_json:
             print_json(session.summary)
         else:
@@ -96,4 +101,6 @@ def command(
         Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, held=held)  # type: ignore[arg-type]
         for name in experiments
     ]
-    sys.exit(watch(asked, port=port, opened=opened, finished=lambda session: show_summary(session.summary)))
+    with foxglove_beside(None, foxglove) as beside:
+        status = watch(asked, port=port, opened=opened, finished=lambda session: show_summary(session.summary), beside=beside)
+    sys.exit(status)

@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.foxglove_option import foxglove_beside, foxglove_option
 from hil.cli.interrupts import signals_later
 from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
@@ -98,6 +99,7 @@ def _let_go(path: Path) -> None:
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
+@foxglove_option
 @click.option("--live", is_flag=True, help="Show the run on a page in the browser, too; virtual time is paced.")
 def command(
     experiment: str,
@@ -118,6 +120,7 @@ def command(
     as_json: bool,
     quiet: bool,
     live: bool,
+    foxglove: int | None,
 ) -> None:
     """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
 
@@ -170,6 +173,8 @@ def command(
                 from hil.live.watch import watched
 
                 onlooker = views.enter_context(watched(clock, lambda url: click.echo(f"open {url}", err=True)))  # type: ignore[arg-type]
+            if foxglove is not None:
+                onlooker = views.enter_context(foxglove_beside(onlooker, foxglove))
             if not (as_json or quiet or sys.stderr is None or not sys.stderr.isatty()):
                 from hil.cli.live_view import LiveView
 

@@ -14,12 +14,13 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.live.about import about
 from hil.live.desk import Desk
+from hil.live.foxglove import Beside
 from hil.live.server import LivePage
 from hil.live.side import Side
 from hil.replay.replay import experiment_of
 from hil.runtime.real.ending import StopSignals
 from hil.runtime.time.clock import PacedClock, pause
-from hil.session import ClockName, Session, run_session
+from hil.session import ClockName, Onlooker, Session, run_session
 
 LOOK_S = 0.1
 WHERE = {"virtual": "virtual time", "real": "real time"}
@@ -54,7 +55,7 @@ class Asked:
 
 def watch(
     asked: Sequence[Asked], *, port: int = 0, stay: bool = True, opened: Callable[[str], None] = lambda url: None,
-    finished: Callable[[Session], None] = lambda session: None,
+    finished: Callable[[Session], None] = lambda session: None, beside: Onlooker | None = None,
 ) -> int:  # fmt: skip
     """Run experiments with a page on them; return the exit status of the last runs.
 
@@ -64,6 +65,7 @@ def watch(
         stay: whether the page stays when the runs have ended, until a signal comes.
         opened: called with the page's URL.
         finished: called with every run that has ended.
+        beside: looks at the first of them, too.
 
     Raises:
         HilError: an experiment cannot be composed, or the port is taken.
@@ -73,7 +75,7 @@ def watch(
     with _page(sides, asked[0].clock, port, opened) as desk:
         while True:
             desk.again.clear()
-            sessions = _run(asked, sides, seed)
+            sessions = _run(asked, sides, seed, beside)
             for session in sessions:
                 finished(session)
             status = max(session.status for session in sessions)
@@ -84,13 +86,14 @@ def watch(
                 side.forget(each.pacer())
 
 
-def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None) -> list[Session]:
+def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside: Onlooker | None) -> list[Session]:
     """Run every experiment to its end: one here, where signals come; more in threads of their own."""
 
     def run(each: Asked, side: Side) -> Session:
         experiment = each.load(seed)
+        onlooker = Beside(side, beside) if beside is not None and side is sides[0] else side
         try:
-            return run_session(experiment, clock=each.clock, link=each.link, path=each.path(experiment), onlooker=side)
+            return run_session(experiment, clock=each.clock, link=each.link, path=each.path(experiment), onlooker=onlooker)
         finally:
             side.status = "ended"
 
