@@ -10,6 +10,7 @@ import stat
 import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -19,6 +20,9 @@ from hil.cli.interrupts import signals_later
 from hil.cli.json_output import json_option, print_json
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again
+
+if TYPE_CHECKING:
+    from hil.session import Onlooker
 
 LONGEST_WAIT_S = 1e8
 """What `hil rig` waits, s: until Ctrl-C."""
@@ -168,7 +172,8 @@ def command(
         with signals_later():
             path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         with ExitStack() as views:
-            taps, onlooker = None, None
+            taps = None
+            onlooker: Onlooker | None = None
             if live:
                 from hil.live.watch import watched
 

@@ -27,6 +27,8 @@ EVENTS: Final = 300
 """Events that the page shows at most."""
 LATENESS: Final = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000, 1e9)
 """Edges of the histogram of lateness, us."""
+GIVEN: Final = "given"
+"""State that is the passivity observer, see `plants.omni.Omni`."""
 QUIET: Final = ("repeated", "sent", "delivered")
 """Fates of packets that are no news."""
 
@@ -176,7 +178,7 @@ class Side:
         }  # fmt: skip
         if words:
             found |= {"speed": None if clock is None else clock.speed, "certificate": self.claim(), "changes": len(self.done)}
-            found |= self._counted()
+            found |= self._counted() | {"given": self._given()}
         return found
 
     def claim(self, loop: Loop | None = None) -> dict[str, Any]:
@@ -195,6 +197,13 @@ class Side:
         if states is None or not len(states):
             return {}
         return {name: float(states[name][-1]) for name in states.dtype.names or () if name != "tick"}
+
+    def _given(self) -> float | None:
+        """Return the most energy in J that the passivity observer of a held device has seen given; None without one."""
+        states = self.records().get(STATE.name)
+        if states is None or GIVEN not in (states.dtype.names or ()) or not len(states):
+            return None
+        return float(states[GIVEN].max())
 
     def _counted(self) -> dict[str, Any]:
         records = self.records()

@@ -104,7 +104,26 @@ function wall(ctx, size, states, about) {
   ctx.beginPath();
   ctx.arc(x, z, 10, 0, 2 * Math.PI);
   ctx.fill();
+  if ("given" in states) energy(ctx, size, states.given, about.limits.given);
   return `Device ${states.position > 0 ? `${(1e3 * states.position).toPrecision(3)} mm in material ${material}` : "in free space"}`;
+}
+
+// The passivity observer: energy that the wall has given beyond what damping took. A passive wall gives none.
+export const energyWords = (most) => most > 1e-9
+  ? `✗ the wall has given ${(1e3 * most).toPrecision(3)} mJ more than damping took: not passive`
+  : "✓ the wall has given no energy: passive so far";
+
+function energy(ctx, size, given, limit) {
+  const full = limit || 0.01, share = Math.min(given / full, 1), tall = 0.8 * size, top = 0.1 * size;
+  ctx.lineWidth = 2;
+  ctx.strokeStyle = css("--muted");
+  ctx.strokeRect(10, top, 16, tall);
+  ctx.fillStyle = css("--bad");
+  ctx.fillRect(11, top + tall * (1 - share), 14, tall * share);
+  ctx.fillStyle = css("--text");
+  ctx.font = `${Math.round(0.04 * size)}px ${css("--sans")}`;
+  ctx.fillText(`${(1e3 * full).toPrecision(2)} mJ`, 8, top - 6);
+  ctx.fillText("energy given", 8, top + tall + 0.05 * size);
 }
 
 const mod = (v, n) => ((v % n) + n) % n;

@@ -1,6 +1,6 @@
 // The page: it asks for the picture of a time window whenever the browser is about to draw, and keeps nothing else.
 import { makeScopes, traceTable } from "./scopes.js";
-import { drawDevice, makeTouch } from "./devices.js";
+import { drawDevice, energyWords, makeTouch } from "./devices.js";
 import { makeAct } from "./act.js";
 
 const $ = (id) => document.getElementById(id);
@@ -135,7 +135,7 @@ async function picture(run) {
   showEvents(run);
   if (words) showWords(run);
   const outputs = run.about.outputs.map((s) => `${s.name} ${number(head.device[s.name] ?? run.scopes.last(s.name))} ${s.unit}`);
-  run.values.textContent = outputs.join(", ");
+  run.values.textContent = [outputs.join(", "), run.now.given == null ? "" : energyWords(run.now.given)].filter(Boolean).join(" · ");
 }
 
 let runs = [], act = null, drawing = false, seconds = 0;

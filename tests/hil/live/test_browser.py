@@ -138,3 +138,26 @@ def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
     assert said[0] == pytest.approx(-0.015, abs=5e-4) and said[-1] == pytest.approx(0.015, abs=5e-4)
     assert run.arrays["/plant/state"]["position"][-1] > 0.001
     assert verify(run).likeness == "same bits"
+
+
+def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives_energy(tmp_path: Path) -> None:
+    """The energy of the passivity observer stands beside each device in words; the safety ends the second run."""
+    hand = ["allow_uncertified=true", "plant.hand={mass_kg=0.3,damping_n_s_per_m=2,stiffness_n_per_m=20}"]
+    page = Page(tmp_path, [asked(tmp_path, name, [], hand, held=True) for name in ("omni-push", "omni-theorem61")])
+    page.begin()
+    try:
+        with chromium.Page(width=1400, height=1000) as browser:
+            browser.open(page.url)
+            shows(browser, BADGE, "passive")
+            page.wish(do="apply", path="plant.hand.reach_m", value=0.02)
+            page.settled("armed")
+            page.wish(do="step", slots=60)
+            until(lambda: page.view(side=0)["slots"] == 60, "60 slots")
+            words = "window.hilLive.runs.map(r => r.values.textContent)"
+            shows(browser, words, "not passive")
+            calm, shaken = browser.evaluate(words)
+            assert "the wall has given no energy: passive so far" in calm and "than damping took: not passive" in shaken
+            browser.screenshot(tmp_path / "wall.png")
+            assert browser.problems == []
+    finally:
+        page.end()

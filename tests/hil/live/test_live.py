@@ -7,7 +7,7 @@ import json
 import socket
 import struct
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -97,7 +97,7 @@ class Page:
         assert not self.thread.is_alive()
 
 
-def asked(folder: Path, name: str, number: list[int], **about: Any) -> Asked:
+def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), **about: Any) -> Asked:
     def path(experiment: Experiment) -> Path:
         number.append(1)
         return folder / f"{experiment.name}-{experiment.seed}-{len(number)}.mcap"
@@ -105,7 +105,7 @@ def asked(folder: Path, name: str, number: list[int], **about: Any) -> Asked:
     def load(sets: list[str], seed: int | None) -> Experiment:
         return load_experiment(name, sets, seed=seed)
 
-    return Asked(load=partial(load, ["duration=600"]), path=path, **about)
+    return Asked(load=partial(load, ["duration=600", *sets]), path=path, **about)
 
 
 @pytest.fixture
