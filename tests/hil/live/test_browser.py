@@ -142,7 +142,7 @@ def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
 
 def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives_energy(tmp_path: Path) -> None:
     """The energy of the passivity observer stands beside each device in words; the safety ends the second run."""
-    hand = ["allow_uncertified=true", "plant.hand={mass_kg=0.3,damping_n_s_per_m=2,stiffness_n_per_m=20}"]
+    hand = ["allow_uncertified=true", "plant.hand={damping_n_s_per_m=2,stiffness_n_per_m=20}"]
     page = Page(tmp_path, [asked(tmp_path, name, [], hand, held=True) for name in ("omni-push", "omni-theorem61")])
     page.begin()
     try:
