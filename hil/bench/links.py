@@ -17,9 +17,10 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import IO, Any, Final, cast
+from typing import Any, Final, cast
 
 from hil.bench import plain_socket, plain_zenoh
+from hil.bench.pair import Pair, open_pair
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.child import python_module
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
@@ -48,7 +49,6 @@ PRIORITY: Final = 60
 SLICE_S: Final = 0.5
 PATIENCE_NS: Final = 50_000_000  # then a round trip is lost
 MEETING_NS: Final = 10_000_000_000
-GRACE_S: Final = 0.4
 
 AFFINITIES: Final[tuple[Affinity, ...]] = ("free", "shared")
 
@@ -85,15 +85,15 @@ def bench_links(
     slices = max(round(duration_s * rate_hz / number), 1)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-bench-")))
-        pairs: list[tuple[Way, _Pair | str]] = []
+        pairs: list[tuple[Way, Pair | str]] = []
         if floor:
-            pairs.append(((FLOOR, "free"), _open(stack, lambda: _floor(folder, rate_hz))))
+            pairs.append(((FLOOR, "free"), open_pair(stack, lambda: _floor(folder, rate_hz))))
         for template in links:
             for how in AFFINITIES if _has_threads(template) else AFFINITIES[:1]:
                 (folder / how).mkdir(exist_ok=True)
                 uri = template.format(port=free_port(), pid=os.getpid(), folder=folder / how)
                 way = without_options(template).format(port="*", pid="*", folder="*"), how
-                pairs.append((way, _open(stack, _python(uri, how, rate_hz))))
+                pairs.append((way, open_pair(stack, _python(uri, how, rate_hz))))
         taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
         for turn in range(slices + 1):
             progress(f"turn {turn} of {slices}")
@@ -141,67 +141,12 @@ def _percentile(taken: list[int], q: float) -> float:
     return trips[min(int(len(trips) * q), len(trips) - 1)] / 1e3 if trips else math.nan
 
 
-class _Pair:
-    """An answering process and a driving one that is told how many round trips to make."""
-
-    def __init__(self, echo: Sequence[str], drive: Sequence[str]) -> None:
-        self._children: list[subprocess.Popen[str]] = []
-        try:
-            for command in (echo, drive):
-                child = subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-                )
-                self._children.append(child)
-                line = self._pipe(child.stdout).readline().strip()
-                if line != "ready":
-                    raise OSError(line or "the process ended")
-        except BaseException:
-            self.close()
-            raise
-
-    @staticmethod
-    def _pipe(stream: IO[str] | None) -> IO[str]:
-        assert stream is not None
-        return stream
-
-    def drive(self, number: int) -> list[int]:
-        """Make round trips; return ns for each, -1 where none came back."""
-        driver = self._children[1]
-        stream = self._pipe(driver.stdin)
-        stream.write(f"{number}\n")
-        stream.flush()
-        trips = [int(word) for word in self._pipe(driver.stdout).readline().split()]
-        if len(trips) != number:
-            raise OSError("the driving process ended")
-        return trips
-
-    def close(self) -> None:
-        for child in self._children:
-            child.terminate()
-        for child in self._children:
-            try:
-                child.communicate(timeout=GRACE_S)  # they tidy up their links
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.communicate()
-
-
-def _open(stack: ExitStack, make: Callable[[], _Pair]) -> _Pair | str:
-    """Return the pair, or why there is none."""
-    try:
-        pair = make()
-    except (OSError, subprocess.CalledProcessError) as error:
-        return str(error)
-    stack.callback(pair.close)
-    return pair
-
-
-def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], _Pair]:
+def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], Pair]:
     command = python_module("hil.bench.links")
-    return lambda: _Pair([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
+    return lambda: Pair([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
 
 
-def _floor(folder: Path, rate_hz: float) -> _Pair:
+def _floor(folder: Path, rate_hz: float) -> Pair:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         raise OSError("no C compiler is installed, so the floor cannot be measured: apt-get install gcc")
@@ -209,7 +154,7 @@ def _floor(folder: Path, rate_hz: float) -> _Pair:
     source = Path(__file__).with_name("udp_echo.c")
     subprocess.run([compiler, "-O2", "-o", program, source], check=True, capture_output=True)
     port, any_cpu = str(free_port()), "-1"  # as sessions run: the scheduler chooses the CPU
-    return _Pair(
+    return Pair(
         [str(program), "echo", port, str(PRIORITY - 1), any_cpu],
         [str(program), "drive", port, str(PRIORITY), any_cpu, str(rate_hz)],
     )

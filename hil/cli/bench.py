@@ -114,18 +114,42 @@ def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool
 @command.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
 @click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
+@click.option("--can", "buses", is_flag=True, help="Instead: CAN buses, with the bus model off and on.")
 @json_option("Print JSON.")
-def links(rate: float, duration: float, as_json: bool) -> None:
+def links(rate: float, duration: float, buses: bool, as_json: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
 
     _check("--rate", rate, 1, 100_000)
     _check("--duration", duration, *SECONDS)
+    if buses:
+        _can_buses(duration, as_json)
+        return
     rows = bench_links(rate_hz=rate, duration_s=duration)
     if as_json:
         print_json(rows)
     else:
         show_table(f"round trips at {rate:g} Hz, us", rows)
+
+
+def _can_buses(duration: float, as_json: bool) -> None:
+    from hil.bench.can_buses import bench_can_buses
+
+    rows = bench_can_buses(duration, progress=status_line)
+    if as_json:
+        print_json(rows)
+    else:
+        show_table("frames per second between two programs of python-can", [
+            {"bus": row["bus"], "frames/s": row["frames_s"], "ratio": row["times_off"], "lost": row["lost"],
+             "note": row["note"][:60]}
+            for row in rows
+        ])  # fmt: skip
+        show_table("round trips, and the error of frame times beside cyclictest, in us", [
+            {"bus": row["bus"], "p50": row["p50_us"], "p99": row["p99_us"], "p50, ratio": row["trip_times_off"],
+             "error p50": row["late_p50_us"], "error p99": row["late_p99_us"], "cyclictest p99": row["cyclictest_p99_us"],
+             "ratio ": row["late_of_cyclictest"]}
+            for row in rows
+        ])  # fmt: skip
 
 
 @command.command()
