@@ -14,9 +14,9 @@ WIDTH: Final = 130
 TEXT: Final = """\
 Made by `python -m tests.bench page` of what `python -m tests.bench all --json` printed: nothing here is typed. A figure and its
 peer come from the same run, and only ratios of one run mean anything on a machine that others use too. Less is better
-everywhere. A goal is what was aimed at, reached or missed; a condition is what has to hold on any machine. A ratio of few events,
-as of late answers, is undecided where its 95 % interval holds what was to be reached. `hil guide performance` says how it is
-done, and what stands in the way of what was missed.
+everywhere. A goal is what was aimed at, reached or missed, as a share of the peer: it means the same on any machine. A condition
+is what has to hold on any machine. A ratio of few events, as of late answers, is undecided where its 95 % interval holds what was
+to be reached. `hil guide performance` says how it is done, and what stands in the way of what was missed.
 """
 
 

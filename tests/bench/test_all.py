@@ -89,6 +89,14 @@ H-infinity design, tau_max = d_max = 8
 """.strip().splitlines()
 
 
+def test_what_is_to_be_reached_is_a_ratio_to_a_peer_of_the_same_run() -> None:
+    figures = [figure for part in PARTS for figure in part.figures]
+    goals = [figure.goal for figure in figures if figure.goal is not None]
+    assert len(goals) > 10 and all(goal.ours is None and goal.ratio is not None for goal in goals)
+    timed = [figure for figure in figures if figure.unit in ("s", "us", "ms") and figure.condition is not None]
+    assert timed and all(figure.condition is not None and figure.condition.ours is None for figure in timed)
+
+
 @pytest.mark.slow
 @pytest.mark.realtime
 @pytest.mark.timeout(600)
