@@ -117,7 +117,7 @@ class PeriodMoments:
 
 
 def period_moments(
-    system: JumpSystem, fresh: list[Box], period_s: float, delay: int, upper: bool, slack: float = 0.0
+    system: JumpSystem, fresh: list[Box], period_s: float, delay: int, upper: bool, slack: float = 0.0, *, held: bool = False
 ) -> PeriodMoments:
     """The maps of one period.
 
@@ -128,6 +128,7 @@ def period_moments(
         delay: D, periods between a sample and the input computed from it.
         upper: whether the maps bound from above or from below.
         slack: epsilon of ``uncertain_moments`` (1/s).
+        held: whether they lead to z, of which no command is dropped: of a part of a period.
     """
     modes, n, m = system.modes, system.states, system.inputs
     size = n + m * (delay + 1)
@@ -149,7 +150,7 @@ def period_moments(
             whole[target, :, j, :] += rate * np.eye(q)
     flows = expm(np.multiply.outer(period_s - nodes, whole.reshape(modes * q, modes * q)))
     flows = flows.reshape(nodes.size, modes, q, modes, q)
-    drop = congruence(one[: size - m])
+    drop = np.eye(q) if held else congruence(one[: size - m])
     first = expm(blocks[:, None] * nodes[:, None, None])
     jumped = np.einsum("pr,glrjs,igsq->ijlgpq", drop, flows, first, optimize=True)
     return PeriodMoments(still=drop @ expm(blocks * period_s), jumped=jumped, nodes_s=nodes, weights_s=weights, period_s=period_s)

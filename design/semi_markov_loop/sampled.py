@@ -6,6 +6,7 @@ The mode i jumps at any instant; the controller sees it (Chapter 2), or a detect
 the samples only, and counts the sojourn h from its first sight in whole periods. Five proofs:
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
+  where the sides are far apart, ``sojourn_cells`` has ages in parts of a period;
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
 - random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
 - a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
@@ -30,6 +31,7 @@ from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_delayed_state import delayed_decrease
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
+from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
 from design.verdict import State, Verdict
@@ -139,6 +141,19 @@ def _renewal(
             lower, which = own, name
         if lower > 1.0 + TOLERANCE:
             return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
+    slacks, certain = _slacks(system), system.uncertainty is None
+    try:
+        finer = refined(loop, modes, slacks=(0.0,) if certain else slacks, refute=certain)
+    except np.linalg.LinAlgError:  # moments of too many sizes
+        finer = None
+    if finer is not None:
+        side = "most" if finer.state == "certified" else "least"
+        return Verdict(
+            kind="mean-square stability", state=finer.state, number=finer.growth, limit=1.0, assumptions=assumed,
+            quantity="growth of the second moments per period", details={"modes": [mode + 1 for mode in modes]},
+            reason=f"second moments are multiplied by at {side} {finer.growth:.6g} a period (ages in {finer.parts} parts of it)",
+            method="sampled jump loop: ages in parts of a period, between proved sides",
+        )  # fmt: skip
     why = f"second moments{which} are multiplied by at least {lower:.6g}"
     return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
 

@@ -144,14 +144,17 @@ def test_sides_close_on_the_loop_that_acts_at_every_instant():
     assert gaps[1] < 0.3 * gaps[0]
 
 
-def test_a_loop_between_the_two_sides_is_undecided():
+def test_a_loop_between_the_sides_of_whole_periods_is_decided_by_parts_of_them_and_one_at_the_edge_is_not():
     ramp = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.2, 4.0))
     process = SemiMarkov(rates=((None, ramp), (constant_rate(2.0), None)))
     system = JumpSystem(a=np.array([[[1.0]], [[-1.0]]]), b=np.array([[[1.0]], [[0.0]]]))
     gain = constant_gain(np.array([[[-0.2]], [[0.0]]]))
     loop = SampledLoop(system=system, process=process, gain=gain, period_s=0.1, tau=0, d=0)
     assert renewal_radius(loop, [0, 1], upper=False) < 1.0 < renewal_radius(loop, [0, 1], upper=True)
-    assert sampled_verdict(system, process, gain, period_s=0.1).state == "undecided"
+    found = sampled_verdict(system, process, gain, period_s=0.1)
+    assert found.state == "refused" and "parts of it" in found.reason
+    edge = JumpSystem(a=np.array([[[0.25]], [[-1.0]]]), b=np.zeros((2, 1, 1)))  # E x^2 stays: [[-0.5, 2], [1, -4]] has the root 0
+    assert sampled_verdict(edge, _constant_process([[0.0, 1.0], [2.0, 0.0]]), gain, period_s=0.1).state == "undecided"
 
 
 def test_a_delay_that_destabilises_is_refused():
