@@ -33,6 +33,8 @@ TESTS: dict[str, tuple[str, ...]] = {
                                         "test_a_worker_of_a_sweep_that_is_ended_is_one_message",
                                         "test_a_rig_that_a_module_ends_with_status_0_is_lost",
                                         "test_a_pytest_is_not_ended_by_a_module"),
+    "C code of your module": ("test_a_script_is_its_authors_and_ends_as_the_c_code_of_a_module_ends_it",
+                              "test_a_worker_of_pytest_that_c_code_of_a_module_ends_is_one_failed_test_and_the_others_run"),
     "your module hangs": ("test_a_module_that_hangs_ends_by_a_signal",),
     "`--json` with standard": ("test_json_for_a_closed_output_runs_nothing",),
     "a measure that fails": ("test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numbers",),

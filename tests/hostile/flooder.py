@@ -1,7 +1,7 @@
-"""A flood on the rig's identifiers, from a process at normal priority.
+"""A flood on the identifiers of the rig or of the controller, from a process at normal priority.
 
-Usage: flooder.py CHANNEL SECONDS KIND; it says "up" once it is on the bus, and begins at a line of standard input. A channel
-of can:hil, or an endpoint and a name of zenoh: ``tcp/127.0.0.1:7447 rig0``.
+Usage: flooder.py CHANNEL SECONDS KIND (rig | controller); it says "up" once it is on the bus, and begins at a line of standard
+input. A channel of can:hil, or an endpoint and a name of zenoh: ``tcp/127.0.0.1:7447 rig0``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import count
 from queue import SimpleQueue
 from typing import Any, Final
 
-from transport import ControlPacket, SensorPacket, decode, encode_control
+from transport import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 from transport.links.can_bus import HilBus
 from transport.wire.tags import with_tag
 
@@ -32,10 +32,12 @@ class Flood:
 
     Args:
         kind: one of `KINDS`.
+        aim: whom it is for: the rig is given answers, the controller questions.
     """
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, aim: str) -> None:
         self._kind, self._number = kind, count()
+        self._id, self._says = (CONTROL, answer) if aim == "rig" else (SENSOR, question)
         self._heard: deque[tuple[int, bytes]] = deque(maxlen=64)
         self._slot = 0
 
@@ -56,18 +58,18 @@ class Flood:
             return self._heard[i % len(self._heard)]
         if self._kind in ("forged tags", "half a tag"):
             code = b"forgery!" if self._kind == "forged tags" else self._half(i)
-            data = with_tag(answer(self._slot if i % 2 else 7, counter=2**31 + i % 2**31), lambda signed: code)
-            return CONTROL, data or b""
+            data = with_tag(self._says(self._slot if i % 2 else 7, counter=2**31 + i % 2**31), lambda signed: code)
+            return self._id, data or b""
         if self._kind == "another session":
-            return CONTROL, answer(self._slot, counter=i % 2**32, echo=i)
+            return self._id, self._says(self._slot, counter=i % 2**32, echo=i)
         if self._kind == "wrapped numbers":
             seq, counter = NUMBERS[i % len(NUMBERS)], NUMBERS[i // len(NUMBERS) % len(NUMBERS)]
-            return CONTROL, answer(seq, counter=counter, sample_ns=2**63 - 1 if i % 3 else -(2**63))
-        return CONTROL, b"garbage!"
+            return self._id, self._says(seq, counter=counter, sample_ns=2**63 - 1 if i % 3 else -(2**63))
+        return self._id, b"garbage!"
 
     def _half(self, i: int) -> bytes:
-        """Return a code of which half comes from a frame of the controller."""
-        said = next((data for identifier, data in reversed(self._heard) if identifier == CONTROL), b"")
+        """Return a code of which half comes from a frame of the sender in whose place this is sent."""
+        said = next((data for identifier, data in reversed(self._heard) if identifier == self._id), b"")
         packet = decode(said)
         tag = packet.tag if packet is not None else b""
         return tag[:4] + i.to_bytes(8, "little")[:4] if len(tag) == 8 else b"forgery!"
@@ -76,6 +78,11 @@ class Flood:
 def answer(seq: int, *, counter: int, echo: int = 1, sample_ns: int = 0) -> bytes:
     """Return an answer of 4 V to a slot."""
     return encode_control(ControlPacket(seq, sample_ns, 0, 0, 0, ((4.0,),), echo, counter))
+
+
+def question(seq: int, *, counter: int, echo: int = 1, sample_ns: int = 0) -> bytes:
+    """Return a sample of 4 rad in a slot."""
+    return encode_sensor(SensorPacket(seq=seq, flags=0, sample_ns=sample_ns, y=(4.0,), nonce=echo, counter=counter))
 
 
 class ZenohPeer:
@@ -88,9 +95,11 @@ class ZenohPeer:
 
         self._heard: SimpleQueue[tuple[int, bytes]] = SimpleQueue()
         self._session = zenoh.open(config("controller", endpoint, {}))
-        self._put = self._session.declare_publisher(
-            f"hil/{name}/control", express=True, congestion_control=zenoh.CongestionControl.DROP
-        ).put
+        drop = zenoh.CongestionControl.DROP
+        self._put = {
+            identifier: self._session.declare_publisher(f"hil/{name}/{key}", express=True, congestion_control=drop).put
+            for key, identifier in (("control", CONTROL), ("sensor", SENSOR))
+        }
         for key, identifier in (("sensor", SENSOR), ("heard", CONTROL)):
             hear = zenoh.handlers.Callback(partial(self._hear, identifier), indirect=False)
             self._session.declare_subscriber(f"hil/{name}/{key}", hear)
@@ -98,8 +107,8 @@ class ZenohPeer:
     def _hear(self, identifier: int, sample: Any) -> None:
         self._heard.put((identifier, sample.payload.to_bytes()))
 
-    def send_frame(self, _identifier: int, data: bytes) -> None:
-        self._put(data)
+    def send_frame(self, identifier: int, data: bytes) -> None:
+        self._put.get(identifier, self._put[CONTROL])(data)
 
     def recv_frame(self, _timeout_s: float) -> tuple[int, bool, bytes] | None:
         if self._heard.empty():
@@ -115,9 +124,9 @@ class ZenohPeer:
 
 
 def main() -> None:
-    channel, seconds, kind = sys.argv[1:]
+    channel, seconds, kind, aim = sys.argv[1:]
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    flood = Flood(kind)
+    flood = Flood(kind, aim)
     with ZenohPeer(*channel.split()) if " " in channel else HilBus(channel) as bus:
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0

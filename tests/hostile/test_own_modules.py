@@ -129,6 +129,31 @@ def test_a_pytest_is_not_ended_by_a_module(tmp_path: Path) -> None:
     assert done.returncode == 1 and "os._exit would end" in done.stdout, done.stdout
 
 
+IN_C = {"ends": LEAVE, "closes": "[ctypes.CDLL(None).close(i) for i in range(4096)]"}
+"""What the guide says of C code of a module, in a process that is not `hil`."""
+
+
+@pytest.mark.parametrize(("what", "status"), [("ends", 0), ("closes", 1)])
+def test_a_script_is_its_authors_and_ends_as_the_c_code_of_a_module_ends_it(what: str, status: int, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(f"{MODULE}def at_start(): {IN_C[what]}\n")
+    script = "import hil\nhil.run('dc-motor-hinf', plant={'kind': 'mine:Mine'}, duration='0.5 s')\nprint('behind it')"
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == status and "behind it" not in done.stdout, (done.returncode, done.stderr)
+
+
+@pytest.mark.parametrize("what", IN_C)
+def test_a_worker_of_pytest_that_c_code_of_a_module_ends_is_one_failed_test_and_the_others_run(what: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(f"{MODULE}def at_start(): {IN_C[what]}\n")
+    (tmp_path / "test_it.py").write_text(
+        "def test_it(hil):\n    hil.run('dc-motor-hinf', plant={'kind': 'mine:Mine'}, duration='0.5 s')\n"
+        "def test_other(hil):\n    assert hil.run('dc-motor-hinf', duration='0.5 s').status == 0\n"
+    )
+    asked = [HIL.replace("/hil", "/pytest"), "-q", "-n", "2", "-p", "no:cacheprovider"]
+    done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "crashed while running 'test_it.py::test_it'" in done.stdout, done.stdout
+    assert "1 failed, 1 passed" in done.stdout
+
+
 PRINTS = "print('words')\nos.write(1, b'bytes')\nsubprocess.run(['echo', 'child'])\nctypes.CDLL(None).puts(b'C')"
 
 
