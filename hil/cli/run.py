@@ -11,6 +11,7 @@ import sys
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
+from warnings import catch_warnings
 
 import click
 
@@ -152,8 +153,8 @@ def command(
     on = link_of(rig_of(checked), link) if clock == "real" else None
     # An external controller may be there already: do not let it meet this end.
     if on is not None and not external and not on.traits.in_process:
-        with open_link(on.uri, "rig"), open_link(on.uri, "controller"):  # what cannot be opened is said before anything starts
-            pass
+        with catch_warnings(action="ignore"), open_link(on.uri, "rig"), open_link(on.uri, "controller"):
+            pass  # what cannot be opened is said before anything starts; what is odd about it, by the rig
     uri = None if on is None else on.uri
     if external and uri is not None and sys.stderr is not None:
         limit = "until Ctrl-C" if wait == LONGEST_WAIT_S else f"up to {wait or EXTERNAL_TIMEOUT_S:g} s"

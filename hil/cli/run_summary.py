@@ -48,6 +48,9 @@ def show(summary: dict[str, Any]) -> None:
     if bus is not None:
         row("bus", f"{bus['name']}, {bus['bitrate']:,} bit/s: load {100 * bus['load']:.1f} %, {bus['frames']} frames, "
             f"{bus['errors']} destroyed")  # fmt: skip
+        if bus["stated_load"] > 1:
+            needed = f"the messages need {100 * bus['stated_load']:.1f} % of it"
+            row("", f"{needed}: the lower ones are not sent, or ever later", "red")
         for each in bus["messages"]:
             if each["node"] in bus["own_nodes"]:
                 row(f"  {each['name']}", f"{each['can_id']:#x}, waited {number(each['waited_ms'])} ms, at most "

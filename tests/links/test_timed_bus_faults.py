@@ -170,6 +170,7 @@ def test_every_bit_of_a_frame_lies_in_a_field_in_the_order_of_the_frame() -> Non
 
 def test_a_state_is_that_of_the_larger_counter_and_an_unanswered_frame_says_so() -> None:
     assert [changed("active", "warning", *counters).data[1] for counters in ((96, 0), (0, 96), (100, 100))] == [0x08, 0x04, 0x0C]
+    assert changed("warning", "passive", 96, 130).data[1] == 0x10  # not the transmitter
     assert changed("passive", "warning", 127, 0).data[1] == 0x08 and changed("warning", "active", 95, 3).data[1] == 0x40
     frame = CanFrame(identifier=0x100)
     unanswered = destroyed(frame, wire_bits(frame).ack_slot, sender=True)

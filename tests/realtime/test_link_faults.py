@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -50,3 +52,10 @@ def test_bits_are_disturbed_where_there_are_bits_only(tmp_path: Path) -> None:
         run_session(linked, path=tmp_path / "run.mcap")
     with pytest.raises(ExperimentError, match=r"fault\[0\].kind: there is no CAN bus with time, .* or links.uri = "):
         run_session(load_experiment("dc-motor-hinf", [fault]), path=tmp_path / "run.mcap")
+
+
+def test_a_run_says_once_that_a_bit_rate_times_nothing(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--link", "can:hil:untimed?bitrate=500k", "--clock", "real"]
+    options = ["--duration", "0.5", "--quiet", "-o", str(tmp_path / "run.mcap")]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=120)
+    assert (done.stdout + done.stderr).count("bitrate times nothing on this bus") == 1, done.stderr

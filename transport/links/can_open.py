@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import warnings
 from contextlib import ExitStack, suppress
 from difflib import get_close_matches
 from errno import EAFNOSUPPORT, ENODEV
@@ -75,7 +76,10 @@ def open_can(uri: str, role: Role) -> CanLink:
         arguments.setdefault("hop_limit", 0)  # python-can's default of 1 puts every frame on the local network
 
     def join() -> can.BusABC:
-        return can.Bus(interface=interface, channel=channel, ignore_config=True, **arguments)
+        with warnings.catch_warnings():
+            if role == "controller":  # the rig says of both that a bit rate times nothing
+                warnings.simplefilter("ignore")
+            return can.Bus(interface=interface, channel=channel, ignore_config=True, **arguments)
 
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
