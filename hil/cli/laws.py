@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.json_output import json_option, print_json
+from hil.errors import HilError
 
 if TYPE_CHECKING:
     from transport.law_tests.analysis import LawAnalysis
@@ -22,9 +24,20 @@ NEGLIGIBLE = 1e-6
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
+@click.option("--from-bus", is_flag=True, help="Show the laws that EXPERIMENT's CAN bus with time makes of the loop's packets.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
+              help="--from-bus: write them here, for experiments: law.toml becomes law.sc.toml and law.ca.toml.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
-def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
+def command(
+    experiment: str, sets: tuple[str, ...], from_bus: bool, output: Path | None, force: bool, as_json: bool
+) -> None:  # fmt: skip
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
+    if from_bus:
+        _from_bus(experiment, sets, output, force, as_json)
+        return
+    if output is not None or force:
+        raise HilError("-o: belongs to --from-bus; hil show prints an experiment with its laws")
     from hil.compose.named_files import with_law_files
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
@@ -56,7 +69,24 @@ def command(experiment: str, sets: tuple[str, ...], as_json: bool) -> None:
     _print(checked.name, period_s, every)
 
 
-def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis]) -> None:
+def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool, as_json: bool) -> None:
+    from hil.cli.laws_from_bus import bound_said, laws_of_bus
+    from transport.law_tests.analysis import analyse_law
+
+    named, period_s, deadline_s, laws = laws_of_bus(name, sets, output, force)
+    shown = {way: analyse_law(law, period_s, deadline_s, found.spec["kind"]) for way, (found, law) in laws.items()}
+    if as_json:
+        said = {way: _json(asdict(found)) | {"analysis": _json(asdict(shown[way]))} for way, (found, _) in laws.items()}
+        print_json({"experiment": named, "period_s": period_s, "laws": said})
+        return
+    for way, (found, _) in laws.items():
+        title = {"sc": "over the bus to the controller (sc)", "ca": "over the bus to the actuator (ca)"}[way]
+        _print(named, period_s, {title: shown[way]}, (found.how, bound_said(found)))
+    if output is not None:
+        print('written; in an experiment: law = { file = "..." }')
+
+
+def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], notes: Sequence[str] = ()) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -78,6 +108,8 @@ def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis]) -> N
         ages = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
         if len(law.age_shares) > 10:
             ages += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
+        for note in notes:
+            print(f"  {visible(note)}")
         note = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
         print(f"  age of the newest packet  {ages or 'nothing ever arrives'}{note}")
         above = "above " if law.older > NEGLIGIBLE else ""

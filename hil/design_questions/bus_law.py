@@ -1,0 +1,163 @@
+"""The network laws that a CAN bus with time makes of a loop's packets: exact where the ages repeat, else estimated from a run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from hil.compose.loop import Loop
+from hil.errors import HilError
+from hil.experiment import Experiment
+from hil.experiment.table import Seconds
+from hil.log.recordings.law_text import WORDS, fit_said, law_text, toml_value
+from hil.log.topics import APPLIED, BUS, ROWS
+from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
+from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
+from hil.rig.sensors import SharedMedium
+from transport.errors import FieldError
+from transport.law_fit.law_fit import fit_law
+from transport.law_fit.packet_record import PacketRecord
+
+LEAST_SLOTS: Final = 1000
+"""Slots of the run that a law is estimated from, where the experiment has fewer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusLaw:
+    """The law of one way over the bus.
+
+    Args:
+        spec: its table, as an experiment has it.
+        how: where it comes from, in words.
+        exact: whether it is the bus's own, and no estimate.
+        packets: that it was estimated from; 0 of an exact one.
+        worst_ms: the longest response time that a packet can have, ms; None without a bound.
+        largest_age: the largest age that can come, slots; None without a bound.
+        no_bound: why there is none; empty where there is.
+        text: the file that an experiment includes.
+    """
+
+    spec: dict[str, Any]
+    how: str
+    exact: bool
+    packets: int
+    worst_ms: float | None
+    largest_age: int | None
+    no_bound: str
+    text: str
+
+
+def exact_laws(loop: Loop) -> dict[str, BusLaw] | None:
+    """Return the law of each way of a loop's packets over its bus, "sc", and "ca" where the bus carries it; None if not exact.
+
+    Raises:
+        HilError: it has no CAN bus with time, or several sensor nodes.
+    """
+    bus, name = _bus(loop), loop.experiment.name
+    if len(loop.rig.sensors) > 1:
+        raise HilError(f"{name}: network.media.{bus.name}: {len(loop.rig.sensors)} sensor nodes, expected one")
+    delays = bus_delays(loop.rig, bus, loop.rows)
+    if isinstance(delays, str) or not delays.exact:
+        return None
+    return {way: _exact(loop, delays, way) for way in (("sc", "ca") if bus.table.control else ("sc",))}
+
+
+def _bus(loop: Loop) -> SharedMedium:
+    bus = can_bus_of(loop.rig)
+    if bus is None:
+        raise HilError(f"{loop.experiment.name}: no medium of kind 'can', see hil guide can-bus")
+    return bus
+
+
+def to_estimate_from(experiment: Experiment) -> Experiment:
+    """Return an experiment that runs for long enough that a law can be estimated from its packets."""
+    slots = max(experiment.slots, LEAST_SLOTS)
+    return replace(experiment, duration=Seconds(slots * float(experiment.period)))
+
+
+def _bounds(loop: Loop, delays: BusDelays | str, way: str) -> tuple[float | None, int | None]:
+    if isinstance(delays, str):
+        return None, None
+    at = ("sc", "ca").index(way)
+    receiver = (loop.rig.at_controller, loop.rig.at_actuator)[at]
+    chain = chain_of_ages((delays.sensor, delays.control)[at], receiver._replace(max_age=1 << 20))
+    return delays.worst_ns[at] / 1e6, chain.max_delay
+
+
+def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:
+    receiver = loop.rig.at_controller if way == "sc" else loop.rig.at_actuator
+    chain = chain_of_ages(delays.sensor if way == "sc" else delays.control, receiver._replace(max_age=1 << 20))
+    at, ages = int(np.flatnonzero(np.asarray(chain.begins))[0]), []
+    for _ in range(chain.modes):
+        ages.append(int(chain.delay[at]))
+        at = int(chain.matrix[at].argmax())
+    spec: dict[str, Any] = {"kind": "trace", "ages": ages}
+    if len(set(ages)) == 1:
+        spec = {"kind": "constant", "age": ages[0]}
+    worst, largest = _bounds(loop, delays, way)
+    how = f"exact: the ages come again after {len(ages)} slots" if len(ages) > 1 else "exact: one age in every slot"
+    said = {"source": loop.experiment.name, "way": way, "class": "exact", "bound_ms": worst, "largest_age": largest}
+    text = f'# {how}\n# In an experiment: law = {{ file = "NAME.toml" }}\n\n{_rows(spec)}\n[fit]\n{_rows(said)}'
+    return BusLaw(spec=spec, how=how, exact=True, packets=0, worst_ms=worst, largest_age=largest, no_bound="", text=text)
+
+
+def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str, BusLaw]:
+    """Return the law of each way, estimated from a run by `transport.law_fit`.
+
+    Args:
+        loop: the loop that ran.
+        run: its records by topic.
+
+    Raises:
+        HilError: as of `exact_laws`; too few packets.
+    """
+    bus, experiment = _bus(loop), loop.experiment
+    delays, period, slots = bus_delays(loop.rig, bus, loop.rows), float(experiment.period), experiment.slots
+    log, found, deadline = run[BUS.name], {}, experiment.timing.deadline * float(experiment.period)
+    for packet in own_packets(loop.rig, bus, loop.rows):
+        way = "ca" if packet.sender == CONTROLLER else "sc"
+        last = packet.first + len(packet.sizes(fd=bus.table.dbitrate is not None)) - 1
+        own = log[(log["can_id"] == last) & (log["operation"] == 0) & (log["flags"] & 1 == 0)]
+        sent: NDArray[np.float64] = np.arange(slots, dtype=np.float64) * period + (deadline if way == "ca" else 0.0)
+        every = loop.rig.sensors[0].clock.every if way == "sc" else 1
+        sent = sent[loop.rig.sensors[0].clock.phase if way == "sc" else 0 :: every]
+        latency = np.full(len(sent), np.nan)
+        at = np.searchsorted(sent, own["queued_ns"] / 1e9 - 1e-9)
+        kept = at < len(sent)
+        latency[at[kept]] = (own["end_ns"] - own["queued_ns"])[kept] / 1e9
+        notes: tuple[str, ...] = ()
+        if way == "ca":  # it is queued at the deadline and counts until the next slot; a law counts from slot to deadline
+            latency = np.maximum(latency + 2.0 * deadline - period, 0.0)
+            less = f"{1e3 * (period - 2.0 * deadline):g} ms"
+            notes = (f"latencies are {less} less than on the bus: a slot of the law closes at the deadline",)
+        try:
+            fit = fit_law(PacketRecord(sent_s=sent, latency_s=latency), period, deadline)
+        except FieldError as error:
+            raise HilError(f"{experiment.name}: {way}: {error.field}: {error.message}") from error
+        worst, largest = _bounds(loop, delays, way)
+        source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
+        said = fit_said(fit, way, source, notes)
+        said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": str(delays)}
+        spec, seeded = fit.spec, f"a run with seed {experiment.seed}"
+        how = f"estimated: {WORDS[fit.law_class]}, from {len(sent)} packets of {seeded}"
+        if fit.law_class == "none":
+            ages = (run[ROWS.name]["tau"] if way == "sc" else run[APPLIED.name]["d"])[slots // 10 :]
+            spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}
+            how = f"recorded: no law explains its {len(sent)} packets; the ages of {seeded} stand here"
+        text = law_text(fit, said) if fit.law_class != "none" else (
+            f"# {how}\n\n{_rows(spec)}\n[fit]\n{_rows({'source': source, 'way': way, 'class': 'none'})}"
+        )  # fmt: skip
+        found[way] = BusLaw(
+            spec=spec, how=how, exact=False, packets=len(sent), worst_ms=worst, largest_age=largest,
+            no_bound=delays if isinstance(delays, str) else "", text=text,
+        )  # fmt: skip
+    return found
+
+
+def _rows(table: dict[str, Any]) -> str:
+    return "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items() if value is not None)
