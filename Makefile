@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 2); ech
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures docs clean
+.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures pictures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -112,6 +112,9 @@ figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of
 	@cp runs/figures.json hil/guide/figures.json
 	$(BIN)/python -m tests.bench page hil/guide/figures.json -o hil/guide/figures.md
 	@grep -qx figures hil/guide/index.md || sed -i 's/^performance$$/performance\nfigures/' hil/guide/index.md
+
+pictures: $(INSTALLED) ## the pictures of the live page in README and guide, by Chromium
+	$(BIN)/python -m tests.pictures hil/guide
 
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
 docs: $(INSTALLED) ## the guide as a site with a gallery of all experiments, in runs/docs

@@ -2,13 +2,13 @@
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 const most = new WeakMap(); // of each canvas: the largest value of every state so far
 
-export function drawDevice(canvas, about, states) {
+export function drawDevice(canvas, about, states, given) {
   const ctx = canvas.getContext("2d"), size = canvas.width;
   ctx.clearRect(0, 0, size, size);
   ctx.lineCap = "round";
   if (!Object.keys(states).length) return;
   const draw = about.wall && "position" in states ? wall : "angle" in states ? dial : bars;
-  canvas.setAttribute("aria-label", draw(ctx, size, states, about, canvas));
+  canvas.setAttribute("aria-label", draw(ctx, size, states, about, canvas, given));
 }
 
 const REACH = 0.03; // m that the picture of a wall shows on each side
@@ -76,7 +76,7 @@ function hand(ctx, c, angle, from, to) {
 }
 
 // From the side: free space on the left, the wall on the right in the colours of its materials, the device as a disc.
-function wall(ctx, size, states, about) {
+function wall(ctx, size, states, about, canvas, given) {
   const pattern = about.wall.pattern, at = (x) => size / 2 + (x / REACH) * (size / 2);
   const material = pattern ? under(pattern, states.y, states.z) : about.wall.material || 0;
   const tall = pattern ? pattern.height_m : 1;
@@ -104,7 +104,7 @@ function wall(ctx, size, states, about) {
   ctx.beginPath();
   ctx.arc(x, z, 10, 0, 2 * Math.PI);
   ctx.fill();
-  if ("given" in states) energy(ctx, size, states.given, about.limits.given);
+  if (given != null) energy(ctx, size, given, about.limits.given);
   return `Device ${states.position > 0 ? `${(1e3 * states.position).toPrecision(3)} mm in material ${material}` : "in free space"}`;
 }
 

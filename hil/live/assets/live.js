@@ -131,7 +131,7 @@ async function picture(run) {
   run.now = { ...before, ...head };
   if (before && head.run !== before.run) return location.reload(); // it has begun anew
   run.scopes.show(new Float32Array(data, 4 + size), head.window, period);
-  drawDevice(run.canvas, run.about, head.device);
+  drawDevice(run.canvas, run.about, head.device, run.now.given);
   showEvents(run);
   if (words) showWords(run);
   const outputs = run.about.outputs.map((s) => `${s.name} ${number(head.device[s.name] ?? run.scopes.last(s.name))} ${s.unit}`);
