@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,42 +42,56 @@ def page(tmp_path: Path) -> Any:
     page.end()
 
 
-def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page) -> None:
+@pytest.fixture(scope="module")
+def one_browser() -> Iterator[chromium.Page]:
     with chromium.Page(width=1400, height=1000) as browser:
-        browser.open(page.url)
-        shows(browser, BADGE, "stable")
-        browser.evaluate(KEY.format("."))
-        until(lambda: page.view()["slots"] == 1, "one slot")
-        browser.evaluate("(s => { s.value = '20'; s.dispatchEvent(new Event('change')); })(document.getElementById('speed'))")
-        browser.evaluate(KEY.format(" "))
-        until(lambda: page.view()["slots"] > 60, "the run to go on")
-        browser.evaluate(KEY.format(" "))
-        until(lambda: page.view()["status"] == "held", "the run to hold")
-        held = page.view()["slots"]
-        shows(browser, "document.getElementById('status').innerText", "held")
-        assert all(n > 500 for n in browser.evaluate(INK)), "every scope and the device are drawn"
+        yield browser
 
-        assert browser.evaluate(choose("Loss, share of packets", "0.8")) == "0.8"
-        shows(browser, DRAFT, "not stable")
-        shows(browser, "document.querySelector('.run .badge').className", "good")
-        browser.evaluate(KEY.format("Enter"))
-        shows(browser, DRAFT, f"acts from slot {held}")
-        shows(browser, "document.querySelector('.run .badge').className", "bad")
-        browser.evaluate(choose("drag the reference of angle", "1.5"))
-        shows(browser, DRAFT, "reference: acts from slot")
-        browser.evaluate("document.getElementById('push').click()")
-        shows(browser, DRAFT, "disturbance: acts from slot")
-        browser.evaluate(choose("Preset", "as it was"))
-        shows(browser, DRAFT, "stable")
-        browser.evaluate("document.querySelector('.heat input').value = '0.9'; document.getElementById('check-matrix').click()")
-        shows(browser, DRAFT, "network.ca.law")
-        shows(browser, "document.querySelector('.draft').className", "bad")
-        page.wish(do="step", slots=3)
-        until(lambda: page.view()["slots"] == held + 3, "three slots")
-        browser.evaluate("document.getElementById('seed').value = '3'; document.getElementById('restart').click()")
-        shows(browser, "window.hilLive?.runs?.[0].about.seed", "3")
-        assert browser.problems == []
-        assert {url.split("?")[0].split("/")[2] for url in browser.requests} <= {f"127.0.0.1:{page.port}", ","}
+
+@pytest.fixture
+def browser(one_browser: chromium.Page) -> Iterator[chromium.Page]:
+    """The browser of the module, as if it were new: starting one takes seconds of CPU time."""
+    yield one_browser
+    one_browser.open("about:blank")
+    one_browser.problems.clear()
+    one_browser.requests.clear()
+
+
+def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, browser: chromium.Page) -> None:
+    browser.open(page.url)
+    shows(browser, BADGE, "stable")
+    browser.evaluate(KEY.format("."))
+    until(lambda: page.view()["slots"] == 1, "one slot")
+    browser.evaluate("(s => { s.value = '20'; s.dispatchEvent(new Event('change')); })(document.getElementById('speed'))")
+    browser.evaluate(KEY.format(" "))
+    until(lambda: page.view()["slots"] > 60, "the run to go on")
+    browser.evaluate(KEY.format(" "))
+    until(lambda: page.view()["status"] == "held", "the run to hold")
+    held = page.view()["slots"]
+    shows(browser, "document.getElementById('status').innerText", "held")
+    assert all(n > 500 for n in browser.evaluate(INK)), "every scope and the device are drawn"
+
+    assert browser.evaluate(choose("Loss, share of packets", "0.8")) == "0.8"
+    shows(browser, DRAFT, "not stable")
+    shows(browser, "document.querySelector('.run .badge').className", "good")
+    browser.evaluate(KEY.format("Enter"))
+    shows(browser, DRAFT, f"acts from slot {held}")
+    shows(browser, "document.querySelector('.run .badge').className", "bad")
+    browser.evaluate(choose("drag the reference of angle", "1.5"))
+    shows(browser, DRAFT, "reference: acts from slot")
+    browser.evaluate("document.getElementById('push').click()")
+    shows(browser, DRAFT, "disturbance: acts from slot")
+    browser.evaluate(choose("Preset", "as it was"))
+    shows(browser, DRAFT, "stable")
+    browser.evaluate("document.querySelector('.heat input').value = '0.9'; document.getElementById('check-matrix').click()")
+    shows(browser, DRAFT, "network.ca.law")
+    shows(browser, "document.querySelector('.draft').className", "bad")
+    page.wish(do="step", slots=3)
+    until(lambda: page.view()["slots"] == held + 3, "three slots")
+    browser.evaluate("document.getElementById('seed').value = '3'; document.getElementById('restart').click()")
+    shows(browser, "window.hilLive?.runs?.[0].about.seed", "3")
+    assert browser.problems == []
+    assert {url.split("?")[0].split("/")[2] for url in browser.requests} <= {f"127.0.0.1:{page.port}", ","}
     page.end()
     first, second = page.sessions
     run = read_run(Path(first.summary["log"]["path"]))
@@ -86,9 +101,9 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page) ->
     assert verify(run).likeness == "same bits" and second.summary["seed"] == 3
 
 
-def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page) -> None:
+def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page, browser: chromium.Page) -> None:
     """Two browsers: one arms, the other has no token and only looks."""
-    with chromium.Page(width=1400, height=1000) as browser, chromium.Page(width=390, height=844, dark=True) as other:
+    with chromium.Page(width=390, height=844, dark=True) as other:
         browser.open(page.url)
         other.open(page.url.split("?")[0])
         shows(browser, BADGE, "stable")
@@ -110,27 +125,26 @@ def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page) -> None:
         assert browser.problems == other.problems == []
 
 
-def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
+def test_the_mouse_is_the_hand(tmp_path: Path, browser: chromium.Page) -> None:
     """It is pressed on the picture of the wall and drawn into it: the hand leads the device there, and the log runs again."""
     page = Page(tmp_path, [asked(tmp_path, "omni-1khz", [], held=True)])
     page.begin()
     try:
-        with chromium.Page(width=1400, height=1000) as browser:
-            browser.open(page.url)
-            shows(browser, BADGE, "passive")
-            box = "(r => [r.left, r.top + r.height / 2, r.width])(document.querySelector('.top canvas').getBoundingClientRect())"
-            x, y, wide = browser.evaluate(box)
-            browser.mouse("mousePressed", x + 0.25 * wide, y)
-            until(lambda: "reach" in page.view()["draft"]["path"], "the hand")
-            pressed = page.view()["draft"]["number"]
-            browser.mouse("mouseMoved", x + 0.75 * wide, y)
-            until(lambda: page.view()["draft"]["number"] > pressed, "the move")
-            until(lambda: page.view()["draft"]["state"] == "armed", "the move in the run")
-            browser.mouse("mouseReleased", x + 0.75 * wide, y)
-            page.wish(do="step", slots=900)
-            until(lambda: page.view()["slots"] == 900, "900 slots")
-            until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 900, "the page")
-            assert browser.problems == []
+        browser.open(page.url)
+        shows(browser, BADGE, "passive")
+        box = "(r => [r.left, r.top + r.height / 2, r.width])(document.querySelector('.top canvas').getBoundingClientRect())"
+        x, y, wide = browser.evaluate(box)
+        browser.mouse("mousePressed", x + 0.25 * wide, y)
+        until(lambda: "reach" in page.view()["draft"]["path"], "the hand")
+        pressed = page.view()["draft"]["number"]
+        browser.mouse("mouseMoved", x + 0.75 * wide, y)
+        until(lambda: page.view()["draft"]["number"] > pressed, "the move")
+        until(lambda: page.view()["draft"]["state"] == "armed", "the move in the run")
+        browser.mouse("mouseReleased", x + 0.75 * wide, y)
+        page.wish(do="step", slots=900)
+        until(lambda: page.view()["slots"] == 900, "900 slots")
+        until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 900, "the page")
+        assert browser.problems == []
     finally:
         page.end()
     run = read_run(Path(page.sessions[0].summary["log"]["path"]))
@@ -140,23 +154,24 @@ def test_the_mouse_is_the_hand(tmp_path: Path) -> None:
     assert verify(run).likeness == "same bits"
 
 
-def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives_energy(tmp_path: Path) -> None:
+def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives_energy(
+    tmp_path: Path, browser: chromium.Page
+) -> None:
     """The energy of the passivity observer stands beside each device in words; the safety ends the second run."""
     hand = ["allow_uncertified=true", "plant.hand={damping_n_s_per_m=2,stiffness_n_per_m=20}"]
     page = Page(tmp_path, [asked(tmp_path, name, [], hand, held=True) for name in ("omni-push", "omni-theorem61")])
     page.begin()
     try:
-        with chromium.Page(width=1400, height=1000) as browser:
-            browser.open(page.url)
-            shows(browser, BADGE, "passive")
-            page.wish(do="apply", path="plant.hand.reach_m", value=0.02)
-            page.settled("armed")
-            page.wish(do="step", slots=60)
-            until(lambda: page.view(side=0)["slots"] == 60, "60 slots")
-            words = "window.hilLive.runs.map(r => r.values.textContent)"
-            shows(browser, f"{words}[0]", "the wall has given no energy: passive so far")
-            shows(browser, f"{words}[1]", "mJ more than damping took: not passive")
-            browser.screenshot(tmp_path / "wall.png")
-            assert browser.problems == []
+        browser.open(page.url)
+        shows(browser, BADGE, "passive")
+        page.wish(do="apply", path="plant.hand.reach_m", value=0.02)
+        page.settled("armed")
+        page.wish(do="step", slots=60)
+        until(lambda: page.view(side=0)["slots"] == 60, "60 slots")
+        words = "window.hilLive.runs.map(r => r.values.textContent)"
+        shows(browser, f"{words}[0]", "the wall has given no energy: passive so far")
+        shows(browser, f"{words}[1]", "mJ more than damping took: not passive")
+        browser.screenshot(tmp_path / "wall.png")
+        assert browser.problems == []
     finally:
         page.end()
