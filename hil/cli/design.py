@@ -69,6 +69,7 @@ class GainsOrWall(click.Command):
               help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.")
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
+@click.option("--can-id", is_flag=True, help="Which CAN identifiers to take: cost over their place on the bus; -o: a page.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
 @json_option()
@@ -76,7 +77,7 @@ def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
-    path: Path | None, force: bool, as_json: bool, network: Path | None,
+    path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -97,6 +98,12 @@ def command(
     from hil.files.outputs import check_output, write_output
     from hil.log.write.provenance import package_versions
 
+    if can_id:
+        from hil.cli.design_can_id import show_can_id
+
+        _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
+        show_can_id(subject, path, force, as_json)
+        return
     experiment = experiment_over_history(subject)
     if experiment is not None:
         _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")

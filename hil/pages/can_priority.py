@@ -1,0 +1,59 @@
+"""The page of `hil design --can-id`: cost and bounds over the place of a loop's packets on its CAN bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.design_questions.can_priority import Judged
+from hil.pages.html.figures import Badge, Cell, Figure, Section, Series, State, Table
+from hil.pages.html.page import render_page
+
+STATES: dict[str, State] = {"certified": "good", "refused": "bad"}
+
+
+def can_priority_page(name: str, judged: Sequence[Judged], taken: Judged | None) -> str:
+    """Return the page.
+
+    Args:
+        name: of the experiment.
+        judged: the places, from the most urgent on.
+        taken: the one to take; None where no run came to its end.
+    """
+    above = np.array([each.place.above for each in judged], dtype=np.float64)
+
+    def curve(label: str, values: Sequence[float | None]) -> Series:
+        y = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+        return Series(label=label, x=above, y=y, marked=True)
+
+    cost = Figure(
+        title="Squared error of a run", series=(curve("cost", [each.cost for each in judged]),), x_unit="",
+        x_label="messages that win over it", y_label="squared error", sync=None,
+    )  # fmt: skip
+    bounds = Figure(
+        title="Bounds of the response times", x_label="messages that win over it", x_unit="", y_label="bound", y_unit="ms",
+        sync=None,
+        series=(
+            curve("sensor", [each.bounds_ms[0] for each in judged]), curve("control", [each.bounds_ms[1] for each in judged]),
+        ),
+    )  # fmt: skip
+    rows: list[list[Cell]] = [
+        [
+            each.place.above, f"{each.place.can_id:03X}", f"{each.place.control_can_id:03X}", each.place.moved, each.cost,
+            Badge(label=each.state, state=STATES.get(each.state, "neutral")),
+            each.bounds_ms[0], each.bounds_ms[1],
+        ]
+        for each in judged
+    ]  # fmt: skip
+    columns = ["messages above", "sensor", "control", "others moved", "cost", "certificate"]
+    columns += ["sensor bound, ms", "control bound, ms"]
+    said = "no place" if taken is None else f"can_id {taken.place.can_id:#x}, control_can_id {taken.place.control_can_id:#x}"
+    return render_page(
+        f"CAN identifiers: {name}",
+        [Section(title="Cost over priority", blocks=(cost, bounds, Table(columns=columns, rows=rows, wide=True)))],
+        kicker="hilrig · CAN bus",
+        subtitle="Each place of the loop's packets among the messages of the bus, run with the experiment's seed.",
+        badges=[Badge(label=said, state="good" if taken is not None else "bad")],
+        facts=[("places", str(len(judged)))],
+    )  # fmt: skip
