@@ -19,6 +19,8 @@ from hil.session import simulate, simulated_session
 from hil.sweeps.lockstep import supports_batch
 
 NAME = "dc-motor-busy-can"
+ENGINE = ('{name="a", can_id=1, period="5 ms", node="engine"}', '{name="b", can_id=2, period="9 ms", node="engine"}')
+SHARED = f"network.media.bus.traffic=[{', '.join(ENGINE)}]"
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +57,12 @@ def test_the_page_shows_the_bus_its_messages_and_a_time_line(session) -> None:  
     page = render_report(view_of(session.run, session.experiment))
     assert "CAN bus" in page and "Messages by priority" in page and "The bus around the longest wait" in page
     assert "SAE 17" in page and "motor waits" in page
+
+
+def test_the_page_has_the_load_of_nodes_that_send_several_messages() -> None:
+    loop = compose(load_experiment(NAME, ["duration=1", SHARED]), certify=False)
+    page = render_report(view_of(simulate(loop, 0), loop.experiment))
+    assert "Load by node" in page and "engine" in page
 
 
 def test_a_way_over_the_bus_is_called_by_the_bus_and_not_by_the_law_behind_it(session, capsys) -> None:  # type: ignore[no-untyped-def]

@@ -28,7 +28,7 @@ def section(view: RunView) -> Section | None:
         intro=f"{found.bitrate:,} bit/s{f', data {found.dbitrate:,} bit/s' if found.dbitrate else ''}: in use for "
         f"{100 * found.load:.1f} % of the time, {found.frames} frames, {found.errors} destroyed. The longest frames at their "
         f"periods would take {100 * found.stated_load:.1f} %.",
-        blocks=(_table(found), _time_line(view.run.arrays[BUS.name], found)),
+        blocks=(_table(found), *_by_node(found), _time_line(view.run.arrays[BUS.name], found)),
     )  # fmt: skip
 
 
@@ -54,6 +54,20 @@ def _table(found: BusLoad) -> Table:
         note="Waited: from Transmit to the start of the frame that got through, mean and worst. Response: worst, to the end of "
         "EOF. Bound: after Davis, Burns, Bril and Lukkien 2007; none where the load is too high or bits are disturbed.",
     )  # fmt: skip
+
+
+def _by_node(found: BusLoad) -> tuple[Table, ...]:
+    """Return the load of every node, the largest first; nothing where no node sends two messages, for the table above has it."""
+    sent: dict[str, list[MessageOnBus]] = {}
+    for each in found.messages:
+        sent.setdefault(each.node, []).append(each)
+    if all(len(own) < 2 for own in sent.values()):
+        return ()
+    rows: list[list[Cell]] = [
+        [node, len(own), sum(each.frames for each in own), sum(each.errors for each in own), 100 * sum(each.load for each in own)]
+        for node, own in sorted(sent.items(), key=lambda item: -sum(each.load for each in item[1]))
+    ]
+    return (Table(title="Load by node", columns=["node", "messages", "frames", "destroyed", "load, %"], rows=rows),)
 
 
 def _time_line(frames: npt.NDArray[np.void], found: BusLoad) -> Figure:
