@@ -104,6 +104,10 @@ def test_who_is_told_to_restart_comes_back_by_itself_and_who_is_not_stays_off() 
             while restart_ms and (each := received(second, 1)[0]).arbitration_id != 0x100:
                 assert each.is_error_frame
             assert (first.state is can.BusState.ERROR) == (not restart_ms)
+            left = 1
+            while (each := first.recv(0.0)) is not None:
+                left += each.arbitration_id == BUS_OFF
+            assert left <= (1 + 200 // restart_ms if restart_ms else 1)  # each time so long from bus-off to the way back
 
 
 def test_two_participants_with_one_identifier_and_other_data_collide_until_one_is_passive_and_both_get_through() -> None:

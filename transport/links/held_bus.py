@@ -104,6 +104,8 @@ class HeldBus:
         if self.owners[node]:
             self._changed.add(node)
             errors = bus.nodes[node].errors
+            if errors.off:
+                bus.nodes[node].recovers = False  # until it restarts, or the fault is over
             changes = self._changes[node]
             changes.append([BitRates.ns(at), errors.state, errors.tec, errors.rec])
             del changes[:-_MOST_FAILURES]
