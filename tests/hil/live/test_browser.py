@@ -175,3 +175,28 @@ def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives
         assert browser.problems == []
     finally:
         page.end()
+
+
+FOCUS = """(e => [e.tagName, e.getAttribute('aria-label') || e.innerText || e.labels?.[0]?.innerText || e.title || '',
+  getComputedStyle(e).outlineStyle])(document.activeElement)"""
+
+
+def test_the_keyboard_alone_reaches_every_control_and_applies_a_change(page: Page, browser: chromium.Page) -> None:
+    """Each control has a name for a screen reader and an outline where it has the focus."""
+
+    def press(key: str, number: int, text: str = "") -> None:
+        for kind in ("keyDown", "keyUp"):
+            told = {"text": text} if text and kind == "keyDown" else {}
+            browser.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=number, **told)
+
+    browser.open(page.url)
+    shows(browser, BADGE, "stable")
+    seen: list[list[str]] = []
+    while not (seen and seen[-1][1].startswith("Loss")):
+        press("Tab", 9)
+        seen.append(browser.evaluate(FOCUS))
+        assert len(seen) < 60 and seen[-1][1] and seen[-1][2] != "none", seen[-1]
+    press("ArrowRight", 39)
+    until(lambda: page.view()["draft"]["state"] == "ready", "the certificate")
+    press("Enter", 13, "\r")
+    until(lambda: page.view()["draft"]["state"] == "armed", "the change")
