@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import AgedFeedback, GainTable, LinearFeedback, LinearLaw, LoopModel, RowsLaw, integrates, packet_samples
+from design.errors import FieldError
 from design.verdict import Verdict
 from hil.certify.bounded_departures import ends_within
 from hil.certify.certifier import CertificationProblem, limited_to_model, table_of, undecided
@@ -45,7 +46,10 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
-    gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
+    try:
+        gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
+    except FieldError as error:
+        return undecided(loop, "mean-square stability", str(error))
     sc, ca, selection = loop.sc, loop.ca, controller.selection
     samples, integral = packet_samples(controller), float(integrates(controller))
 

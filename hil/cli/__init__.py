@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import importlib
 import os
@@ -14,7 +15,7 @@ import click
 from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
-from hil.plugins.first_instants import collect_garbage_again
+from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
 from hil.plugins.process_state import ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
 from hil.plugins.watch import WATCH
@@ -124,6 +125,7 @@ def cli() -> None:
 
 def guarded_main() -> Any:
     """Run the command line of this process; a user's module that ends it in silence is reported, see `hil.cli.guard`."""
+    atexit.register(pass_over_signals)  # the first, and so the last that runs
     guard = Guard(ProcessState.now())
     WATCH.set(guard)
     status = 1

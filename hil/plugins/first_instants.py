@@ -28,6 +28,13 @@ def heed_signals() -> None:
             signal.signal(number, leave_at_once)
 
 
+def pass_over_signals() -> None:
+    """Let no signal end this process any more: its work is done, its status stands, and Python takes its handlers away."""
+    for number in ENDING:
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_IGN)
+
+
 def collect_garbage_again() -> None:
     """Let Python look for garbage again, where `hil` started without, and never among what its modules left."""
     if not gc.isenabled():

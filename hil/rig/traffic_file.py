@@ -143,7 +143,7 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
                     "node": message.senders[0] if message.senders else "",
                 }  # fmt: skip
                 found.append(_sound(values))
-            except (ValueError, TypeError) as error:  # an attribute of another type than the format has
+            except (ValueError, TypeError, OverflowError) as error:  # an attribute of another type or size than the format has
                 raise HilError(f"{path}: message {message.name}: {error}") from error
     return tuple(found)
 

@@ -295,7 +295,8 @@ def _knots(frozen: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """
     tail = np.concatenate([np.ldexp(1.0 + np.arange(16) / 16.0, e) for e in range(-33, -5)])
     inner = np.concatenate([tail, np.linspace(2.0**-5, 1.0 - 2.0**-5, 513), (1.0 - tail)[::-1]])
-    values = np.concatenate([frozen.ppf(inner[: len(tail) + 513]), frozen.isf(tail[::-1])])
+    with np.errstate(over="ignore"):  # a quantile beyond all numbers is infinite, and refused as such
+        values = np.concatenate([frozen.ppf(inner[: len(tail) + 513]), frozen.isf(tail[::-1])])
     ends = np.array(frozen.support(), dtype=np.float64)
     ends = np.where(np.isfinite(ends), ends, values[[0, -1]])
     return np.concatenate([[0.0], inner, [1.0]]), np.concatenate([ends[:1], values, ends[1:]])

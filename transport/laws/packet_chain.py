@@ -168,10 +168,10 @@ def _explored(law: Packets, arrives: NDArray[np.float64], oldest: int, bound: in
 
     first: dict[State, float] = {}
     for mode, share in enumerate(law.stationary().tolist()):
-        for to, probability in following((0, (mode,))).items():
+        for to, probability in following((0, (mode,))).items() if share > 0.0 else ():
             first[to] = first.get(to, 0.0) + share * probability
     rows: dict[State, dict[State, float]] = {}
-    ahead = [to for to, probability in first.items() if probability > 0.0]
+    ahead = list(first)
     while ahead:
         state = ahead.pop()
         if state not in rows:

@@ -101,6 +101,13 @@ def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line:
         run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
 
 
+def test_a_dbc_whose_cycle_time_is_no_number_of_seconds_is_refused(tmp_path: Path) -> None:
+    cycle = 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_DEF_DEF_ "GenMsgCycleTime" 0;\nBA_ "GenMsgCycleTime" BO_ 1 1e400;\n'
+    (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n{cycle}')
+    with pytest.raises(HilError, match=r"t\.dbc: message M: "):
+        run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
+
+
 def test_a_bridge_to_an_interface_that_is_not_there_and_impossible_rates_are_refused() -> None:
     for rate, said in (("501k", "bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
                        ("500k", "vcan9: ")):  # fmt: skip

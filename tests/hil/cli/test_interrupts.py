@@ -62,6 +62,52 @@ def test_an_import_without_an_end_is_ended(tmp_path: Path) -> None:
         process.kill()
 
 
+DELETES = """
+import time
+from hil.cli.interrupts import Terminated, signals_as_exceptions
+class Slow:
+    def __del__(self):
+        print("deleting", flush=True)
+        time.sleep(0.3)
+        print("deleted", flush=True)
+try:
+    with signals_as_exceptions():
+        Slow()
+        {then}
+except Terminated as e:
+    raise SystemExit(e.status)
+time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("then", ["time.sleep(60)", "pass"])
+def test_a_signal_inside_a_del_is_raised_after_it(then: str) -> None:
+    """Python prints what a `__del__` raises and drops it: the command would run on. Behind the last line there is no timer left."""
+    with subprocess.Popen([sys.executable, "-c", DELETES.format(then=then)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None and process.stdout.readline() == "deleting\n"
+        process.send_signal(signal.SIGHUP)
+        assert process.communicate(timeout=120)[0] == "deleted\n"
+    assert process.returncode == 129
+
+
+AT_THE_END = """
+import ctypes, os, signal, sys
+class Late:
+    def __del__(self, kill=os.kill, pid=os.getpid(), number={number}):
+        kill(pid, number)
+sys.kept = ctypes.py_object(Late())  # goes when the interpreter does
+sys.argv = ["hil", "--version"]
+from hil.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_a_signal_behind_the_end_of_a_command_does_not_change_its_status(number: int) -> None:
+    done = subprocess.run([sys.executable, "-c", AT_THE_END.format(number=int(number))], capture_output=True, timeout=120)
+    assert done.returncode == 0 and b"hil" in done.stdout and not done.stderr
+
+
 BEFORE_THE_COMMAND_LINE = """
 import os, runpy, signal, sys
 class Finder:

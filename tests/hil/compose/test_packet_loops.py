@@ -284,3 +284,14 @@ def test_several_nodes_over_packet_laws_are_designed_for_certified_and_predicted
     assert foretold is not None
     found = np.array([row["sse"] for row in run_seeds(loop, list(range(400)))])
     assert abs(found.mean() - foretold.sums[0].mean) < 4.9 * foretold.sums[0].sd / 20
+
+
+@pytest.mark.parametrize(("changed", "state", "reason"), [
+    ("network.sc.max_age=0", "undecided", "ages beyond 0 are not distinguished; max_age bounds them"),
+    ("network.sc.law.loss={p_gb=0, p_bg=0.2, loss_good=0.0, loss_bad=0.9}", "certified", "mean-square stable"),
+    ("network.sc.law.loss={p_gb=0.5, p_bg=0.05, loss_good=0.9, loss_bad=1.0}", "refused", ""),
+])  # fmt: skip
+def test_a_table_of_gains_over_packets_has_a_verdict_whatever_the_law(changed: str, state: str, reason: str) -> None:
+    """Fewer ages than gains, a channel that never turns bad, and one that nearly always loses."""
+    verdict = compose(load_experiment("dc-motor-packets", (changed, "allow_uncertified=true"))).verdict
+    assert verdict is not None and verdict.state == state and reason in verdict.reason
