@@ -82,7 +82,7 @@ time.sleep(60)
 
 @pytest.mark.parametrize("then", ["time.sleep(60)", "pass"])
 def test_a_signal_inside_a_del_is_raised_after_it(then: str) -> None:
-    """Python prints what a `__del__` raises and drops it: the command would run on. Behind the last line there is no timer left."""
+    """Python prints what a `__del__` raises and drops it: the command would run on."""
     with subprocess.Popen([sys.executable, "-c", DELETES.format(then=then)], stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None and process.stdout.readline() == "deleting\n"
         process.send_signal(signal.SIGHUP)

@@ -234,7 +234,6 @@ def test_a_channel_that_is_never_bad_has_no_bad_state() -> None:
     latency = {"table": [[0.0, 0.003], [1.0, 0.03]]}
     never = PacketLaw(latency=latency, loss=GilbertElliott(p_gb=0.0, p_bg=0.3, loss_good=0.1, loss_bad=0.8))
     chain, plain = chain_of(never), chain_of(PacketLaw(latency=latency, loss=0.1))
-    for one in (chain, plain):
-        assert one.first.sum() == pytest.approx(1.0)
+    assert len(chain.mode_ages) == len(set(chain.mode_ages))  # one window of the channel for every age
     shares = [np.bincount(one.mode_ages, one.first @ np.linalg.matrix_power(one.matrix, 200)) for one in (chain, plain)]
     assert shares[0] == pytest.approx(shares[1], abs=1e-12)
