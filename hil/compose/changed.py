@@ -31,8 +31,8 @@ SCHEDULES: Final = ("reference", "disturbance")
 PLANT: Final = "plant."
 """What begins so is a field of the plant, where that says that it may change."""
 
-REPLACED: Final = ("network.sc", "network.ca", "controller")
-"""Tables that a change replaces, whole or one field of them."""
+REPLACED: Final = ("network.sc", "network.ca", "network.nodes", "controller")
+"""Tables that a change replaces, whole or one field of them; of a sensor node its law."""
 
 ROOM: Final = 10_000
 """Entries that a time line may have in the end: each is looked at when the next one comes."""
@@ -50,7 +50,7 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
         k: the first slot of the change.
         path: ``reference`` (value: the outputs' reference), ``disturbance`` (value: ``value`` and ``samples``), ``fault`` (value:
             ``kind``, ``for``, and ``link`` or ``node``), ``network.sc``, ``network.ca``, ``controller``, or a field below
-            one of the last three; of a plant that `GoesOn` what it lets change.
+            one of the last three; ``network.nodes.NAME.law``; of a plant that `GoesOn` what it lets change.
         value: as the file's parser would give it.
         certify: whether to say what can be claimed of the loop.
 
@@ -63,9 +63,11 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     e = loop.experiment
     if table is None or (table in ON_THE_TIME_LINE and path != table):
         raise _fixed(loop, path)
-    if table.startswith("network.") and (loop.rig.media or len(loop.rig.sensors) > 1):
-        message = f"{path}: several sensor nodes, or those on a shared medium, keep their network; begin anew with --set"
-        raise ExperimentError(e.name, [message])
+    if table.startswith("network.") and loop.rig.media:
+        raise ExperimentError(e.name, [f"{path}: nodes on a shared medium keep their network; begin anew with --set"])
+    if table == "network.nodes" and not _is_law(loop, path):
+        known = " or ".join(f"network.nodes.{sensor.name}.law" for sensor in loop.rig.sensors)
+        raise ExperimentError(e.name, [f"{path}: of a sensor node its law may change in a run: {known}"])
     if table in ON_THE_TIME_LINE and len(getattr(e, table)) >= ROOM:
         raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
     # Of a schedule the new entry alone is checked: the others were, and there may be thousands.
@@ -98,6 +100,13 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     more = () if loop.watched is not None else (NOT_COMPARED,)
     own_laws = table.startswith("network.") and after.watched is not None and after.watched.laws
     return _assuming(after, *more, *((LAWS_NOT_COMPARED,) if own_laws else ()))
+
+
+def _is_law(loop: Loop, path: str) -> bool:
+    """Return whether a path is that of a sensor node's law, or of a field below it."""
+    return len(loop.rig.sensors) > 1 and any(
+        f"{path}.".startswith(f"network.nodes.{sensor.name}.law.") for sensor in loop.rig.sensors
+    )
 
 
 def _fixed(loop: Loop, path: str) -> ExperimentError:

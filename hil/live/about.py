@@ -43,7 +43,7 @@ def _run(side: Side) -> dict[str, Any]:
         "states": [{"name": s.name, "unit": s.unit} for s in e.plant.states],
         "limits": dict(e.limits.state), "plant": e.kinds.get("plant", ""), "wall": _wall(loop),
         "fields": _fields(e.plant, resolved["plant"], real=side.clock is None) if side.acts else {},
-        "network": {name: _law(getattr(e.network, name).law, resolved["network"][name]) for name in ("sc", "ca")},
+        "network": _network(loop, resolved["network"]),
         "controller": e.kinds.get("controller", ""), "own": resolved["controller"],
         "controllers": _controllers(side, e) if side.acts and side.clock is not None else {},
     }  # fmt: skip
@@ -69,11 +69,23 @@ def _fields(plant: Plant, said: dict[str, Any], *, real: bool) -> dict[str, floa
     return found
 
 
-def _law(law: NetworkLaw, said: Any) -> dict[str, Any]:
+def _network(loop: Loop, said: dict[str, Any]) -> dict[str, Any]:
+    """Return the laws that may change, by the path below ``network`` of the table that holds each; none on a shared medium."""
+    rig, there, back = loop.rig, int(said["sc"]["max_age"]), int(said["ca"]["max_age"])
+    if rig.media:
+        return {}
+    nodes = rig.sensors if len(rig.sensors) > 1 else ()
+    found = {"ca": _law("to the actuator", rig.ca_law, said["ca"]["law"], back)}
+    for node in nodes:
+        own = said["nodes"][node.name].get("law") or said["sc"]["law"]
+        found[f"nodes.{node.name}"] = _law(f"{node.name} to the controller", node.law, own, there)
+    return found if nodes else found | {"sc": _law("to the controller", rig.sensors[0].law, said["sc"]["law"], there)}
+
+
+def _law(label: str, law: NetworkLaw, said: Any, longest: int) -> dict[str, Any]:
     """Return a law as it is said, with its chain of ages where it has one, and presets that keep its longest delay."""
-    longest = int(said["max_age"])
     chain = law.transition_matrix().tolist() if isinstance(law, ChainLaw) else None
-    return {"law": said["law"], "longest": longest, "chain": chain, "presets": presets(longest)}
+    return {"label": label, "law": said, "longest": longest, "chain": chain, "presets": presets(longest)}
 
 
 def presets(longest: int) -> dict[str, dict[str, Any]]:

@@ -17,6 +17,7 @@ from hil.compose.real_time_changes import refuse_in_real_time
 from hil.errors import HilError
 from hil.live.composer import Composer
 from hil.live.side import Side
+from hil.plugins.user_plugins import words
 from hil.runtime.changes import END, Change
 
 COMPUTED: Final = ("check", "apply", "restart", "end")
@@ -161,9 +162,10 @@ class Desk:
                         self.again.set()
                     for side in self.sides:
                         side.stop()
-            except HilError as error:
+            except Exception as error:  # of a part of the user's own, of any kind: the page waits for an answer
                 self.refused += 1
-                self.draft = Draft(number, wish.path, "refused", str(error)[:1000])
+                text = str(error) if isinstance(error, HilError) else f"{wish.path or wish.do}: {words(error)}"
+                self.draft = Draft(number, wish.path, "refused", text[:1000])
 
     def _claim(self, side: Side, wish: Wish) -> dict[str, Any]:
         after = self._composer.changed(_loop_of(side, wish.path), side.next_slot(), wish.path, wish.value)

@@ -6,9 +6,11 @@ A browser that stalls asks for nothing, so that nothing waits for it. Whoever lo
 from __future__ import annotations
 
 import hmac
+import io
 import json
 import os
 import secrets
+import socket
 import struct
 import threading
 from collections.abc import Callable
@@ -18,6 +20,7 @@ from functools import cached_property
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
+from time import monotonic
 from typing import Any, Final
 from urllib.parse import parse_qs
 
@@ -36,7 +39,7 @@ MOST_COLUMNS: Final = 4000
 MOST_CONNECTIONS: Final = 32
 NICE: Final = 5
 TIMEOUT_S: Final = 10.0
-"""A connection on which nothing moves for so long is closed."""
+"""A connection is closed whose next request is not there, whole, within this time."""
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; base-uri 'none'; \
 form-action 'none'; frame-ancestors 'none'"
 ASSETS: Final = {
@@ -134,6 +137,29 @@ class Refused(Exception):
         self.status = status
 
 
+class Whole(io.RawIOBase):
+    """What comes from a browser: a request is there in time, however it drips, or the connection ends.
+
+    Args:
+        connection: of the browser.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection, self.end = connection, 0.0
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Read what is there; wait for it until the request's time is over."""
+        left = self.end - monotonic()
+        if left <= 0.0:
+            raise TimeoutError
+        self._connection.settimeout(left)
+        return self._connection.recv_into(buffer)
+
+
 class Handler(BaseHTTPRequestHandler):
     """One connection of a browser."""
 
@@ -142,6 +168,17 @@ class Handler(BaseHTTPRequestHandler):
     server_version = "hil"
     sys_version = ""
     timeout = TIMEOUT_S
+
+    def setup(self) -> None:
+        """Bound the time of a whole request, not of each of its bytes."""
+        super().setup()
+        self._whole = Whole(self.connection)
+        self.rfile = io.BufferedReader(self._whole)
+
+    def handle_one_request(self) -> None:
+        """Answer the next request; one that is not there in time ends the connection."""
+        self._whole.end = monotonic() + TIMEOUT_S
+        super().handle_one_request()
 
     def log_message(self, format: str, *args: Any) -> None:
         """The terminal is the run's."""
@@ -167,6 +204,7 @@ class Handler(BaseHTTPRequestHandler):
         if kind.startswith("text/"):
             kind += "; charset=utf-8"
         with suppress(OSError):
+            self.connection.settimeout(TIMEOUT_S)
             self.send_response(status)
             for name, value in (
                 ("Content-Type", kind), ("Content-Length", str(len(data))),

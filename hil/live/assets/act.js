@@ -51,7 +51,7 @@ export function makeAct(place, abouts, wish, runs) {
   // Network: presets, two sliders, and the chain as a heat map, in each direction.
   const direction = document.createElement("select");
   direction.setAttribute("aria-label", "Direction");
-  direction.append(text("option", "to the actuator", { value: "ca" }), text("option", "to the controller", { value: "sc" }));
+  direction.append(...Object.entries(about.network).map(([value, { label }]) => text("option", label, { value })));
   const preset = document.createElement("select"), heat = text("table", "", { className: "heat" });
   preset.setAttribute("aria-label", "Preset");
   const loss = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 0.9, step: 0.02, value: 0 });
@@ -95,9 +95,11 @@ export function makeAct(place, abouts, wish, runs) {
     return { kind: "packet", latency: `${ms.toFixed(3)} ms`, loss: +loss.value };
   };
   for (const slide of [loss, delay]) { slide.addEventListener("input", sliders); slide.addEventListener("change", () => check(path(), sliders())); }
-  field("Network", row(direction, preset), row(lossLabel, loss), row(delayLabel, delay), heat,
-    row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" })));
-  offer();
+  if (direction.length) {
+    field("Network", row(direction, preset), row(lossLabel, loss), row(delayLabel, delay), heat,
+      row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" })));
+    offer();
+  }
 
   // Controller: any that a shipped experiment has for the same plant.
   const controller = document.createElement("select");
@@ -157,7 +159,8 @@ export function makeAct(place, abouts, wish, runs) {
       tr.append(text("th", name), text("td", JSON.stringify(value).slice(0, 60)));
       return tr;
     }));
-    const own = { "network.sc.law": about.network.sc.law, "network.ca.law": about.network.ca.law, controller: about.own };
+    const laws = Object.entries(about.network).map(([name, { law }]) => [`network.${name}.law`, law]);
+    const own = { ...Object.fromEntries(laws), controller: about.own };
     const back = [...newest.keys()].filter((name) => own[name]);
     undo.replaceChildren(...(back.length ? [button("Revert network and controller", () => back.forEach((name) => apply(name, own[name])), { id: "revert" })] : []));
   }

@@ -26,7 +26,11 @@ export const claimBadge = (place, claim) =>
   badge(place, SIGN[claim.state] || SIGN.none, (claim.kind === "passivity" && claim.state === "certified" ? "passive" : MEANS[claim.state]) +
     (claim.number == null ? "" : `: ${claim.quantity || "margin"} ${number(claim.number)}${claim.limit == null ? "" : `, below ${number(claim.limit)}`}`));
 
-async function wish(body) {
+// One wish after the other: on two connections a later one could come before an earlier one.
+let before = Promise.resolve();
+const wish = (body) => (before = before.catch(() => false).then(() => send(body)));
+
+async function send(body) {
   const answer = await fetch("do", { method: "POST", headers, body: JSON.stringify(body) });
   const said = await answer.json();
   if (!answer.ok) say(said.error, true);

@@ -190,3 +190,41 @@ def test_the_hand_leads_the_device_from_where_it_is_without_an_impulse(tmp_path:
     assert abs(state["speed"][1001] - state["speed"][1000]) < 0.1 * np.abs(state["speed"]).max()
     assert state["position"][1000] > 0.0 > state["position"][-1]
     assert verify(run).likeness == "same bits"
+
+
+NODES: list[Asked] = [
+    (30, "network.nodes.angle.law", {"kind": "constant", "age": 0}),
+    (50, "network.nodes.speed.law", {"kind": "constant", "age": 1}),
+    (70, "network.ca.law", {"kind": "constant", "age": 0}),
+]  # fmt: skip
+
+
+def test_each_of_several_sensor_nodes_may_get_another_law(tmp_path: Path) -> None:
+    about = ["duration=5", "limits.watchdog_slots=1000"]
+    loop = compose(load_experiment("dc-motor-two-nodes", about))
+    for k, path, value in NODES[:2]:
+        loop = changed(loop, k, path, value)
+    sets = [f"{path}={_toml(value)}" for _, path, value in NODES[:2]]
+    alone = compose(load_experiment("dc-motor-two-nodes", [*about, *sets]))
+    assert loop.verdict is not None and alone.verdict is not None and loop.verdict.certified
+    assert [s.law for s in loop.rig.sensors] == [s.law for s in alone.rig.sensors]
+
+    session = run_session(load_experiment("dc-motor-two-nodes", about), path=tmp_path / "a.mcap", onlooker=Scripted(NODES))
+    draws = session.run.arrays[SC.name]
+    for node, (k, _, value) in enumerate(NODES[:2]):
+        ages = draws["age"][(draws["node"] == node) & (draws["tick"] >= k + 2) & (draws["age"] >= 0)]
+        assert len(ages) and (ages == value["age"]).all()
+        before = draws["age"][(draws["node"] == node) & (draws["tick"] < k) & (draws["age"] >= 0)]
+        assert len(set(before.tolist())) > 1
+    assert verify(read_run(tmp_path / "a.mcap")).likeness == "same bits"
+
+
+@pytest.mark.parametrize(("name", "path", "text"), [
+    ("dc-motor-two-nodes", "network.nodes.angle.outputs", "network.nodes.angle.law or network.nodes.speed.law"),
+    ("dc-motor-two-nodes", "network.nodes.third.law", "of a sensor node its law may change in a run"),
+    ("dc-motor-hinf", "network.nodes.angle.law", "of a sensor node its law may change in a run"),
+    ("multisensor-ours", "network.nodes.first.law", "nodes on a shared medium keep their network"),
+])  # fmt: skip
+def test_of_sensor_nodes_nothing_else_changes(name: str, path: str, text: str) -> None:
+    with pytest.raises(ExperimentError, match=text):
+        changed(compose(load_experiment(name, ["allow_uncertified=true"])), 10, path, {"kind": "constant", "age": 0})

@@ -8,6 +8,7 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,6 +21,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
+from hil.live import server
 from hil.live.desk import Desk, Wish
 from hil.live.scopes import Window, picture, thinned
 from hil.live.script import Scripted, read_script
@@ -192,6 +194,24 @@ def test_ten_megabytes_are_refused_before_they_are_read(page: Page) -> None:
             assert b" 413 " in link.recv(4096)
     assert page.request("POST", "/do", b"x" * (MOST_BYTES + 1), X_Hil_Token=page.token)[0] == 413
     assert page.view()["refused"] == 5
+
+
+def test_a_request_that_drips_in_is_given_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A byte now and then is no sign of life: the time is that of the whole request, head and body."""
+    monkeypatch.setattr(server, "TIMEOUT_S", 0.5)
+    body = f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nX-Hil-Token: {page.token}\r\nContent-Length: 9000\r\n\r\n"
+    for head in ("GET /", body):
+        with socket.create_connection(("127.0.0.1", page.port), timeout=0.05) as link:
+            link.sendall(head.encode())
+            for _ in range(200):
+                with suppress(TimeoutError, ConnectionError):
+                    if not link.recv(1):
+                        break
+                with suppress(ConnectionError):
+                    link.sendall(b"x")
+            else:
+                raise AssertionError("the page still waits for the rest")
+    assert page.view()["slots"] == 0
 
 
 def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page: Page) -> None:
