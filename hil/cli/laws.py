@@ -70,7 +70,8 @@ def command(
 
 
 def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool, as_json: bool) -> None:
-    from hil.cli.laws_from_bus import bound_said, laws_of_bus
+    from hil.cli.laws_from_bus import bound_said, files_of, laws_of_bus
+    from hil.cli.terminal import visible
     from transport.law_tests.analysis import analyse_law
 
     named, period_s, deadline_s, laws = laws_of_bus(name, sets, output, force)
@@ -83,7 +84,8 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
         title = {"sc": "over the bus to the controller (sc)", "ca": "over the bus to the actuator (ca)"}[way]
         _print(named, period_s, {title: shown[way]}, (found.how, bound_said(found)))
     if output is not None:
-        print('written; in an experiment: law = { file = "..." }')
+        for way, path in files_of(output, laws).items():
+            print(f"written: {visible(path)}; in an experiment: {way}.law = {{ file = \"{visible(path)}\" }}")
 
 
 def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], notes: Sequence[str] = ()) -> None:

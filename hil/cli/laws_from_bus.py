@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,7 +40,7 @@ def laws_of_bus(
     files: dict[str, Path] = {}
     if output is not None and bus is not None:
         ways = ("sc", "ca") if bus.table.control else ("sc",)
-        files = {way: output if len(ways) == 1 else output.with_name(f"{output.stem}.{way}{output.suffix}") for way in ways}
+        files = files_of(output, ways)
     for path in files.values():
         check_output(path, fresh=not force, remedy="choose another name or add --force")
     found = exact_laws(loop)
@@ -52,6 +53,15 @@ def laws_of_bus(
         write_output(path, found[way].text, replace=force)
     period_s = float(experiment.period)
     return experiment.name, period_s, experiment.timing.deadline * period_s, laws
+
+
+def files_of(output: Path, ways: Collection[str]) -> dict[str, Path]:
+    """Return the file of every way; that of one way is `output` itself.
+
+    >>> files_of(Path("law.toml"), ("sc", "ca"))["sc"].name
+    'law.sc.toml'
+    """
+    return {way: output if len(ways) == 1 else output.with_name(f"{output.stem}.{way}{output.suffix}") for way in ways}
 
 
 def bound_said(law: BusLaw) -> str:

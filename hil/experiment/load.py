@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import tomllib
 import typing
 from importlib import resources
@@ -39,7 +40,8 @@ def load_experiment(
 
     Args:
         source: name of a shipped experiment, or path of a TOML file.
-        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string).
+        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string). A ``file`` is looked for in the
+            working folder first, then in that of the experiment.
         seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
         laws: network laws that were built in Python, by the paths of the tables that they stand for.
 
@@ -167,7 +169,16 @@ def _apply(raw: dict[str, Any], change: str) -> None:
         parsed = value.strip()
     except ValueError as e:
         raise HilError(f"--set {path}: {e}") from e
-    set_field(raw, path, parsed, f"--set {change!r:.60}")
+    set_field(raw, path, _found_here(parsed, path.rpartition(".")[2]), f"--set {change!r:.60}")
+
+
+def _found_here(value: Any, key: str) -> Any:
+    """Return a change whose files are those of the working folder, where they stand there: it is typed there."""
+    if isinstance(value, dict):
+        return {name: _found_here(inner, name) for name, inner in value.items()}
+    if key == "file" and isinstance(value, str) and value and os.path.isfile(value):
+        return os.path.abspath(value)
+    return value
 
 
 def set_field(raw: dict[str, Any], path: str, value: Any, label: str) -> None:

@@ -106,7 +106,7 @@ def test_the_law_of_the_busy_bus_is_estimated_with_a_bound_and_an_experiment_inc
     """Its shares are those of the run: ages 1 in a third of the slots; and a loop without the bus runs under the file."""
     text = bus_laws("-o", str(tmp_path / "law.toml"))
     assert "estimated: ages that are a semi-Markov chain, from 1000 packets" in text and "no age is above 1" in text
-    assert "at most 30.256 ms" in text
+    assert "at most 30.256 ms" in text and f'ca.law = {{ file = "{tmp_path}/law.ca.toml" }}' in text
     base = ("network.media={}", f"network.sc={{law={{file={str(tmp_path / 'law.sc.toml')!r}}}, max_age=2}}")
     one = load_experiment(BUSY, (*base, f"network.ca={{law={{file={str(tmp_path / 'law.ca.toml')!r}}}, max_age=1}}"))
     assert one.network.sc.law.mode_ages == (0, 1)

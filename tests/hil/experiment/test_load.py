@@ -13,9 +13,11 @@ from types import SimpleNamespace
 import pytest
 
 from hil.compose.loop import compose
+from hil.compose.named_files import with_law_files
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Seconds, experiment_from_resolved, load_experiment, parse_experiment, parse_plugin, shipped
 from hil.experiment.schema import experiment_schema
+from transport.laws.age import ConstantAge
 from transport.laws.latency import latency
 
 GOOD = shipped()["dc-motor-hinf"].read_text().replace("[limits]", '[links]\nuri = "can:hil:rig0"\n\n[limits]')
@@ -219,6 +221,14 @@ def test_what_is_not_finite_is_said_once() -> None:
     with pytest.raises(ExperimentError) as caught:
         parse_experiment(law('{ kind = "markov", matrix = [[nan, 1.0], [0.5, 0.5]] }'))
     assert caught.value.faults == ["network.sc.law.matrix[0][0]: nan is not a finite number"]
+
+
+def test_a_file_of_a_change_is_that_of_the_working_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a shipped experiment it was looked for among the shipped files alone."""
+    (tmp_path / "law.toml").write_text("kind = 'constant'\nage = 1\n")
+    monkeypatch.chdir(tmp_path)
+    experiment = with_law_files(load_experiment("dc-motor-hinf", ["network.sc.law={file='law.toml'}"]))
+    assert experiment.network.sc.law == ConstantAge(age=1)
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:
