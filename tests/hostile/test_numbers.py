@@ -99,6 +99,10 @@ def test_every_number_of_every_experiment_is_run_or_refused_with_one_message(par
         ("omni-push", "plant.lever_m=1e-300"),
         ("omni-wifi", "plant.hand.approach_s=1e-300"),
         ("vtol-fault-published", "plant.noise_period_s=1e308"),
+        ("dc-motor-wifi", 'network.ca.law.latency.scale="1e308 ms"'),
+        ("dc-motor-wifi", "network.sc.law.latency.s=1e9"),
+        ("dc-motor-wifi", "network.sc.law.loss.p_gb=0"),
+        ("dc-motor-packets", "network.sc.max_age=0"),
     ],
 )
 def test_what_once_crashed_hung_or_warned(name: str, change: str, record_property: Note) -> None:

@@ -140,7 +140,7 @@ def packet_chain(
 
 
 def _slots(latency_s: float, period_s: float, deadline_s: float, tolerance: float) -> int:
-    return max(0, math.ceil((latency_s - deadline_s) / period_s - tolerance))
+    return max(0, math.ceil(min((latency_s - deadline_s) / period_s - tolerance, 2.0**53)))  # a quotient may be infinite
 
 
 def _explored(law: Packets, arrives: NDArray[np.float64], oldest: int, bound: int, cut: float) -> PacketChain:
