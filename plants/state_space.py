@@ -128,6 +128,28 @@ class LinearPlant:
             rng = sensors
         return NoisyRun(run, self.measurement_noise, rng) if any(self.measurement_noise) else run
 
+    def may_change(self) -> tuple[str, ...]:
+        """Return what another plant may have that takes over from one that runs: the limits and noises that this one has."""
+        noises = [name for name in ("process_noise", "measurement_noise") if any(getattr(self, name))]
+        return (*(("saturation",) if self.saturation else ()), *noises)
+
+    def own_way(self) -> tuple[str, ...]:
+        """Return nothing: noise is part of what a certificate says."""
+        return ()
+
+    def go_on(self, run: PlantRun) -> PlantRun:
+        """Return this plant where another one is, which runs.
+
+        Raises:
+            PlantError: the other one has not the same limits and noises, of whatever size.
+        """
+        inner = run.inner if isinstance(run, NoisyRun) else run
+        if isinstance(inner, DrivenRun) and (self.saturation or self.process_noise):
+            inner = inner.under(self.model(), self.saturation, self.process_noise)
+        elif not isinstance(inner, LinearRun) or self.saturation or self.process_noise:
+            raise PlantError(f"go_on: a {type(inner).__name__}, expected a plant with the same limits and noises")
+        return run.under(inner, self.measurement_noise) if isinstance(run, NoisyRun) else inner
+
     def start_batch(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0; None where they saturate or draw random numbers."""
         if self.saturation or any(self.process_noise) or any(self.measurement_noise):

@@ -5,6 +5,7 @@ A running plant whose sensors add white noise.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 
@@ -42,8 +43,7 @@ class DrivenRun:
         step_ns: int,
         rng: np.random.Generator,
     ) -> None:
-        B = np.hstack([model.B, np.diag(intensity)]) if len(intensity) else model.B
-        self._run = LinearRun(StateSpace(A=model.A, B=B, C=model.C), initial_state)
+        self._run = LinearRun(_with_forces(model, intensity), initial_state)
         self._limits, self._step_ns, self._normals = tuple(limits), step_ns, Normals(rng)
         self._root = math.sqrt(NS_PER_S / step_ns)
         self._noise: list[float] = [0.0] * len(intensity)
@@ -73,6 +73,12 @@ class DrivenRun:
             self._left_ns -= span
             dt_ns -= span
 
+    def under(self, model: StateSpace, limits: Sequence[float], intensity: Sequence[float]) -> DrivenRun:
+        """Return the same run under other limits and forces; its random numbers go on. As many forces as before."""
+        other = copy.copy(self)
+        other._run, other._limits = LinearRun(_with_forces(model, intensity), self.state), tuple(limits)
+        return other
+
     def measure(self) -> tuple[float, ...]:
         """Return y = C x."""
         return self._run.measure()
@@ -86,6 +92,10 @@ class DrivenRun:
     def applied(self) -> tuple[float, ...]:
         """What the actuators put out in the last advance, without the disturbance."""
         return self._applied
+
+
+def _with_forces(model: StateSpace, intensity: Sequence[float]) -> StateSpace:
+    return StateSpace(A=model.A, B=np.hstack([model.B, np.diag(intensity)]), C=model.C) if len(intensity) else model
 
 
 class NoisyRun:
@@ -118,6 +128,17 @@ class NoisyRun:
         self._run.advance(dt_ns, u, w)
         if dt_ns:
             self._noise = self._draw()
+
+    @property
+    def inner(self) -> PlantRun:
+        """The plant behind the noise."""
+        return self._run
+
+    def under(self, run: PlantRun, noise_sd: Sequence[float]) -> NoisyRun:
+        """Return the same sensors on another run, with other noise from the next draw on; the random numbers go on."""
+        other = copy.copy(self)
+        other._run, other._noise_sd = run, tuple(map(float, noise_sd))
+        return other
 
     def measure(self) -> tuple[float, ...]:
         """Return y = C x + e."""

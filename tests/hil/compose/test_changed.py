@@ -228,3 +228,34 @@ def test_each_of_several_sensor_nodes_may_get_another_law(tmp_path: Path) -> Non
 def test_of_sensor_nodes_nothing_else_changes(name: str, path: str, text: str) -> None:
     with pytest.raises(ExperimentError, match=text):
         changed(compose(load_experiment(name, ["allow_uncertified=true"])), 10, path, {"kind": "constant", "age": 0})
+
+
+NOISY = "plant={kind='state-space', A=[[0,1],[0,-3.5287]], B=[[0],[172.38]], C=[[1,0]], measurement_noise=[0.01], \
+process_noise=[0,0.5], saturation=[2.0]}"
+
+
+def test_noise_and_limits_of_a_plant_change_and_their_random_numbers_go_on(tmp_path: Path) -> None:
+    sets = [NOISY, "limits.state={}", "allow_uncertified=true", "duration=6", "disturbance=[]"]
+    noises: list[Asked] = [(60, "plant.measurement_noise", [0.3]), (90, "plant.process_noise", [0, 0])]
+    asked: list[Asked] = [*noises, (100, "plant.saturation", [0.01])]
+    plain, free, run = (
+        run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / f"{i}.mcap", onlooker=looker).run
+        for i, looker in enumerate((None, Scripted(noises), Scripted(asked)))
+    )
+
+    def noise(of: Any) -> Any:
+        return np.array(of.arrays["/plant/measurement"]["y1"]) - np.array(of.arrays[STATE.name]["x1"])
+
+    before, after = noise(plain), noise(run)
+    assert (before[:61] == after[:61]).all(), "the noise of slot 60 was drawn before the change"
+    assert after[62:] == pytest.approx(30.0 * before[62:], rel=1e-6, abs=1e-9), "the same draws, thirty times as large"
+    x2, held = free.arrays[STATE.name]["x2"], run.arrays[STATE.name]["x2"]
+    assert (x2[:101] == held[:101]).all() and np.abs(held[101:]).max() < np.abs(x2[101:]).max()
+    assert verify(read_run(tmp_path / "2.mcap")).likeness == "same bits"
+
+
+def test_a_noise_that_a_plant_does_not_have_cannot_begin_in_a_run() -> None:
+    sets = [NOISY.replace("measurement_noise=[0.01], ", ""), "limits.state={}", "allow_uncertified=true"]
+    loop = compose(load_experiment("dc-motor-hinf", sets))
+    with pytest.raises(ExperimentError, match=r"plant\.measurement_noise: does not change while it runs .*process_noise"):
+        changed(loop, 10, "plant.measurement_noise", [0.1])
