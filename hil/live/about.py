@@ -1,4 +1,4 @@
-"""What the page is told once: the runs, their signals and fields, and what can be tried by a click."""
+"""What the page reads once: the runs, their signals and fields, and what can be tried by a click."""
 
 from __future__ import annotations
 

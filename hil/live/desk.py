@@ -60,7 +60,7 @@ class Draft:
     number: int = 0
     path: str = ""
     state: str = "none"  # none, computing, ready, refused, armed
-    told: str = ""
+    message: str = ""
     claims: list[dict[str, Any]] = field(default_factory=list)
 
 
@@ -153,8 +153,8 @@ class Desk:
                     self.draft = Draft(number, wish.path, "ready", "", claims)
                 elif wish.do == "apply":
                     slots = self._arm(sides, wish.path, wish.value)
-                    told = f"acts from slot {' and '.join(map(str, dict.fromkeys(slots)))}"
-                    self.draft = Draft(number, wish.path, "armed", told, [side.claim() for side in sides])
+                    message = f"acts from slot {' and '.join(map(str, dict.fromkeys(slots)))}"
+                    self.draft = Draft(number, wish.path, "armed", message, [side.claim() for side in sides])
                 else:
                     self.draft = Draft(number)
                     if wish.do == "restart":

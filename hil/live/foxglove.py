@@ -106,5 +106,6 @@ class Beside:
         return self._first.changes
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
-        """Let both look."""
-        return together(self._first.begin(loop, channels), self._second.begin(loop, channels))
+        """Let both look; when the first one says that the run goes on, the second one has its topics."""
+        beside = self._second.begin(loop, channels)
+        return together(self._first.begin(loop, channels), beside)

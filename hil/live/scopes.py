@@ -32,7 +32,7 @@ class Trace:
     unit: str
 
     def to_json(self) -> dict[str, str]:
-        """What the page is told of it."""
+        """What the page knows of it."""
         return {"panel": self.panel, "topic": self.topic, "field": self.field, "unit": self.unit}
 
 

@@ -132,8 +132,8 @@ class LivePage(ThreadingHTTPServer):
 class Refused(Exception):
     """A request that is not answered as it wishes."""
 
-    def __init__(self, status: HTTPStatus, told: str) -> None:
-        super().__init__(told)
+    def __init__(self, status: HTTPStatus, message: str) -> None:
+        super().__init__(message)
         self.status = status
 
 

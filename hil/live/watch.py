@@ -141,7 +141,7 @@ def watched(clock: ClockName, opened: Callable[[str], None]) -> Iterator[Side]:
 
     Args:
         clock: of the run.
-        opened: told the page's URL.
+        opened: called with the page's URL.
     """
     side = Side(PacedClock() if clock == "virtual" else None)
     with _page([side], clock, 0, opened):

@@ -139,7 +139,7 @@ export function makeAct(place, abouts, wish, runs) {
       self.shown = key;
       const worst = now.claims.some((c) => c.state === "refused") ? "bad" : now.claims.some((c) => c.state !== "certified") ? "warning" : "good";
       draft.className = `draft ${now.state === "refused" ? "bad" : now.state === "ready" || now.state === "armed" ? worst : ""}`;
-      const heads = { none: "Change something: its certificate comes first.", computing: `${now.path}: computing the certificate …`, ready: `${now.path}: the loop that would run is`, refused: now.told, armed: `${now.path}: ${now.told}` };
+      const heads = { none: "Change something: its certificate comes first.", computing: `${now.path}: computing the certificate …`, ready: `${now.path}: the loop that would run is`, refused: now.message, armed: `${now.path}: ${now.message}` };
       draft.replaceChildren(text("p", heads[now.state]));
       for (const claim of now.claims) {
         const line = document.createElement("p"), at = document.createElement("span");

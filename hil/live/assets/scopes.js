@@ -105,7 +105,7 @@ const valueAt = (c, t) => c.high?.[Math.floor((t / c.period - c.first) / c.slots
 export function traceTable(place, view, runs) {
   const source = document.createElement("select"), level = Object.assign(document.createElement("input"), { type: "number", step: "any", value: "0" });
   const edge = document.createElement("select"), before = Object.assign(document.createElement("input"), { type: "number", min: 0, max: 100, value: 20 });
-  const armed = text("button", "Arm (t)", { type: "button" }), told = text("p", "", { className: "intro" });
+  const armed = text("button", "Arm (t)", { type: "button" }), message = text("p", "", { className: "intro" });
   const differences = text("table", "", { className: "measured" }), bookmarks = text("div", "", { className: "row" });
   for (const [value, words] of [["up", "rises above"], ["down", "falls below"]]) edge.append(text("option", words, { value }));
   for (const [element, label] of [[source, "Trigger on"], [edge, "Edge"], [level, "Level"], [before, "Pre-trigger, percent of the window"]]) element.setAttribute("aria-label", label);
@@ -115,7 +115,7 @@ export function traceTable(place, view, runs) {
   const row = text("div", "", { className: "row" });
   const buttons = [["Cursor a", () => self.cursor(0)], ["Cursor b", () => self.cursor(1)], ["Bookmark", () => self.bookmark()]];
   for (const [words, act] of buttons) { const b = text("button", words, { type: "button" }); b.addEventListener("click", act); row.append(b); }
-  place.append(text("h2", "Trigger and cursors"), line, second, told, row, differences, bookmarks);
+  place.append(text("h2", "Trigger and cursors"), line, second, message, row, differences, bookmarks);
   let state = "off", seen = 0, eventsSeen = 0, shown = "";
   view.cursors = [null, null];
 
@@ -140,7 +140,7 @@ export function traceTable(place, view, runs) {
       const hold = view.triggered != null && state === "held";
       armed.textContent = { off: "Arm (t)", armed: "Armed …", held: "Held: let go (t)" }[state];
       armed.setAttribute("aria-pressed", String(state !== "off"));
-      told.textContent = hold ? `triggered at ${number(view.triggered, 6)} s` : "";
+      message.textContent = hold ? `triggered at ${number(view.triggered, 6)} s` : "";
       measure(all);
     },
   };

@@ -219,14 +219,14 @@ def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page
     assert page.settled("ready")["claims"][0]["state"] == "refused"
     assert page.view(words=1)["certificate"]["state"] == "certified", "what is shown does not act"
     page.wish(do="check", path="network.ca.law", value={"kind": "markov", "matrix": [[0.5, 0.6], [0.7, 0.3]]})
-    assert "network.ca.law" in page.settled("refused")["told"]
+    assert "network.ca.law" in page.settled("refused")["message"]
     page.wish(do="check", path="controller", value={"kind": "virtual-wall"})
-    assert "controller" in page.settled("refused")["told"]
+    assert "controller" in page.settled("refused")["message"]
     assert page.view()["refused"] == 2
     page.wish(do="step", slots=7)
     until(lambda: page.view()["slots"] == 7, "seven slots")
     page.wish(do="apply", path="network.ca.law", value={"kind": "constant", "age": 1})
-    assert "slot 7" in page.settled("armed")["told"]
+    assert "slot 7" in page.settled("armed")["message"]
     page.wish(do="apply", path="reference", value=[1.25])
     page.settled("armed")
     page.wish(do="step", slots=5)
@@ -241,6 +241,18 @@ def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page
         load_experiment("dc-motor-hinf", ["duration=600"]), path=page.folder / "again.mcap", onlooker=Scripted(read_script(log))
     )  # fmt: skip
     assert again.summary["log"]["sha256"] == first.summary["log"]["sha256"]
+
+
+def test_what_a_part_raises_while_a_change_is_computed_is_said_and_the_next_change_is_taken(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that computes ended, and the page waited for ever."""
+    with monkeypatch.context() as context:
+        context.setattr(Side, "claim", lambda side, after=None: 1 // 0)
+        page.wish(do="check", path="network.ca.law", value={"kind": "constant", "age": 0})
+        assert "network.ca.law" in page.settled("refused")["message"]
+    page.wish(do="check", path="network.ca.law", value={"kind": "constant", "age": 0})
+    assert page.settled("ready")["claims"][0]["state"] == "certified"
 
 
 def test_a_run_begins_anew_with_another_seed_and_a_log_of_its_own(page: Page) -> None:
