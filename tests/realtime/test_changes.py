@@ -101,7 +101,7 @@ def test_the_controller_is_killed_and_restarted_from_the_page_and_the_loop_goes_
     status, answer = page.wish(do="hold")
     assert status == 400 and "paces a run in real time" in answer["error"]
     assert page.wish(do="check", path="controller", value={"kind": "h2"})[0] == 200
-    assert "the controller is a process of its own" in page.settled("refused")["told"]
+    assert "the controller is a process of its own" in page.settled("refused")["message"]
     assert page.wish(do="check", path="network.ca.law", value={"kind": "constant", "age": 1})[0] == 200
     assert page.settled("ready")["claims"][0]["state"] == "certified"
     assert page.wish(do="apply", path="reference", value=[1.0])[0] == 200
