@@ -68,6 +68,15 @@ class BusNode:
     sensor: bool = True
 
 
+def _quoted(text: str) -> str:
+    """Return a text as it may stand between the quotes of a DBC, which has no escapes.
+
+    >>> _quoted('a "motor"')
+    "a 'motor'"
+    """
+    return "".join({'"': "'", "\\": "/"}.get(c, c if c.isprintable() else " ") for c in text)
+
+
 def dbc_text(talkers: Sequence[BusNode], *, fd: bool, title: str) -> str:
     """Return a DBC.
 
@@ -80,8 +89,8 @@ def dbc_text(talkers: Sequence[BusNode], *, fd: bool, title: str) -> str:
         ValueError: a packet that has more fragments than identifiers.
     """
     blocks = [list(_messages(talker, fd)) for talker in talkers]
-    lines = [f'VERSION "{title}"', "", "NS_ :", *(f"\t{word}" for word in ("CM_", "BA_DEF_", "BA_", "VAL_", "BA_DEF_DEF_",
-             "SIG_VALTYPE_")), "", "BS_:", "", "BU_: Rig Controller"]  # fmt: skip
+    known = [f"\t{word}" for word in ("CM_", "BA_DEF_", "BA_", "VAL_", "BA_DEF_DEF_", "SIG_VALTYPE_")]
+    lines = [f'VERSION "{_quoted(title)}"', "", "NS_ :", *known, "", "BS_:", "", "BU_: Rig Controller"]
     kinds = ('BA_DEF_ "BusType" STRING ;', f'BA_DEF_ BO_ "VFrameFormat" ENUM {_FORMATS} ;')
     defaults = ('BA_DEF_DEF_  "BusType" "CAN";', 'BA_DEF_DEF_  "VFrameFormat" "StandardCAN";')
     comments, formats, words, floats = [], [], [], []
@@ -93,7 +102,7 @@ def dbc_text(talkers: Sequence[BusNode], *, fd: bool, title: str) -> str:
             floats += [f"SIG_VALTYPE_ {identifier} {s.name} : 1;" for s in signals if s.top == _SINGLE]
             formats += [f'BA_ "VFrameFormat" BO_ {identifier} 14;'] * fd
             if not index:
-                comments.append(f'CM_ BO_ {identifier} "{talker.about}";')
+                comments.append(f'CM_ BO_ {identifier} "{_quoted(talker.about)}";')
                 kind = f'{SENSOR} "sensor"' if talker.sensor else f'{CONTROL} "control"'
                 words.append(f"VAL_ {identifier} Kind {kind} ;")
                 if not talker.sensor:
@@ -132,4 +141,4 @@ def _line(signal: _Signal, receiver: str) -> str:
     low = {"+": "0", "-": "-32768" if signal.bits == 16 else f"-{top}"}[signal.sign]
     mux = f" {signal.mux}" if signal.mux else ""
     where = f"{signal.start}|{signal.bits}@1{signal.sign} (1,0) [{low}|{top}]"
-    return f' SG_ {signal.name}{mux} : {where} "{signal.unit}" {receiver}'
+    return f' SG_ {signal.name}{mux} : {where} "{_quoted(signal.unit)}" {receiver}'

@@ -109,15 +109,25 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
     }
 
 
+def in_comment(text: str) -> str:
+    """Return a text as it may stand in a comment of C and in a docstring: whoever wrote an experiment writes no program.
+
+    >>> in_comment("it's */ import os")
+    'it_s _/ import os'
+    """
+    return "".join(c if c.isprintable() and c not in "\"'\\*" else "_" for c in text)
+
+
 def _words(of: ExternalController, stem: str, usage: str) -> dict[str, Any]:
     e = of.loop.experiment
     framing = of.link.traits.can
     options = "" if of.kind != "can" or framing is None or framing.fd else "?fd=0"
     return {
-        "CONTROLLER": repr(e.kinds.get("controller", "?")), "EXPERIMENT": e.name, "ARGUMENT": of.argument, "STEM": stem,
+        "CONTROLLER": f"'{in_comment(e.kinds.get('controller', '?'))}'", "EXPERIMENT": in_comment(e.name),
+        "ARGUMENT": in_comment(of.argument), "STEM": stem,
         "FILE": f"{stem}.py", "USAGE": usage, "OPTIONS": options,
         "AUTH": ("&" if options else "?") + "auth=KEYFILE" if of.keyed else "",
-        "WHY": of.law.why_none, "FIRST": 2 if of.keyed else 1,
+        "WHY": in_comment(of.law.why_none), "FIRST": 2 if of.keyed else 1,
     }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.cli.new_external import in_comment
 from hil.errors import HilError
 from hil.rig.frames_dbc import rig_dbc
 from transport.packets import SELECTIONS
@@ -76,7 +77,8 @@ def c_tables(of: ExternalController, database: Any) -> str:
         ("double", "NEXT[STATES ? STATES : 1][STATES + Y_SIZE]", law.state if states else np.zeros((1, width))),
     ]
     return "\n".join([
-        f"/* The loop of {of.loop.experiment.name}: law, packets, and how they stand in cantools' structs. Made by hil new. */",
+        f"/* The loop of {in_comment(of.loop.experiment.name)}: law, packets, and how they stand in cantools' structs.",
+        " * Made by hil new. */",
         "#include <stdint.h>", "#include <string.h>", "",
         f"#define PERIOD_NS INT64_C({of.loop.experiment.period_ns})",
         *(f"#define {name} {number}" for name, number in numbers.items()), "",

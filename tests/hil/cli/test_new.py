@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import subprocess
 import sys
@@ -99,3 +100,27 @@ def test_show_prints_a_shipped_experiment_that_runs_as_a_file(cli: Hil) -> None:
     assert cli("run", "mine.toml", "--duration", "1")[0] == 0
     status, _, err = cli("show", "dc-motor-hin")
     assert status == 2 and "did you mean 'dc-motor-hinf'?" in err
+
+
+BEYOND = 'x"""; import os; """ "; } * int x; \''
+
+
+@pytest.mark.parametrize("language", ["python", "c"])
+def test_the_name_of_an_experiment_becomes_no_line_of_a_program(language: str, cli: Hil, tmp_path: Path) -> None:
+    """It stands in a comment, and in the VERSION of the DBC that the codec in C is made of."""
+    text = shipped()["dc-motor-hinf"].read_text()
+    for folder, name in (("plain", "dc-motor-hinf"), ("hostile", BEYOND)):
+        Path(folder).mkdir()
+        Path(folder, "e.toml").write_text(text.replace('name = "dc-motor-hinf"', f"name = '''{name}'''"))
+        status, _, err = cli("new", "controller", "mine", "-o", folder, "--language", language, "--for", f"{folder}/e.toml")
+        assert status == 0, err
+    for path in Path("plain").glob("mine*"):
+        lines, others = (Path(folder, path.name).read_text().splitlines() for folder in ("plain", "hostile"))
+        differ = [other for line, other in zip(lines, others, strict=True) if line != other]
+        assert len(differ) <= 3 and not any(sign in line for line in differ[:1] for sign in ('; """', "*/ ")), differ
+    if language == "python":
+        found = [ast.dump(node) for node in ast.parse(Path("hostile/mine.py").read_text()).body[1:]]
+        assert found == [ast.dump(node) for node in ast.parse(Path("plain/mine.py").read_text()).body[1:]]
+    else:
+        words = ["cc", "-std=c99", "-Wall", "-Werror", "-fsyntax-only", "-I", "hostile", "hostile/mine.c", "hostile/hilrig.c"]
+        assert subprocess.run(words, capture_output=True).returncode == 0
