@@ -117,21 +117,20 @@ class LinearPlant:
         return np.array(self.measurement_noise) if self.measurement_noise else np.zeros(len(self.C))
 
     def start(self, rng: np.random.Generator) -> PlantRun:
-        """Return the plant at time 0. Without noise it draws nothing from ``rng``."""
+        """Return the plant at time 0. Without noise it draws nothing from ``rng``; noise of size 0 may grow in a run."""
         run: PlantRun = LinearRun(self.model(), self.initial_state)
-        if self.saturation or any(self.process_noise):
-            forces, sensors = rng.spawn(2) if any(self.process_noise) else (rng, rng)
+        if self.saturation or self.process_noise:
+            forces, sensors = rng.spawn(2) if self.process_noise else (rng, rng)
             run = DrivenRun(
                 self.model(), self.initial_state, limits=self.saturation, step_ns=round(self.noise_step_s * 1e9),
-                intensity=self.process_noise if any(self.process_noise) else (), rng=forces,
+                intensity=self.process_noise, rng=forces,
             )  # fmt: skip
             rng = sensors
-        return NoisyRun(run, self.measurement_noise, rng) if any(self.measurement_noise) else run
+        return NoisyRun(run, self.measurement_noise, rng) if self.measurement_noise else run
 
     def may_change(self) -> tuple[str, ...]:
         """Return what another plant may have that takes over from one that runs: the limits and noises that this one has."""
-        noises = [name for name in ("process_noise", "measurement_noise") if any(getattr(self, name))]
-        return (*(("saturation",) if self.saturation else ()), *noises)
+        return tuple(name for name in ("saturation", "process_noise", "measurement_noise") if getattr(self, name))
 
     def own_way(self) -> tuple[str, ...]:
         """Return nothing: noise is part of what a certificate says."""
@@ -152,7 +151,7 @@ class LinearPlant:
 
     def start_batch(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0; None where they saturate or draw random numbers."""
-        if self.saturation or any(self.process_noise) or any(self.measurement_noise):
+        if self.saturation or self.process_noise or self.measurement_noise:
             return None
         return LinearRuns(self.model(), self.initial_state, runs)
 

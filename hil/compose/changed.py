@@ -131,6 +131,8 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
     raw: dict[str, Any] = {**copy.deepcopy(e.resolved()), "allow_uncertified": True}
     set_field(raw, path, value, f"{path} = {value!r:.60}")
     experiment = experiment_from_resolved(raw, e.text, "change", folder=e.folder)
+    if isinstance(experiment.plant, GoesOn) and experiment.plant.may_change() != plant.may_change():
+        raise ExperimentError(e.name, [f"{path}: {value!r:.60}: what a plant has neither begins nor ends while it runs"])
     if is_schedule(loop, path):
         before, now = plant.model(), experiment.plant.model()
         if not all(np.array_equal(getattr(before, name), getattr(now, name)) for name in "ABCD"):

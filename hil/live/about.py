@@ -61,6 +61,9 @@ def _fields(plant: Plant, said: dict[str, Any], *, real: bool) -> dict[str, floa
         if isinstance(value, dict):
             for name, inner in value.items():
                 take(f"{path}.{name}", inner)
+        elif isinstance(value, list | tuple):
+            for i, inner in enumerate(value):
+                take(f"{path}.{i}", inner)
         elif isinstance(value, int | float) and not isinstance(value, bool):
             found[path] = float(value)
 

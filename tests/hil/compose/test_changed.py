@@ -254,6 +254,26 @@ def test_noise_and_limits_of_a_plant_change_and_their_random_numbers_go_on(tmp_p
     assert verify(read_run(tmp_path / "2.mcap")).likeness == "same bits"
 
 
+def test_noise_that_was_turned_off_comes_back_with_the_draws_it_would_have_had(tmp_path: Path) -> None:
+    sets = [NOISY, "limits.state={}", "allow_uncertified=true", "duration=4", "disturbance=[]"]
+    asked: list[Asked] = [(20, "plant.measurement_noise", [0.0]), (40, "plant.measurement_noise.0", 0.01)]
+    plain, run = (
+        run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / f"{i}.mcap", onlooker=looker).run
+        for i, looker in enumerate((None, Scripted(asked)))
+    )
+    noises = [np.array(of.arrays["/plant/measurement"]["y1"]) - np.array(of.arrays[STATE.name]["x1"]) for of in (plain, run)]
+    assert (noises[1][22:40] == 0.0).all()
+    assert noises[1][42:] == pytest.approx(noises[0][42:], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("field", ["process_noise", "measurement_noise", "saturation"])
+def test_what_a_plant_has_cannot_end_in_a_run(field: str) -> None:
+    """Without its forces the plant that took over had other inputs than its noise: the run ended in a traceback."""
+    loop = compose(load_experiment("dc-motor-hinf", [NOISY, "limits.state={}", "allow_uncertified=true"]))
+    with pytest.raises(ExperimentError, match=rf"plant\.{field}: \[\]: what a plant has neither begins nor ends"):
+        changed(loop, 10, f"plant.{field}", [])
+
+
 def test_a_noise_that_a_plant_does_not_have_cannot_begin_in_a_run() -> None:
     sets = [NOISY.replace("measurement_noise=[0.01], ", ""), "limits.state={}", "allow_uncertified=true"]
     loop = compose(load_experiment("dc-motor-hinf", sets))
