@@ -24,7 +24,7 @@ from typing import Final
 
 from transport.can_analysis import PeriodicMessage
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import INTERMISSION, FrameLength, longest_frame
+from transport.can_bus_model.bits import INTERMISSION, FrameLength, shortest_frame
 from transport.errors import FieldError
 
 MOST_FRAMES: Final = 40_000
@@ -35,31 +35,6 @@ MOST_ORDERS: Final = 500
 Interval = tuple[int, int]
 States = dict[tuple[int, ...], list[Interval]]
 """Instances of every message that are through, to the intervals in which the bus becomes idle."""
-
-
-def shortest_frame(length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False) -> FrameLength:
-    """Return the length of a frame with its intermission and without dynamic stuff bits.
-
-    Args:
-        length: bytes of data.
-        extended: identifier of 29 bits.
-        fd: CAN FD.
-        bitrate_switch: with the data bit rate; CAN FD only.
-
-    Raises:
-        ValueError: there is no frame of that length.
-
-    >>> shortest_frame(8), shortest_frame(64, fd=True, bitrate_switch=True)
-    (FrameLength(nominal=111, data=0), FrameLength(nominal=29, data=550))
-    """
-    longest = longest_frame(length, extended=extended, fd=fd, bitrate_switch=bitrate_switch)
-    bits = 8 * length
-    if not fd:
-        return FrameLength((39 if extended else 19) + bits + 15 + 13)
-    crc_field = 28 if length <= 16 else 33
-    if not bitrate_switch:
-        return FrameLength((41 if extended else 22) + bits + crc_field + 12)
-    return FrameLength((33 if extended else 14) + 3 + 12, min(5 + bits + crc_field, longest.data))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

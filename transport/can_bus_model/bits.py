@@ -264,3 +264,28 @@ def longest_frame(
         return FrameLength(body + (body - 1) // 4 + crc_field + 12)
     head, rest = 33 if extended else 14, 5 + bits  # FDF, res and BRS are 1, 0, 1: stuff bits stand before FDF and behind BRS
     return FrameLength(head + (head - 1) // 4 + 3 + 12, rest + rest // 4 + crc_field)
+
+
+def shortest_frame(length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False) -> FrameLength:
+    """Return the length of a frame with its intermission and without dynamic stuff bits.
+
+    Args:
+        length: bytes of data.
+        extended: identifier of 29 bits.
+        fd: CAN FD.
+        bitrate_switch: with the data bit rate; CAN FD only.
+
+    Raises:
+        ValueError: there is no frame of that length.
+
+    >>> shortest_frame(8), shortest_frame(64, fd=True, bitrate_switch=True)
+    (FrameLength(nominal=111, data=0), FrameLength(nominal=29, data=550))
+    """
+    longest = longest_frame(length, extended=extended, fd=fd, bitrate_switch=bitrate_switch)
+    bits = 8 * length
+    if not fd:
+        return FrameLength((39 if extended else 19) + bits + 15 + 13)
+    crc_field = 28 if length <= 16 else 33
+    if not bitrate_switch:
+        return FrameLength((41 if extended else 22) + bits + crc_field + 12)
+    return FrameLength((33 if extended else 14) + 3 + 12, min(5 + bits + crc_field, longest.data))
