@@ -6,13 +6,14 @@ import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic_ns
 
 import can
 import pytest
 
+from tests.links.test_timed_bus_faults import BUS_OFF, RESTARTED, error_frames
 from tests.links.test_vcan_faults import bus as own_vcan
 from tests.waiting import LIMIT_S, ended, until
 from transport.can_bus_model.planned_faults import BusFault
@@ -22,7 +23,6 @@ pytestmark = pytest.mark.vcan
 
 bus = own_vcan
 FOR_EVER_NS = 10**18
-BUS_OFF, RESTARTED = 0x040, 0x100
 
 
 @contextmanager
@@ -60,15 +60,9 @@ def candump(name: str) -> Iterator[list[str]]:
             reader.join()
 
 
-def heard(program: can.BusABC, enough: int) -> list[can.Message]:
-    """Return error frames that a program on the interface gets, up to the first of a class."""
-    found: list[can.Message] = []
-    while not any(each.arbitration_id & enough for each in found):
-        each = program.recv(LIMIT_S)
-        assert each is not None
-        if each.is_error_frame:
-            found.append(each)
-    return found
+def said(of: int) -> Callable[[list[can.Message]], bool]:
+    """Whether one of the error frames is of a class."""
+    return lambda found: any(each.arbitration_id & of for each in found)
 
 
 def test_disturbed_frames_of_a_socketcan_program_end_in_bus_off_which_candump_shows(bus: str) -> None:
@@ -77,7 +71,7 @@ def test_disturbed_frames_of_a_socketcan_program_end_in_bus_off_which_candump_sh
         marker = can.Message(arbitration_id=0x700, is_extended_id=False)
         until(lambda: program.send(marker) or bool(lines), "candump")  # type: ignore[func-returns-value]
         program.send(can.Message(arbitration_id=0x123, data=b"12345678", is_extended_id=False))
-        found = heard(program, BUS_OFF)
+        found = error_frames(program, said(BUS_OFF))
         until(lambda: any("bus-off" in line for line in lines), "candump's line")
         program.send(can.Message(arbitration_id=0x100, is_extended_id=False))
         other.send(can.Message(arbitration_id=0x200, is_extended_id=False))
@@ -93,7 +87,7 @@ def test_a_controller_that_is_told_to_restart_comes_back_and_the_frame_gets_thro
     with bridged(bus, "--restart-ms", "10") as other, can.Bus(bus, interface="socketcan") as program:
         other.plan([BusFault(0, monotonic_ns() + 300_000_000, identifier=0x123)], 0, [])
         program.send(can.Message(arbitration_id=0x123, data=b"12345678", is_extended_id=False))
-        found = heard(program, RESTARTED)
+        found = error_frames(program, said(RESTARTED))
         assert [each.arbitration_id & BUS_OFF for each in found if each.arbitration_id in (BUS_OFF, 0x104)] == [BUS_OFF, 0]
         while (each := other.recv(LIMIT_S)) is not None and each.is_error_frame:
             pass
