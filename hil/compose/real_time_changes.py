@@ -40,5 +40,5 @@ def refuse_in_real_time(loop: Loop, path: str) -> None:
         why = TABULATED
     else:
         why = "its processes were started with it"
-    told = f"{path}: does not change in real time: {why} (what does: {', '.join(taken)}); in virtual time it may"
-    raise ExperimentError(loop.experiment.name, [told])
+    message = f"{path}: does not change in real time: {why} (what does: {', '.join(taken)}); in virtual time it may"
+    raise ExperimentError(loop.experiment.name, [message])

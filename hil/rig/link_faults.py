@@ -22,9 +22,9 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
     """
     if can_bus_of(rig) is not None or link.traits.timed:
         return
-    told = "this run has no bus whose bits could be disturbed: a link has bits in real time (--clock real) and with ?timed=1, "
-    told += "a medium of kind 'can' always"
-    faults = [f"fault[{i}].kind: {told}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS]
+    message = "this run has no bus whose bits could be disturbed: a link has bits in real time (--clock real) and with ?timed=1, "
+    message += "a medium of kind 'can' always"
+    faults = [f"fault[{i}].kind: {message}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS]
     if faults:
         raise ExperimentError(e.name, faults)
 

@@ -54,8 +54,8 @@ def take(change: Change, rig: Rig, node: ControlNode | None) -> None:
 
 def log_late(sink: Sink, change: Change, t_ns: int, k: int, slot: int) -> None:
     """Log a change that came behind its slot: it does not act, as its certificate is on a run in which it had."""
-    told = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
-    sink.event(t_ns, LATE, told, tick=k, severity="warning", path=change.path, slot=slot)
+    message = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
+    sink.event(t_ns, LATE, message, tick=k, severity="warning", path=change.path, slot=slot)
 
 
 def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:

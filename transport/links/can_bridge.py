@@ -41,7 +41,7 @@ class BridgeCounters:
 
 
 def bridge(bus: HilBus, interface: can.BusABC, stopped: Callable[[], bool]) -> BridgeCounters:
-    """Be the CAN controller of an interface until told to stop.
+    """Be the CAN controller of an interface until it is to stop.
 
     Args:
         bus: joined with ``timed=True``, and with ``berr_reporting=True`` where every destroyed frame is to be an error frame.
@@ -55,13 +55,13 @@ def bridge(bus: HilBus, interface: can.BusABC, stopped: Callable[[], bool]) -> B
     while not stopped():
         ready.poll(1000 * _LOOK_S)
         for _ in range(_AT_ONCE):
-            sent, heard = _received(interface), _received(bus)
+            sent, came = _received(interface), _received(bus)
             if sent is not None and not sent.is_error_frame:
                 _to_bus(bus, interface, sent, counted)
-            if heard is not None:
-                counted.errors += heard.is_error_frame
-                _to_interface(interface, heard, counted)
-            if (sent is None and heard is None) or stopped():
+            if came is not None:
+                counted.errors += came.is_error_frame
+                _to_interface(interface, came, counted)
+            if (sent is None and came is None) or stopped():
                 break
     return counted
 

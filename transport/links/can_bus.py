@@ -108,8 +108,8 @@ class HilBus(can.BusABC):
         self._timed: TimedSender | None = None
         if rates is not None:
             try:
-                told = self._got_through, self._was_destroyed, self._state_changed, self._poke
-                self._timed = TimedSender(bus_directory() / name, rates, *told, restart_s)
+                callbacks = self._got_through, self._was_destroyed, self._state_changed, self._poke
+                self._timed = TimedSender(bus_directory() / name, rates, *callbacks, restart_s)
             except TransportError as error:
                 self._mesh.close()
                 raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
@@ -260,7 +260,7 @@ class HilBus(can.BusABC):
                 return None
             if len(frame) >= FRAME.size:
                 fields = FRAME.unpack_from(frame)
-                if self._timed is None or not self._unheard(fields):
+                if self._timed is None or not self._not_for_us(fields):
                     if (self._fd or not fields[4] & FD_FRAME) and (self._matches is None or self._wanted(fields[2])):
                         return fields, frame[FRAME.size :]
                     self.filtered += 1
@@ -271,7 +271,7 @@ class HilBus(can.BusABC):
             timeout = 0
         return None
 
-    def _unheard(self, fields: tuple[Any, ...]) -> bool:
+    def _not_for_us(self, fields: tuple[Any, ...]) -> bool:
         """Return whether this is no frame for a participant of a bus that takes time; look at its error state where told to."""
         timed, (stamp, _, identifier, _, flags) = self._timed, fields
         if timed is None:

@@ -121,9 +121,9 @@ class RealLoop:
             late = rig.answers.late - self._late
             self._log(t_ns, (lateness_us, exchange.round_trip_us, work_us, rig.k, late, overrun))
         for status in self._on_bus.statuses() if self._on_bus is not None else ():
-            told = f"the rig on its link is {STATES[status.state]}: TEC {status.tec}, REC {status.rec}"
+            message = f"the rig on its link is {STATES[status.state]}: TEC {status.tec}, REC {status.rec}"
             severity = "info" if status.state == "active" else "warning"
-            self._sink.event(t_ns, "bus status", told, tick=rig.k, node="rig", severity=severity)
+            self._sink.event(t_ns, "bus status", message, tick=rig.k, node="rig", severity=severity)
         self._sink.commit()
         self._change(rig.k + 1)
 

@@ -196,8 +196,8 @@ def run_real(
                 theirs = controller_process.Job(
                     loop=newest, link=link, parent=parent, counts_fd=counted_fd, changes_fd=lines.open("controller")
                 )
-                told = lines.passed("controller", counted_fd)
-                children.append(start("controller", "hil.runtime.real.controller_process", theirs, told))
+                inherited = lines.passed("controller", counted_fd)
+                children.append(start("controller", "hil.runtime.real.controller_process", theirs, inherited))
                 return children[-1]
 
             if not external and not link.traits.in_process:
