@@ -35,6 +35,7 @@ from design.semi_markov_loop.stability import analyse, largest_decay
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
+from hil.reproduce.chapter2.in_the_loop import IN_THE_LOOP, in_the_loop
 from hil.reproduce.statements import Statement, above, below, equal, exactly, says, untold
 
 SECTIONS = (1, 2, 4, 8)
@@ -334,6 +335,7 @@ CHAPTER = Chapter(
         Stage("exact second moments", _moments, 0.5, MOMENTS),
         Stage("rates and partition", _rates, 0.1, RATES),
         Stage("settling times", settling, 20, SETTLING),
+        Stage("runs of the emulated loop", in_the_loop, 12, IN_THE_LOOP),
         Stage("certified scales", _scales, 17, SCALES),
         Stage("partition strategies", _strategies, 10, REMARK_2_2),
     ),

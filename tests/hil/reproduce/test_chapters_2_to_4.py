@@ -65,6 +65,7 @@ def test_chapter_2_tells_what_holds_and_what_does_not() -> None:
     assert verdict(result, "settling time (2.28) of (2.27)") == "not reproduced"
     assert verdict(result, "settling time (2.28) of [1, 2]") == "reproduced"
     assert verdict(result, "gains [1, 2] stabilise") == "claim false"
+    assert verdict(result, "in the emulated loop (2.27)") == verdict(result, "in the emulated loop our gains") == "reproduced"
     tables = [row for row in result.rows if row.item.startswith("Table 2.1")]
     assert [row.verdict for row in tables] == ["not reproduced", "not reproduced", "undecided"]  # four errors of the last: 20 %
     assert [row.beside[0].outcome for row in tables] == [None, True, None]  # from the other initial mode; power at the second
