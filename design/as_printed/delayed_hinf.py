@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Literal
 
@@ -137,4 +137,27 @@ def printed_section(
         method="printed", sound=False, verdict="certified", reason=result.found.explain(), gamma=result.gamma, gain=gain,
         margin=result.found.margin, matrices=result.found.matrices, scale=result.scale, solver=result.found.solver,
         assumptions=("C'C and B'P may stand in X coordinates (false)", "sections need no link (false)"),
+    )  # fmt: skip
+
+
+def inequality_at(
+    system: DelayedJumpSystem, certificate: JumpCertificate, mode: int, rates: Sequence[float], eta: float
+) -> Array:
+    """(3.41) of a mode at one value of its rates, with the matrices of a certificate whose gains were free.
+
+    Args:
+        rates: to every mode, (N,); its own entry is not read (1/s).
+        eta: bound of the total rates (1/s).
+
+    Returns:
+        symmetric; negative definite where (3.41) holds.
+    """
+    found = certificate.matrices
+    targets = [j for j, rate in enumerate(rates) if j != mode and rate > 0]
+    held = 1.0 + eta * system.delay_max_s
+    g2 = np.array([[(certificate.scale * (certificate.gamma or math.inf)) ** 2]])
+    return _block(
+        found[f"X[{mode}]"], found[f"U[{mode}]"], found["Q"], g2, *(found[f"X[{j}]"] for j in targets), system=system,
+        mode=mode, gain=None, total=sum(rates[j] for j in targets), pairs=[(rates[j], rates[j]) for j in targets],
+        held=(held, held), scale=certificate.scale,
     )  # fmt: skip

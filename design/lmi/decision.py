@@ -100,7 +100,7 @@ def second_opinion(
 
 def _unknown(cp: Any, like: FloatArray, basis: FloatArray | None) -> Any:
     """A matrix variable, symmetric or full; where a basis has fewer unknowns than that, their combination."""
-    symmetric = np.array_equal(like, like.T) if basis is None else bool((basis == basis.transpose(0, 2, 1)).all())
+    symmetric = np.array_equal(like, like.T) if basis is None else np.array_equal(basis, basis.transpose(0, 2, 1))
     entries = like.shape[0] * (like.shape[0] + 1) // 2 if symmetric else like.size
     if basis is None or basis.shape[0] == entries:
         return cp.Variable(like.shape, symmetric=symmetric)

@@ -48,3 +48,12 @@ def test_full_unknowns_and_feedback_are_found_too() -> None:
     theirs = second_opinion(program.inequalities, {"X": np.eye(2), "U": np.zeros((1, 2))})
     K = theirs.matrices["U"] @ np.linalg.inv(theirs.matrices["X"])
     assert theirs.holds and np.linalg.eigvals(a + b @ K).real.max() < 0
+
+
+def test_unknowns_that_are_not_square_come_with_their_basis() -> None:
+    program = LmiProgram()
+    program.matrix("U", 2, 3)
+    a, b = np.diag([0.5, 0.5, -1.0]), np.eye(3, 2)
+    program.require("stable", lambda U: symmetric_part(a + b @ U), "U")
+    bases = {name: variable.basis for name, variable in program.variables.items()}
+    assert second_opinion(program.inequalities, {"U": np.zeros((2, 3))}, bases=bases).holds
