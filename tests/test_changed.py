@@ -15,7 +15,7 @@ from tests.changed import changed, chosen_for
     [
         ("design/tracking/bfgs.py", {"tests/design/tracking"}, {"tests/design/lmi"}),
         ("hil/runtime/real/ending.py", {"tests/hil/runtime/real", "hil/runtime/real/ending.py"}, {"tests/hil/cli"}),
-        ("hil/session.py", {"tests/hil/test_session.py", "tests/realtime/test_sessions.py"}, {"tests/hil", "tests/plants"}),
+        ("hil/session/__init__.py", {"tests/hil/session", "tests/realtime/test_sessions.py"}, {"tests/hil", "tests/plants"}),
         ("tests/waiting.py", {"tests/hil/cli/test_run.py"}, {"tests/hil/cli"}),
         ("tests/links/conftest.py", {"tests/links"}, {"tests"}),
         ("tests/links/test_can_bus.py", {"tests/links/test_can_bus.py"}, {"tests/links"}),

@@ -9,9 +9,9 @@ from typing import Any
 
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment
+from hil.api.probability import frequency
 from hil.errors import HilError
 from hil.session import Session
-from hil.sweeps.probability import frequency
 
 
 @checked_arguments

@@ -23,11 +23,11 @@ from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.measure.measure import unknown_name
 from hil.measure.view import view_of
-from hil.replay.replay import Verdict as LogVerdict
-from hil.replay.replay import experiment_of
-from hil.replay.replay import verify as verify_run
+from hil.runtime.simulated import simulate as simulate_loop
 from hil.session import ClockName, Session, run_session
-from hil.session import simulate as simulate_loop
+from hil.session.replay.replay import Verdict as LogVerdict
+from hil.session.replay.replay import experiment_of
+from hil.session.replay.replay import verify as verify_run
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters

@@ -132,7 +132,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     from hil.measure.bus_load import bus_of
     from hil.measure.view import view_of
     from hil.rig.can_bus import analysed, can_bus_of, rates_of
-    from hil.session import simulate
+    from hil.runtime.simulated import simulate
 
     experiment = load_experiment(target, sets, duration=str(seconds))
     loop = compose(experiment, certify=False)

@@ -81,14 +81,16 @@ def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.experiment import load_experiment
     from hil.measure.check import check_measure
     from hil.measure.measure import made_of
+    from hil.measure.view import view_of
     from hil.pages.run.drawn import check_section
     from hil.plugins import registry
-    from hil.session import rehearsal
+    from hil.runtime.simulated import rehearsal
 
     if sets:
         raise HilError("--parameter: a measure has no keys")
     made = made_of(registry.load("hil.measures", kind))
-    view = rehearsal(compose(load_experiment(experiment), certify=False))
+    loop = compose(load_experiment(experiment), certify=False)
+    view = view_of(rehearsal(loop), loop.experiment, loop.rig)
     return check_measure(made, view) + check_section(made, view)
 
 

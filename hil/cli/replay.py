@@ -99,7 +99,7 @@ def command(
 def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
     from hil.cli.terminal import visible
     from hil.cli.working import Working
-    from hil.replay.process import ask_process
+    from hil.session.replay.process import ask_process
 
     with Working(f"questions to {uri}"):
         done = ask_process(run, uri, str(file))
@@ -133,8 +133,8 @@ def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json
     from hil.cli.terminal import visible
     from hil.cli.working import Working
     from hil.log.run import records_sha256
-    from hil.replay.recorded import verify_tags
-    from hil.replay.replay import changed_files, experiment_of, verify
+    from hil.session.replay.recorded import verify_tags
+    from hil.session.replay.replay import changed_files, experiment_of, verify
 
     experiment = experiment_of(run, str(file), folder=folder)
     for sentence in changed_files(run, experiment):
@@ -167,7 +167,7 @@ def _what_if(
 
     from hil.cli.working import Working
     from hil.experiment import parse_plugin
-    from hil.replay.replay import experiment_of, what_if
+    from hil.session.replay.replay import experiment_of, what_if
 
     experiment = experiment_of(run, str(file), folder=folder)
     asked = parse_plugin("hil.controllers", kind, sets)
@@ -215,7 +215,7 @@ def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
     from rich.progress import Progress
 
     from hil.cli.terminal import visible
-    from hil.replay.replay import onto
+    from hil.session.replay.replay import onto
 
     err = Console(stderr=True)
     with Progress(console=err, disable=not err.is_terminal) as bar:

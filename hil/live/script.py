@@ -14,8 +14,8 @@ from hil.errors import HilError
 from hil.files.regular import read_regular
 from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
-from hil.replay.recorded_changes import Asked, changes_of, composed
 from hil.runtime.changes import END, Change
+from hil.session.replay.recorded_changes import Asked, changes_of, composed
 
 MOST_BYTES: Final = 20_000_000
 

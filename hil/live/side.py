@@ -18,9 +18,9 @@ from hil.log.records import EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
 from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
 from hil.log.write.sinks import PayloadWriter
-from hil.replay.recorded_changes import Asked
 from hil.runtime.changes import CHANGE, END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock
+from hil.session.replay.recorded_changes import Asked
 from transport.draws import REASONS
 
 EVENTS: Final = 300

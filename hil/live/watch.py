@@ -17,10 +17,10 @@ from hil.live.desk import Desk
 from hil.live.foxglove import Beside
 from hil.live.server import LivePage
 from hil.live.side import Side
-from hil.replay.replay import experiment_of
 from hil.runtime.real.ending import StopSignals
 from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Onlooker, Session, run_session
+from hil.session.replay.replay import experiment_of
 
 LOOK_S = 0.1
 WHERE = {"virtual": "virtual time", "real": "real time"}

@@ -13,13 +13,15 @@ from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
+from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
+from hil.log.run import Run
 from hil.log.topics import NUMBER_TOPICS
 from hil.measure.signals import Signals
-from hil.measure.view import RunView
+from hil.measure.view import RunView, view_of
 from hil.plugins import registry
 from hil.plugins.user_plugins import in_own_words, words
 
@@ -110,6 +112,14 @@ def own_measures(experiment: Experiment) -> list[tuple[int, str, Any]]:
         if not isinstance(cls, FunctionType) and cls.__module__.partition(".")[0] != "hil":
             found.append((i, name, cls))
     return found
+
+
+def refuse_unsound_measures(loop: Loop, rehearsal: Callable[[Loop], Run]) -> None:
+    """Hold measures of the user's own to `check_measure`, over a short run; see `hil.measure.check.check_own_measures`."""
+    if own_measures(loop.experiment):
+        from hil.measure.check import check_own_measures
+
+        check_own_measures(loop.experiment, lambda: view_of(rehearsal(loop), loop.experiment, loop.rig))
 
 
 def made_of(plugin: object) -> object:

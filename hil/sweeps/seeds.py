@@ -27,11 +27,11 @@ from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.measure.batch_measure import BatchMeasure, BatchView
-from hil.measure.measure import Named, Quantity, measures_of, quantities_of
+from hil.measure.measure import Named, Quantity, measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins.user_modules import is_ours
-from hil.session import refuse_unsound_measures, simulate
+from hil.runtime.simulated import rehearsal, simulate
 from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
 from hil.sweeps.sweep import Sweep, SweepStore
 
@@ -206,7 +206,7 @@ def run_sweep(
     look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
-    refuse_unsound_measures(loop)
+    refuse_unsound_measures(loop, rehearsal)
     alone = run_one_by_one(replace(loop, watched=None), [seeds[0]])[0] if foreign_parts(loop) else None
     if alone is not None:
         refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])

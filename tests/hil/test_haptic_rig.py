@@ -14,7 +14,8 @@ from hil.cli import main
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
 
 WAY = 'network.sc.law={kind="constant", age=5}', 'network.ca.law={kind="constant", age=5}'
 

@@ -11,8 +11,9 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.replay.replay import verify
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay.replay import verify
 
 
 def test_published_fault_tolerant_gains_are_refused_and_with_leave_stopped_by_safety(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from hil.log.read.run import read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.measure.view import view_of
 from hil.pages.run.run_page import render_report
-from hil.replay.replay import verify
+from hil.session.replay.replay import verify
 from tests.hil.log.recording import TABLE, provenance, record
 
 EVENT = {"tick": 0, "t_s": 0.0, "kind": "safety", "severity": "error", "message": "limit", "data": {"scheduler": "x"}}

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from hil.files.keys import make_keys
-from hil.replay.replay import verify
+from hil.session.replay.replay import verify
 from tests.hostile.test_who_commands import session
 
 pytestmark = pytest.mark.realtime

@@ -38,7 +38,7 @@ def test_mine(hil):
 
 PLOT = """
 from hil.log.read.run import read_run
-from hil.notebook import figure
+from hil.session.shown import figure
 figure(read_run("a.mcap"), "figures/a.svg")
 """
 

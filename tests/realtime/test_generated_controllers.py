@@ -14,7 +14,7 @@ from hil.compose.loop import Loop, compose
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
 from hil.log.read.run import Run
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from tests.foreign_session import drive
 from tests.generated_controllers import asked_over, c_on_hil, generate, runs
 

@@ -13,9 +13,9 @@ import pytest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
-from hil.replay.process import ask_process
 from hil.runtime.real.child import PYTHON
 from hil.session import run_session
+from hil.session.replay.process import ask_process
 from tests.process_replay import DATA, PROGRAMS, answering, asked
 
 pytestmark = pytest.mark.realtime

@@ -18,8 +18,9 @@ from design.controllers.historical import Historical
 from hil.cli.guide import pages
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.replay.replay import verify
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay.replay import verify
 from tests.foreign_session import drive
 from tests.ports import free_port
 

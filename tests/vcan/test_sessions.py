@@ -18,8 +18,9 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
-from hil.replay.replay import verify
-from hil.session import Session, run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import Session, run_session
+from hil.session.replay.replay import verify
 from transport.links.can_identifiers import derived
 
 pytestmark = pytest.mark.vcan

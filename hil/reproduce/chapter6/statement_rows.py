@@ -30,7 +30,7 @@ from hil.measure.view import APPLIED, MEASUREMENT, view_of
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot
 from hil.reproduce.statements import Statement, above, below, exactly, mean, says, within
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 SIDE_M = 0.02
 STEP_M = 0.15 * math.pi * SIDE_M

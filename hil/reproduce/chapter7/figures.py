@@ -18,7 +18,7 @@ from hil.reproduce.chapter7.friction import Imperfections, loop_of
 from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
 from hil.reproduce.statements import Statement, above, below
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")

@@ -12,7 +12,7 @@ from design.jump_linear.certificate import ultimate_bound
 from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import Loop, compose
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from plants import DCMotor, Departure
 
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}

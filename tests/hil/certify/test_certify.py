@@ -18,7 +18,7 @@ from hil.certify.certify import CERTIFIERS, certify, digest_of
 from hil.compose.loop import Loop, compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 
 @cache

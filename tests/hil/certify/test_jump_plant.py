@@ -21,7 +21,7 @@ from hil.experiment import load_experiment
 from hil.experiment.rig_tables import Limits
 from hil.experiment.tables import Seconds
 from hil.plugins.checks import check_controller
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from plants import DCMotor, DelayedVTOL, FaultyVTOL, PlantError, SwitchedExample, check_plant
 
 TwoSpeedTank: Any = runpy.run_path(str(Path(__file__).with_name("two_speed_tank.py")))["TwoSpeedTank"]

@@ -12,7 +12,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import gains_within
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 BUSY, OURS = "dc-motor-busy-can", "dc-motor-ours-busy-can"
 

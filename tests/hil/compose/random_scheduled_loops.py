@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import Loop, compose
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 Case = tuple[dict[str, Any], Callable[[Loop], float]]
 PERIOD_S = 0.1

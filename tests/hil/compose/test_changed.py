@@ -16,10 +16,10 @@ from hil.live.script import Scripted, read_script, script_of
 from hil.log.read.run import read_run
 from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
 from hil.log.write.sinks import MemorySink
-from hil.replay.recorded_changes import Asked, changes_of
-from hil.replay.replay import verify
 from hil.runtime.virtual import run_virtual
 from hil.session import Session, run_session
+from hil.session.replay.recorded_changes import Asked, changes_of
+from hil.session.replay.replay import verify
 
 LATE = {"kind": "markov", "matrix": [[0.1, 0.9], [0.1, 0.9]]}
 LOSSY = {"kind": "packet", "latency": "1 ms", "loss": 0.8}

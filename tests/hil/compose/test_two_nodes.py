@@ -16,9 +16,10 @@ from hil.compose.loop import Loop, compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.replay.replay import verify
 from hil.rig.delay_chains import gains_over
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay.replay import verify
 
 EARLY = 'reference=[{at="0.1 s", value=[3.0, 0.0]}]'
 FIXED = "controller={kind='send-all', ages=[2, 2], selection='constant', gains=%s}"

@@ -31,8 +31,8 @@ from hil.live.tail import Tail
 from hil.live.watch import Asked, watch
 from hil.log.read.run import read_run
 from hil.log.records import Field, Schema
-from hil.replay.recorded_changes import changes_of
 from hil.session import Session, run_session
+from hil.session.replay.recorded_changes import changes_of
 from tests.waiting import until
 
 

@@ -11,7 +11,7 @@ from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.avatar import avatar_path, wall_loop_of
 from hil.measure.view import view_of
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 
 class Watched:

@@ -20,8 +20,8 @@ from hil.experiment import shipped
 from hil.log.read.run import read_run
 from hil.measure.view import view_of
 from hil.plugins.user_modules import load_own, written_in
-from hil.replay.replay import changed_files, experiment_of
-from hil.session import simulate
+from hil.runtime.simulated import simulate
+from hil.session.replay.replay import changed_files, experiment_of
 from plants import DCMotor, LinearRun, Signal, StateSpace
 
 MODULE = '''

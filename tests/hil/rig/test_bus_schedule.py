@@ -16,9 +16,10 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure
 from hil.pages.run.sections.nodes import section
-from hil.replay.replay import verify
 from hil.rig.schedules import bus_cycle
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay.replay import verify
 from tests.transport.medium.test_arbitration import bus, received
 from transport.medium.medium import SampleClock
 

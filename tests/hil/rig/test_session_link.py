@@ -9,7 +9,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.session_link import SessionLink
-from hil.session import CARRIED, _assuming
+from hil.session.run import CARRIED, _assuming
 from transport.links.traits import LinkTraits
 
 

@@ -12,7 +12,8 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.rig.normal_form import rig_of
-from hil.session import simulate, simulated_session
+from hil.runtime.simulated import simulate
+from hil.session import simulated_session
 
 NAME, PERIOD_NS = "dc-motor-busy-can", 50_000_000
 RECOVERY_NS = 128 * 11 * 8_000  # at 125 kbit/s

@@ -17,12 +17,13 @@ from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
 from hil.pages.run.sections.theory import section as theory_section
-from hil.replay.replay import verify
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real
-from hil.session import run_session, simulate, simulated_session
+from hil.runtime.simulated import simulate
+from hil.session import run_session, simulated_session
+from hil.session.replay.replay import verify
 from hil.sweeps.lockstep import supports_batch
 from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
 

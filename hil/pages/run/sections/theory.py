@@ -15,7 +15,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from hil.sweeps.lockstep import run_batch, supports_batch
 
 RUNS = 100

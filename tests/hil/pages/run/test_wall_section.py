@@ -15,7 +15,7 @@ from hil.pages.html.figures import Figure, Scene, Shape
 from hil.pages.html.scene import draw_scene, scene_legend
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections.wall import section as wall_section
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from tests.hil.pages.runs import run_of
 
 

@@ -21,7 +21,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.sample_history import SampleHistory
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from transport.draws import DELIVERED
 
 SETS = {

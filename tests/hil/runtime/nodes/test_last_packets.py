@@ -13,7 +13,7 @@ from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.normal_form import rig_of
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from transport.draws import DELIVERED
 
 SETS = {

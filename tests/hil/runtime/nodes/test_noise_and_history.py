@@ -12,8 +12,8 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
+from hil.runtime.simulated import simulate
 from hil.runtime.streams import rng_for
-from hil.session import simulate
 from plants.parts.draws import Normals
 
 HISTORY = "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1], [2, 2, 2, 2]]"

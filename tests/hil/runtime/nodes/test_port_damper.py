@@ -11,9 +11,10 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.replay.replay import verify
 from hil.runtime.nodes.port_damper import PortDamper
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay.replay import verify
 
 LET = "allow_uncertified=true"
 

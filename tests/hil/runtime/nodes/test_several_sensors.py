@@ -28,7 +28,7 @@ from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample
 from hil.runtime.nodes.sample_history import SampleHistory
 from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude, Relative
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many
 from tests.hil.runtime.nodes.state_moments import StateMoments, state_moments

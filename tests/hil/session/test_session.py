@@ -20,10 +20,11 @@ from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.replay import compare as replay_compare
-from hil.replay import replay
-from hil.replay.replay import verify, what_if
-from hil.session import run_session, simulate
+from hil.runtime.simulated import simulate
+from hil.session import run_session
+from hil.session.replay import compare as replay_compare
+from hil.session.replay import replay
+from hil.session.replay.replay import verify, what_if
 from hil.sweeps.seeds import sweep
 from hil.sweeps.sweep import statistics
 from transport.packets import ControlPacket, decode, encode_control

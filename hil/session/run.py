@@ -3,50 +3,54 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import signal
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol
-
-import msgspec
+from typing import Any, Literal, Protocol
 
 from hil.compose.loop import Loop, compose
 from hil.errors import DiskFull, HilError
 from hil.experiment import Experiment
-from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
-from hil.log.read.arrays import StructuredArray
+from hil.log.events import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
-from hil.log.run import Run
-from hil.log.topics import BUS, CA, SC, channels_of
+from hil.log.topics import channels_of
 from hil.log.write.live_signals import published, together
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import MemorySink, PayloadWriter, RecordObservers, Sink, TeeSink
-from hil.measure.measure import Named, measures_of, own_measures, quantities_of
+from hil.log.write.sinks import PayloadWriter, RecordObservers, Sink, TeeSink
+from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
-from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, view_of
+from hil.measure.view import view_of
 from hil.rig.link_faults import refuse_undisturbed
 from hil.rig.session_link import SessionLink, link_of, no_link
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals
 from hil.runtime.real.machine import machine
+from hil.runtime.simulated import rehearsal, simulate_as_logged
 from hil.runtime.time.clock import Clock, monotonic_ns, wall_clock
 from hil.runtime.virtual import run_virtual
+from hil.session.finished import Session
+from hil.session.outcome import (
+    LEFT,
+    gains_in,
+    kept_run,
+    kinds_of,
+    messages_of,
+    read_back,
+    status_of,
+    summary_needs,
+    summary_of,
+    unreached,
+)
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
-
-if TYPE_CHECKING:
-    import pandas
-    import xarray
-    from matplotlib.figure import Figure
 
 ClockName = Literal["virtual", "real"]
 FORCE_S = 0.5
@@ -57,11 +61,6 @@ CARRIED = (
     "it; with auth=KEY an altered frame is refused"
 )
 """What a certificate assumes of a link that is not ours."""
-
-LEFT = 7
-"""Exit status where a plant or a controller was not, in the run, what it says that it is."""
-
-INTRUSIONS = {"second controller": 5, "flood": 6}  # events that say that another process sends on the link: exit status
 
 
 class Onlooker(Protocol):
@@ -89,109 +88,6 @@ class Onlooker(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Session:
-    """What a finished run leaves behind.
-
-    Args:
-        log: returns the log, read when it is first asked for.
-        summary: what ``hil run --json`` prints.
-        status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
-            5 a second controller answered too, 6 the link was flooded, 7 the plant or the controller was not what it says,
-            130 or 143 interrupted.
-        experiment: what ran.
-    """
-
-    log: Callable[[], Run]
-    summary: dict[str, Any]
-    status: int
-    experiment: Experiment | None = None
-
-    @property
-    def run(self) -> Run:
-        """The log, read back; it takes memory for every record."""
-        return self.log()
-
-    @property
-    def metrics(self) -> dict[str, Any]:
-        """The numbers of the experiment's measures, by name; ``summary["units"]`` has their units."""
-        return Named("metric", self.summary["metrics"])
-
-    @property
-    def arrays(self) -> Mapping[str, StructuredArray]:
-        """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
-        return self.run.arrays
-
-    def to_pandas(self) -> dict[str, pandas.DataFrame]:
-        """Return the arrays as tables of pandas; see `hil.notebook.tables`."""
-        from hil.notebook import tables
-
-        return tables(self.run)
-
-    def to_xarray(self) -> dict[str, xarray.Dataset]:
-        """Return the arrays as data sets of xarray; see `hil.notebook.datasets`."""
-        from hil.notebook import datasets
-
-        return datasets(self.run)
-
-    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-        """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `hil.notebook.figure`."""
-        from hil.notebook import figure
-
-        return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
-
-    def _repr_html_(self) -> str:
-        from hil.notebook import cell
-
-        of = self.experiment
-        quantities = () if of is None else quantities_of(measures_of(of), signals_of(of.plant))
-        return cell(self.run, self.summary, repr(self), quantities)
-
-    def __repr__(self) -> str:
-        s, metrics = self.summary, self.summary["metrics"]
-        number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
-        value_text = "" if value is None else f", {number} {value:.5g}"
-        safety = ", stopped by safety" if s.get("safety") else ""
-        return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{value_text}{safety}>"
-
-
-def simulate(loop: Loop, seed: int, topics: Collection[str] | None = None) -> Run:
-    """Run a loop in virtual time without a file, keeping only some topics: for sweeps and tests."""
-    sink = MemorySink(channels_of(loop), topics)
-    rig = run_virtual(loop, seed, sink)
-    return Run.from_memory(sink, summary=dict(rig.outcome()))
-
-
-def refuse_unsound_measures(loop: Loop) -> None:
-    """Hold measures of the user's own to `check_measure`, over a short run; see `hil.measure.check.check_own_measures`."""
-    if own_measures(loop.experiment):
-        from hil.measure.check import check_own_measures
-
-        check_own_measures(loop.experiment, lambda: rehearsal(loop))
-
-
-def rehearsal(loop: Loop, slots: int = 20) -> RunView:
-    """Return the view of the first slots of a run, which ends in order where a plug-in fails."""
-    experiment = loop.experiment
-    short = msgspec.structs.replace(experiment, duration=min(slots, experiment.slots) * experiment.period)
-    sink = MemorySink(channels_of(loop))
-    run_virtual(replace(loop, experiment=short), 0, sink, failed=lambda error: not isinstance(error, KeyboardInterrupt))
-    return view_of(_run_of(sink, loop, 0), experiment, loop.rig)
-
-
-def _run_of(sink: MemorySink, loop: Loop, seed: int, **about: Any) -> Run:
-    experiment = loop.experiment
-    return Run.from_memory(
-        sink,
-        metadata={"experiment": experiment.name, "seed": str(seed), "clock": "virtual", "link": "memory:"} | experiment.origins(),
-        codes={"reason": list(REASONS), "selection": list(SELECTIONS)},
-        experiment_text=experiment.text,
-        resolved=experiment.resolved(),
-        certificate=loop.certificate or {},
-        **about,
-    )
-
-
 def simulated_session(loop: Loop, seed: int) -> Session:
     """Run a loop in virtual time without a file and sum it up: the session of `run_session`, without a log.
 
@@ -201,14 +97,12 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     """
     begun = monotonic_ns()
     experiment = loop.experiment
-    sink = MemorySink(channels_of(loop))
-    rig = run_virtual(loop, seed, sink)
-    run = _run_of(sink, loop, seed, summary=dict(rig.outcome()))
-    summary = summarise(view_of(run, experiment, loop.rig)) | _gains(loop)
+    run = simulate_as_logged(loop, seed)
+    summary = summarise(view_of(run, experiment, loop.rig)) | gains_in(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
-    summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, sink.payloads.values())), "dropped": 0}
-    summary["problems"] = _told(run, {WITHDRAWN, DEPARTED}) | _unreached(loop)
-    status = LEFT if _kinds(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
+    summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, run.arrays.values())) + len(run.events), "dropped": 0}
+    summary["problems"] = messages_of(run, {WITHDRAWN, DEPARTED}) | unreached(loop)
+    status = LEFT if kinds_of(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
     return Session(log=lambda: run, summary=summary, status=status, experiment=experiment)
 
 
@@ -245,7 +139,7 @@ def run_session(
     """
     # 1. Compose: plug-ins, design, certificate. Nothing is started or written before this has passed.
     loop = compose(experiment, external=external)
-    refuse_unsound_measures(loop)
+    refuse_unsound_measures(loop, rehearsal)
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
     refuse_undisturbed(experiment, loop.rig, on)
@@ -271,7 +165,7 @@ def run_session(
     # 3. Run, with the log open. Real time is watched from here; virtual time runs here.
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
-    keep = _summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
+    keep = summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
     table = channels_of(loop, on_can=on.on_can)
     if onlooker is not None:
         taps = together(taps or {}, onlooker.begin(loop, table))
@@ -285,7 +179,7 @@ def run_session(
         else:
             outcome = _run_real(loop, on, sink, external, wait_s, observers, None if onlooker is None else onlooker.changes)
         sink.commit()
-        outcome |= _unreached(loop)
+        outcome |= unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
         if problems:
             sink.summary({"problems": problems})
@@ -306,16 +200,16 @@ def run_session(
         outcome["log_lost"] = f"{path} {gone}"
     try:
         if keep is not None:
-            run = _kept(sink, provenance)
+            run = kept_run(sink, provenance)
         else:
-            run = _read_back(path, whole=sink.error is None, descriptor=log)
-        summary = _summary(run, loop, sink, outcome, wall_s)
-        summary |= {"accepted_from": on.traits.commanders} | _gains(loop)
+            run = read_back(path, whole=sink.error is None, descriptor=log)
+        summary = summary_of(run, loop, sink, outcome, wall_s)
+        summary |= {"accepted_from": on.traits.commanders} | gains_in(loop)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
-    status = _status(run, sink, outcome)
-    read = cache(partial(_read_back, path)) if keep is not None else lambda: run
+    status = status_of(run, sink, outcome)
+    read = cache(partial(read_back, path)) if keep is not None else lambda: run
     return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
 
 
@@ -324,47 +218,6 @@ def _assuming(loop: Loop, assumption: str) -> Loop:
     if verdict is None or not verdict.certified:
         return loop
     return replace(loop, verdict=replace(verdict, assumptions=(*verdict.assumptions, assumption)))
-
-
-def _unreached(loop: Loop) -> dict[str, str]:
-    return {"faults": loop.rig.unreached} if loop.rig.unreached else {}
-
-
-def _gains(loop: Loop) -> dict[str, Any]:
-    return {"gains": None if loop.gains is None else loop.gains.to_json()}
-
-
-def _summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
-    """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
-    table = channels_of(loop)
-    keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
-    for topic, laws in ((SC.name, loop.rig.laws[:-1]), (CA.name, loop.rig.laws[-1:])):
-        counted = [name for name in table[topic].schema.dtype.names or () if name in ("mode", "node", "reason")]
-        keep[topic] = counted if all(law.family == "age" for law in laws) else None
-    wanted = {topic for measure in measures_of(loop.experiment) for topic in measure.topics}
-    keep |= dict.fromkeys((wanted | {BUS.name}) & table.keys())
-    return None if any(table[topic].schema.raw for topic in keep) else keep
-
-
-def _kept(sink: McapSink, provenance: Provenance) -> Run:
-    """Return the run of what was kept while the log was written, as the log says it."""
-    arrays = sink.kept.arrays()
-    return Run(
-        arrays=arrays,
-        schemas={topic: sink.kept.schemas[topic] for topic in arrays},
-        events=[decode_event(payload) for payload in sink.kept.events()],
-        metadata=provenance.metadata()["hilrig"],
-        codes={name: list(words) for name, words in provenance.codes.items()},
-        experiment_text=provenance.experiment_text,
-        resolved=json.loads(to_json(provenance.resolved)),
-        certificate=json.loads(to_json(provenance.certificate or {})),
-    )
-
-
-def _read_back(path: Path, *, whole: bool = True, descriptor: int | None = None) -> Run:
-    from hil.log.read.run import read_run  # a run in virtual time keeps its columns, and reads no log
-
-    return read_run(path, whole=whole, descriptor=descriptor)
 
 
 def _sha256(descriptor: int) -> str:
@@ -461,57 +314,3 @@ def _run_real(
     return out
 
 
-def _summary(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wall_s: float) -> dict[str, Any]:
-    failed: dict[str, str] = {}
-    summary: dict[str, Any] = summarise(view_of(run, loop.experiment, loop.rig), failed)
-    if failed:
-        outcome["measure_failed"] = "; ".join(failed.values())
-    summary["wall_s"] = round(wall_s, 3)
-    summary["log"] = {
-        "path": str(sink.path),
-        "sha256": "",
-        "messages": sink.messages,
-        "dropped": sink.dropped,
-    }
-    problems = _told(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
-    summary["link_counters"] = link_counters(run)
-    summary["controller_counters"] = controller_counters(run)
-    refused = (summary["link_counters"] or {}).get("refused", 0)
-    if refused:
-        problems["refused"] = f"{refused} packets or peers on the link were refused: they had not the key or the name"
-    summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
-    return summary
-
-
-def _kinds(run: Run) -> set[str]:
-    return {event["kind"] for event in run.events}
-
-
-def _told(run: Run, kinds: Collection[str]) -> dict[str, Any]:
-    """Return what the events of some kinds say, by kind."""
-    return {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in kinds}
-
-
-def link_counters(run: Run) -> dict[str, int] | None:
-    """Return what the rig's end of the link counted, None where there was no link or the rig did not end in order."""
-    said = [event["data"]["link"] for event in run.events if event["kind"] == "outcome" and "link" in event.get("data", {})]
-    return {name: int(value) for name, value in said[0].items()} if said else None
-
-
-def controller_counters(run: Run) -> dict[str, int] | None:
-    """Return what our controller and its end of the link counted, None where it did not end in order, or was not ours."""
-    said = [event["data"] for event in run.events if event["kind"] == "controller ended" and "data" in event]
-    return {name: int(value) for name, value in said[0].items()} if said else None
-
-
-def _status(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
-    if "interrupted" in outcome:
-        return 128 + int(signal.Signals[outcome["interrupted"]])
-    kinds = _kinds(run)
-    if outcome.keys() & {"rig_lost", "log_lost", "measure_failed"} or kinds & {PLANT_FAILED, PLUG_IN_FAILED} or sink.error:
-        return 1
-    if "second controller" in kinds:
-        return INTRUSIONS["second controller"]  # whatever it led to: the run is not that of our controller
-    if kinds & {WITHDRAWN, DEPARTED}:
-        return LEFT
-    return 3 if "safety" in kinds else INTRUSIONS["flood"] if "flood" in kinds else 0

@@ -19,8 +19,8 @@ from hil.log.append_column import AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR, TIMING
-from hil.replay.compare import BATCH, in_time
 from hil.runtime.nodes.wire import Wire, before
+from hil.session.replay.compare import BATCH, in_time
 from transport.links.authenticated_link import cmac, read_key
 from transport.packets import SensorPacket, decode
 from transport.wire.tags import tag_of

@@ -27,9 +27,6 @@ from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
 from hil.measure.summary import percentiles
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
-from hil.replay.compare import BATCH, Comparison, near_frames
-from hil.replay.recorded import RecordedAnswers, Woken, frames, recorded_wire
-from hil.replay.recorded_changes import changes_of, composed, refuse_changed
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.changes import take
@@ -38,6 +35,9 @@ from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
+from hil.session.replay.compare import BATCH, Comparison, near_frames
+from hil.session.replay.recorded import RecordedAnswers, Woken, frames, recorded_wire
+from hil.session.replay.recorded_changes import changes_of, composed, refuse_changed
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 

@@ -8,8 +8,8 @@ import pytest
 
 from hil.errors import HilError
 from hil.log.read.run import Run
-from hil.replay import recorded as replay_recorded
-from hil.replay.recorded import RecordedAnswers, recorded_wire
+from hil.session.replay import recorded as replay_recorded
+from hil.session.replay.recorded import RecordedAnswers, recorded_wire
 from transport import SensorPacket, encode_sensor
 
 

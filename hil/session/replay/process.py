@@ -16,15 +16,15 @@ from typing import Final
 from hil.errors import HilError
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
-from hil.replay.compare import BATCH, near_values
-from hil.replay.recorded import frames, recorded_wire
-from hil.replay.recorded_changes import refuse_changed
-from hil.replay.replay import experiment_of
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.wire import Wire, before
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.time.clock import monotonic_ns
+from hil.session.replay.compare import BATCH, near_values
+from hil.session.replay.recorded import frames, recorded_wire
+from hil.session.replay.recorded_changes import refuse_changed
+from hil.session.replay.replay import experiment_of
 from transport.links.link import Link
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, decode

@@ -1,0 +1,6 @@
+"""One run, from an experiment to its log and its summary; and what its log can be asked afterwards."""
+
+from hil.session.finished import Session
+from hil.session.run import ClockName, Onlooker, run_session, simulated_session
+
+__all__ = ["ClockName", "Onlooker", "Session", "run_session", "simulated_session"]
