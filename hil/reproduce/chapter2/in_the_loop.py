@@ -14,7 +14,7 @@ from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.statements import Statement, above
-from hil.session import simulate
+from hil.runtime.simulated import simulate
 
 CONTROLLERS: Final = {"published": "smjls-robust-published", "reference": "smjls-robust-reference", "ours": "smjls-robust"}
 """(2.27), the gains of [1, 2], and ours."""
