@@ -70,6 +70,14 @@ class VirtualWall:
         m, p = model.B.shape[1], model.C.shape[0]
         if (m, p) != (1, 3):
             raise FieldError("wall", f"needs one force and a measured position, y and z; the plant has {m} inputs, {p} outputs")
+        direct = self.coupler.taps_m_per_n[0] + self.coupler.integrator_m_per_n
+        for i, each in enumerate(self.wall.materials):
+            steep = each.stiffness_n_per_m + each.damping_n_s_per_m / model.period_s
+            if each.spared_m_per_n and 1.0 + (direct - each.spared_m_per_n) * steep <= 0.0:
+                raise FieldError(
+                    f"wall.materials[{i}].spared_m_per_n", f"{each.spared_m_per_n!r}; behind a first tap of {direct:.6g} m/N the "
+                    f"force has no one value from {direct + 1.0 / steep:.6g} m/N on",
+                )
         return VirtualWallRun(self, model)
 
 

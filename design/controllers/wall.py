@@ -27,6 +27,8 @@ class Material:
     Args:
         stiffness_n_per_m: K in N/m, above 0.
         damping_n_s_per_m: B in N s/m, at least 0.
+        spared_m_per_n: how much less compliant the coupler is over this material, C_i(z) = C(z) - spared, in m/N, at least 0
+            and below 1/K.
 
     Raises:
         FieldError: where a number is out of range.
@@ -34,27 +36,55 @@ class Material:
 
     stiffness_n_per_m: float
     damping_n_s_per_m: float = 0.0
+    spared_m_per_n: float = 0.0
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.stiffness_n_per_m) and self.stiffness_n_per_m > 0.0):
             raise FieldError("stiffness_n_per_m", f"{self.stiffness_n_per_m!r}, expected a finite number above 0")
         if not (math.isfinite(self.damping_n_s_per_m) and self.damping_n_s_per_m >= 0.0):
             raise FieldError("damping_n_s_per_m", f"{self.damping_n_s_per_m!r}, expected a finite number, at least 0")
+        if not 0.0 <= self.spared_m_per_n * self.stiffness_n_per_m < 1.0:
+            raise FieldError("spared_m_per_n", f"{self.spared_m_per_n!r}, expected at least 0 and less than 1/K")
+
+    def most_spared_m_per_n(self, period_s: float) -> float:
+        """Return 1/(K + 2 B/T) in m/N: the most of its own give that a coupler may count on (`design.passivity.own_give`).
+
+        Args:
+            period_s: T in s.
+        """
+        return 1.0 / (self.stiffness_n_per_m + 2.0 * self.damping_n_s_per_m / period_s)
+
+    def spring_n(self, depth_m: float, force_limit_n: float = math.inf) -> float:
+        """Return the force of the spring at a depth, in N."""
+        return min(self.stiffness_n_per_m * max(depth_m, 0.0), force_limit_n)
 
     def energy_j(self, depth_m: float, force_limit_n: float = math.inf) -> float:
-        """Return the energy stored at a depth, in J: K s^2/2, beyond the force limit a straight line."""
+        """Return the energy stored at a depth, in J: K s^2/2, beyond the force limit a straight line; less what is spared."""
         s = max(depth_m, 0.0)
         bend = force_limit_n / self.stiffness_n_per_m
+        lent = self.spared_m_per_n and 0.5 * self.spared_m_per_n * self.spring_n(s, force_limit_n) ** 2
         if s <= bend:
-            return 0.5 * self.stiffness_n_per_m * s * s
-        return force_limit_n * (s - 0.5 * bend)
+            return 0.5 * self.stiffness_n_per_m * s * s - lent
+        return force_limit_n * (s - 0.5 * bend) - lent
 
     def depth_m(self, energy_j: float, force_limit_n: float = math.inf) -> float:
         """Return the depth that stores an energy, in m: the inverse of `energy_j`."""
-        bend = force_limit_n / self.stiffness_n_per_m
-        if energy_j <= 0.5 * force_limit_n * bend:
-            return math.sqrt(2.0 * energy_j / self.stiffness_n_per_m)
-        return energy_j / force_limit_n + 0.5 * bend
+        bend, left = force_limit_n / self.stiffness_n_per_m, 1.0 - self.spared_m_per_n * self.stiffness_n_per_m
+        if energy_j <= 0.5 * force_limit_n * bend * left:
+            return math.sqrt(2.0 * energy_j / (self.stiffness_n_per_m * left))
+        return (energy_j + 0.5 * self.spared_m_per_n * force_limit_n**2) / force_limit_n + 0.5 * bend
+
+    def depth_behind_m(self, port_m: float, force_limit_n: float = math.inf) -> float:
+        """Return the depth s with s - spared f(s) = port_m, in m, f the force of the spring.
+
+        Args:
+            port_m: where the avatar would be without what is spared, in m.
+            force_limit_n: largest force in N.
+        """
+        s = max(port_m, 0.0) / (1.0 - self.spared_m_per_n * self.stiffness_n_per_m)
+        if s * self.stiffness_n_per_m > force_limit_n:
+            s = port_m + self.spared_m_per_n * force_limit_n
+        return s if port_m > 0.0 else port_m
 
 
 MATERIALS = (
@@ -71,6 +101,7 @@ class Wall:
     With ``switching = "plain"`` the force jumps with the stiffness, and a change from soft to hard while pressed gives energy
     away: such a wall is not passive. With ``"energy"`` the new material takes over the stored energy by moving its surface by
     delta = max(0, x_v - s'), where the new material stores at depth s' what the old one held; delta is 0 again off the wall.
+    Where materials spare the coupler something (C_i(z) = C(z) - spared_i), it is the place x_v - spared_i f that stays.
 
     Args:
         materials: at least one; the published three by default.
@@ -129,11 +160,17 @@ class Wall:
 
     @property
     def passive(self) -> bool:
-        """Whether the wall is passive for every movement of the avatar and every change of material.
+        """Whether changes of material leave the wall passive, for every movement of the avatar.
 
-        The energy rule keeps it so; with the plain one only a wall of one stiffness is.
+        The energy rule keeps it so; with the plain one only a wall of one stiffness is, or of one material.
         """
-        return self.switching == "energy" or len({m.stiffness_n_per_m for m in self.touched}) == 1
+        kinds = {(m.stiffness_n_per_m, (m.damping_n_s_per_m, m.spared_m_per_n) if self.spares else ()) for m in self.touched}
+        return self.switching == "energy" or len(kinds) == 1
+
+    @property
+    def spares(self) -> bool:
+        """Whether the coupler differs from C over some material."""
+        return any(m.spared_m_per_n for m in self.touched)
 
 
 class Contact:
@@ -145,40 +182,64 @@ class Contact:
         material: index of the material at the start.
     """
 
-    __slots__ = ("_limit", "_period_s", "_stiffness_and_rate", "_wall", "avatar_m", "material", "offset_m")
+    __slots__ = ("_limit", "_period_s", "_stiffness_and_rate", "_wall", "avatar_m", "force_n", "material", "offset_m")
 
     def __init__(self, wall: Wall, period_s: float, material: int = 0) -> None:
         self._wall, self._period_s, self._limit = wall, period_s, wall.limit_n
         self._stiffness_and_rate = [(m.stiffness_n_per_m, m.damping_n_s_per_m / period_s) for m in wall.materials]
-        self.material, self.offset_m, self.avatar_m = material, 0.0, 0.0
+        self.material, self.offset_m, self.avatar_m, self.force_n = material, 0.0, 0.0, 0.0
+
+    @property
+    def port_m(self) -> float:
+        """Where the wall meets the coupler C that is one for all materials: x_v - spared_i f, in m."""
+        return self.avatar_m - self._wall.materials[self.material].spared_m_per_n * self.force_n
 
     @property
     def energy_j(self) -> float:
-        """Energy stored in the wall, in J."""
+        """Energy stored in the wall at `port_m`, in J: of the spring, and of what is spared (`design.passivity.own_give`)."""
         if self.avatar_m <= 0.0:
             return 0.0
-        wall = self._wall
-        return wall.materials[self.material].energy_j(self.avatar_m - self.offset_m, wall.limit_n)
+        wall, depth = self._wall, self.avatar_m - self.offset_m
+        touched = wall.materials[self.material]
+        stored = touched.energy_j(depth, wall.limit_n)
+        if touched.spared_m_per_n:
+            spring, rate = touched.spring_n(depth, wall.limit_n), self._stiffness_and_rate[self.material][1]
+            stored += 0.5 * touched.spared_m_per_n * (spring * spring - self.force_n * self.force_n)
+            stored += 0.5 * (self.force_n - spring) ** 2 / rate if rate else 0.0
+        return stored
 
     def change(self, material: int) -> None:
         """Let another material come under the avatar."""
         if material == self.material:
             return
         if self._wall.switching == "energy":
-            held, limit = self.energy_j, self._wall.limit_n
-            after = self._wall.materials[material].depth_m(held, limit) if held > 0.0 else 0.0
-            kept = self.offset_m if held == 0.0 else self.avatar_m - after
-            self.offset_m = max(0.0, kept) if self.avatar_m > 0.0 else 0.0
+            self._hand_over(self._wall.materials[material])
         self.material = material
+
+    def _hand_over(self, to: Material) -> None:
+        """Keep the energy, and the place where the wall meets the coupler."""
+        held, limit, port = self.energy_j, self._limit, self.port_m
+        if held > 0.0 and port > 0.0:
+            depth = to.depth_m(held, limit)
+            avatar = port + to.spared_m_per_n * to.spring_n(depth, limit)
+            self.offset_m = avatar - depth
+            if self.offset_m < 0.0:  # it stores less than it might
+                depth = avatar = to.depth_behind_m(port, limit)
+                self.offset_m = 0.0
+            self.avatar_m = avatar
+        else:
+            self.offset_m, self.avatar_m, depth = self.offset_m if port > 0.0 else 0.0, port, 0.0
+        self.force_n = to.spring_n(depth, limit)
 
     def press(self, free_m: float, compliance_m_per_n: float) -> float:
         """Move the avatar for one sample and return the force of the wall on it, in N, at least 0.
 
         Args:
             free_m: a, the avatar's place without the newest force, in m.
-            compliance_m_per_n: c_0 of the coupler in m/N, at least 0.
+            compliance_m_per_n: c_0 of the coupler in m/N; less what the material spares, above -1/(K + B/T).
         """
-        force, self.avatar_m = self._solve(free_m, compliance_m_per_n)
+        force, self.avatar_m = self._solve(free_m, compliance_m_per_n - self._wall.materials[self.material].spared_m_per_n)
+        self.force_n = force
         if self.avatar_m <= 0.0:
             self.offset_m = 0.0
         return force

@@ -18,6 +18,7 @@ from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material, Wall
 from design.passivity.condition import damping_needed, is_passive_over
 from design.passivity.loop import HapticLoop, HeldDevice
+from design.passivity.own_give import felt_n_per_m
 from design.passivity.synthesis import ceiling_n_per_m
 from design.processes.delay_chain import DelayChain
 from design.verdict import State, Verdict
@@ -71,6 +72,7 @@ def certify_wall(
     loop = HapticLoop(device=device, coupler=coupler, period_s=period_s, sc_max=sides[0][-1], ca_max=sides[1][-1])
     details: dict[str, object] = {
         "delays": delays, "damping_n_s_per_m": beta, "static_compliance_m_per_n": coupler.static_compliance_m_per_n,
+        "felt_n_per_m": [felt_n_per_m(m, coupler) for m in wall.touched],
         "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
     }  # fmt: skip
     places = [(i, d) for i in range(len(wall.touched)) for d in delays]
@@ -101,8 +103,16 @@ def certify_wall(
     if varies:
         reason = f"the delay varies over {_samples(delays)}; the condition is proved for each of them held, not for their change"
         return _verdict("undecided", f"{reason}; coupler.equalise = true makes it one delay", beta, *decided)
+    for i, m in enumerate(wall.touched):
+        if m.spared_m_per_n > m.most_spared_m_per_n(period_s):
+            reason = (
+                f"wall.materials[{i}].spared_m_per_n: {m.spared_m_per_n:.6g} m/N; its own give makes up for 1/(K + 2 B/T) = "
+                f"{m.most_spared_m_per_n(period_s):.6g} m/N of a coupler at most"
+            )
+            return _verdict("undecided", reason, beta, *decided)
     if not wall.passive:
-        reason = 'the wall gives energy away where its stiffness changes under pressure; switching = "energy" makes it passive'
+        what = "stiffness or coupler" if wall.spares else "stiffness"
+        reason = f'the wall gives energy away where its {what} changes under pressure; switching = "energy" makes it passive'
         return _verdict("undecided", reason, beta, *decided)
     if unknown:
         return _verdict("undecided", f"the proof does not know {', '.join(unknown)}", beta, *decided)

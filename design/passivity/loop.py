@@ -147,7 +147,7 @@ class HapticLoop:
         past = np.zeros(n)  # the part of C f that older forces make
         taps = self.coupler.taps_m_per_n
         past[first : first + len(taps) - 1] = taps[1:]
-        direct = taps[0] + integrator
+        direct = taps[0] + integrator - material.spared_m_per_n
         if integrator:
             past[before + 1] = integrator
         rate = material.damping_n_s_per_m / self.period_s

@@ -65,17 +65,17 @@ def distortion(
     n = 2 + memory + 1
     A, B = np.zeros((len(materials), n, n)), np.zeros((len(materials), n, 1))
     for i, m in enumerate(materials):
-        rate = m.damping_n_s_per_m / period_s
+        rate, direct = m.damping_n_s_per_m / period_s, taps[0] - m.spared_m_per_n
         stiff = m.stiffness_n_per_m + rate
         # f = stiff (omega - past - c_0 f) - rate x_v(k-1)
-        force, force_in = np.zeros(n), stiff / (1.0 + stiff * taps[0])
+        force, force_in = np.zeros(n), stiff / (1.0 + stiff * direct)
         force[2 : 1 + len(taps)] = -stiff * np.asarray(taps[1:])
         force[1] -= rate
-        force /= 1.0 + stiff * taps[0]
-        avatar = -taps[0] * force
+        force /= 1.0 + stiff * direct
+        avatar = -direct * force
         avatar[2 : 1 + len(taps)] -= np.asarray(taps[1:])
         B[i, 0, 0] = 1.0
-        A[i, 1], B[i, 1, 0] = avatar, 1.0 - taps[0] * force_in
+        A[i, 1], B[i, 1, 0] = avatar, 1.0 - direct * force_in
         if memory:
             A[i, 2], B[i, 2, 0] = force, force_in
         for j in range(1, memory):

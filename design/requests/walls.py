@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 from design.controllers.rendered_wall import Coupler, wave_coupler
@@ -35,6 +35,7 @@ class CouplerRequest:
         taps_m_per_n: the taps themselves in m/N (``taps``).
         integrator_m_per_n: gain of an integrator beside them in m/N per sample (``taps``).
         equalise: whether both ends wait until the largest delay has passed, so that a delay that varies becomes one that stays.
+        per_material: whether every material spares the coupler what it gives itself, C_i(z) = C(z) - s_i (`sparing`).
 
     Raises:
         FieldError: where a value is out of range.
@@ -48,6 +49,7 @@ class CouplerRequest:
     taps_m_per_n: tuple[float, ...] = ()
     integrator_m_per_n: float = 0.0
     equalise: bool = False
+    per_material: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -63,6 +65,8 @@ class CouplerRequest:
                 raise FieldError(name, f"{value!r}, expected a finite number above 0")
         if self.count < 0:
             raise FieldError("count", f"{self.count}, expected at least 1, or 0")
+        if self.per_material and self.method == "taps":
+            raise FieldError("per_material", "given taps run as they are; give wall.materials[i].spared_m_per_n")
         if bool(self.taps_m_per_n) != (self.method == "taps"):
             raise FieldError("taps_m_per_n", 'give them with method = "taps", and with no other')
 
@@ -109,7 +113,17 @@ class DesignedWall:
         if not (asked.method == "taps" or beta > 0.0):
             raise FieldError("coupler.damping_n_s_per_m", f"{beta:g}; without damping no coupler is safe for every hand")
         samples = 1 + spread if asked.equalise else 1
-        return VirtualWall(wall=self.wall, coupler=makers[asked.method](), equalise=asked.equalise, samples=samples)
+        coupler = makers[asked.method]()
+        return VirtualWall(
+            wall=self._sparing(coupler, model.period_s), coupler=coupler, equalise=asked.equalise, samples=samples
+        )
+
+    def _sparing(self, coupler: Coupler, period_s: float) -> Wall:
+        if not self.coupler.per_material:
+            return self.wall
+        from design.passivity.own_give import sparing
+
+        return replace(self.wall, materials=sparing(self.wall.materials, coupler, period_s))
 
     def _stiffest(self, delays: tuple[int, ...], period_s: float, beta: float) -> Coupler:
         from design.passivity.synthesis import stiffest_coupler
