@@ -69,6 +69,7 @@ class GainsOrWall(click.Command):
               help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.")
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
+@click.option("--trade-off", is_flag=True, help="H2 against H-infinity norm, mixed designs between the pure ones; -o: a page.")
 @click.option("--can-id", is_flag=True, help="Which CAN identifiers to take: cost over their place on the bus; -o: a page.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
@@ -78,6 +79,7 @@ def command(
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
     path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
+    trade_off: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -92,6 +94,7 @@ def command(
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_answers import experiment_over_history, measured_network, show_historical
+    from hil.cli.design_trade_off import SHAPES, show_trade_off
     from hil.cli.working import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain
@@ -113,9 +116,18 @@ def command(
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
-    if path is not None:
+    if trade_off:
+        _refuse_others(set(SHAPES), "with --trade-off, which solves designs of all three objectives")
+    elif path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     target = tracking_target(subject, period, sojourns)
+    shape: dict[str, Any] = {
+        "information": information, "gain_bound": gain_bound, "output": z, "samples": samples, "integral": integral,
+        "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
+    }  # fmt: skip
+    if trade_off:
+        show_trade_off(target, shape, path, force, as_json)
+        return
     over = None
     if network is not None:
         with Working(f"network of {network}"):
@@ -130,11 +142,7 @@ def command(
     begun = time.perf_counter()
     try:
         with Working(f"{target.plant} {objective} {information}") as watch:
-            problem = problem_for(
-                target, objective=objective, information=information, gain_bound=gain_bound, hinf_bound=hinf_bound,
-                R=None if input_weight is None else np.full(target.B.shape[1], input_weight), output=z, samples=samples,
-                integral=integral, starts=starts, seed=seed, method=method,
-            )  # fmt: skip
+            problem = problem_for(target, objective=objective, hinf_bound=hinf_bound, method=method, **shape)
             design = solve_tracking(problem, progress=watch)
             wall_s = round(time.perf_counter() - begun, 3)
             document = to_document(
