@@ -63,6 +63,8 @@ class LocalLink(Closing):
 
 
 HELLO_S = 0.05
+FIRST_HELLO_S = 0.002
+"""Of the first hello; each waits twice as long as the one before it, `HELLO_S` at most."""
 REHEARSALS = 20
 MOST_FRAMES = 256
 """Frames that a slot takes at most: what the queue of a link holds. The rest waits for the next slot."""
@@ -120,19 +122,19 @@ class Handshake:
         self._link, self._stopped, self._now = link, stopped, now
         self._limit = now() + round(timeout_s * 1e9)
         self._questions = self._answers = self._foreign = 0
-        self._due: set[int] = set()  # echoes of the answers that may still come
+        self._due: dict[int, None] = {}  # echoes of the answers that may still come, in the order of their questions
         self._nonce = wire.hello
 
     def greet(self) -> HandshakeResult:
         """Return whether a controller answered, and what was counted."""
-        answered = False
+        answered, wait_s = False, FIRST_HELLO_S
         while not answered and self._open(self._limit):
-            answered = self._ask()
+            answered = self._ask(wait_s)
+            wait_s = min(2 * wait_s, HELLO_S)
         if answered:
             self._drain()
-            self._due.clear()  # what was asked before a controller was there has no answer: the last drain is not to wait for it
             for _ in range(REHEARSALS):
-                if not self._ask(self._meanwhile):
+                if not self._ask(HELLO_S, self._meanwhile):
                     break
                 self._pause()
             self._drain()
@@ -141,14 +143,14 @@ class Handshake:
     def _open(self, limit: int) -> bool:
         return not self._stopped() and self._now() < limit
 
-    def _ask(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
-        """Ask once; return whether an answer came within `HELLO_S`."""
+    def _ask(self, wait_s: float, meanwhile: Callable[[], None] = lambda: None) -> bool:
+        """Ask once; return whether an answer came within a time, s."""
         self._questions += 1
         hello = encode_sensor(SensorPacket(HELLO, EMPTY, 0, (), nonce=self._nonce, counter=self._questions))
-        self._due.add(echo([hello]))
+        self._due[echo([hello])] = None
         self._link.send(hello)
         meanwhile()
-        limit = min(self._now() + round(HELLO_S * 1e9), self._limit)
+        limit = min(self._now() + round(wait_s * 1e9), self._limit)
         while self._open(limit):
             if self._take((limit - self._now()) / 1e9):
                 return True
@@ -166,12 +168,16 @@ class Handshake:
                 return
 
     def _take(self, wait_s: float) -> bool:
-        """Take one frame; return whether it answers the hello. A hello has one answer: more are foreign."""
+        """Take one frame; return whether it answers the hello. A hello has one answer: more are foreign.
+
+        A controller answers in the order of the questions: with an answer, none is due any more of what was asked before.
+        """
         data = self._link.receive(max(wait_s, 0.0))
         packet = decode(data) if data is not None else None
         answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and packet.echo in self._due
         if answer and isinstance(packet, ControlPacket):
-            self._due.discard(packet.echo)
+            asked = list(self._due)
+            self._due = dict.fromkeys(asked[asked.index(packet.echo) + 1 :])
         self._answers += answer
         self._foreign += data is not None and not answer
         return answer
