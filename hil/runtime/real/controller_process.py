@@ -1,6 +1,6 @@
 """The controller process: the software under test. Frames in, send-all packets out; it logs nothing and times nothing.
 
-Started as ``python -m hil.runtime.real.controller_process`` with a pickled :class:`Job` on standard input.
+A `hil.runtime.real.child.Child` runs it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.change_line import Receiver
-from hil.runtime.real.child import read_job
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from hil.runtime.time.clock import monotonic_ns
@@ -110,9 +109,8 @@ def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None, fa
             os.write(fd, json.dumps({"counts": counts, "departed": departed, "failed": failed and failed[:2000]}).encode())
 
 
-def main() -> None:
-    """Run one job from standard input."""
-    job: Job = read_job()
+def main(job: Job) -> None:
+    """Run one job."""
     standard_output_is_free()
     timing = job.loop.experiment.timing
     try:
@@ -125,10 +123,5 @@ def main() -> None:
         )  # fmt: skip
     except Stopped:
         leave_real_time()
-
-
-if __name__ == "__main__":
-    try:
-        main()
     except TransportError as e:
         sys.exit(f"hil: {e}")

@@ -1,7 +1,6 @@
 """The rig process: the emulated hardware in real time, and the emulated network on both sides of it.
 
-Started as ``python -m hil.runtime.real.rig_process`` with a pickled :class:`Job` on standard input. Records leave through a
-non-blocking pipe; nothing here writes a file.
+A `hil.runtime.real.child.Child` runs it. Records leave through a non-blocking pipe; nothing here writes a file.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.change_line import Receiver
-from hil.runtime.real.child import read_job
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
 from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
@@ -139,13 +137,19 @@ class RealLoop:
                 self.kernel.stop()
 
 
-def main() -> None:
-    """Run one job from standard input.
+def main(job: Job) -> None:
+    """Run one job.
 
     Raises:
         SystemExit: `ENDED`; `FAILED` where a part of the loop did; `NO_CONTROLLER` if no controller answered.
     """
-    job: Job = read_job()
+    try:
+        _run(job)
+    except (TransportError, PlantError) as e:  # a plant that does not start
+        sys.exit(f"hil: {e}")
+
+
+def _run(job: Job) -> None:
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     loops: list[RealLoop] = []
@@ -219,10 +223,3 @@ def _leave(status: int) -> NoReturn:
     late.daemon = True
     late.start()
     raise SystemExit(status)
-
-
-if __name__ == "__main__":
-    try:
-        main()
-    except (TransportError, PlantError) as e:  # a plant that does not start
-        sys.exit(f"hil: {e}")

@@ -35,7 +35,7 @@ from hil.runtime.real.change_line import Ahead, Dump, Lines
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
-from hil.runtime.time.clock import monotonic_ns, pause
+from hil.runtime.time.clock import monotonic_ns
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
 
 EVERY_NS: Final = 1_000_000_000
@@ -228,7 +228,7 @@ def run_real(
                     outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
                     if not outcome.pump.records:
                         break  # it never answered, so nothing runs yet
-                pause(POLL_S)
+                rig.wait(POLL_S)
         finally:
             end_all(children)
             lines.close()

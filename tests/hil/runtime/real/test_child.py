@@ -4,11 +4,12 @@ import os
 import signal
 import subprocess
 import sys
+from errno import ENOSYS
 from pathlib import Path
 
 import pytest
 
-from hil.runtime.real.child import Child, is_stopped
+from hil.runtime.real.child import Child, is_stopped, python_module
 
 OFTEN = """
 import os
@@ -50,7 +51,7 @@ def test_a_process_that_is_stopped_is_told_from_one_that_runs_and_from_none() ->
 
 def test_an_interrupt_cuts_off_no_import_of_a_child() -> None:
     """SIGINT is blocked from before its first instruction on; here it is not blocked any more."""
-    child = Child("rig", "json.tool", None, dump=lambda job, stream: None)
+    child = Child("rig", "json.tool", None)
     blocked = int(Path(f"/proc/{child.pid}/status").read_text().partition("SigBlk:")[2].split()[0], 16)
     child.kill()
     assert blocked >> (signal.SIGINT - 1) & 1 and signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
@@ -58,12 +59,65 @@ def test_an_interrupt_cuts_off_no_import_of_a_child() -> None:
 
 def test_a_job_that_never_comes_whole_ends_a_child_without_a_traceback() -> None:
     """The session was interrupted while it told the rig what to run."""
-    done = subprocess.run([sys.executable, "-P", "-m", "hil.runtime.real.rig_process"], input=b"\x80\x04", capture_output=True)
+    run = python_module("hil.runtime.real.child", "hil.runtime.real.rig_process")
+    done = subprocess.run(run, input=b"\x80\x04", capture_output=True)
     assert done.returncode == 1 and done.stderr == b""
 
 
-def test_a_child_ends_where_the_environment_keeps_python_for_more_words(monkeypatch: pytest.MonkeyPatch) -> None:
+PART = """
+import atexit, sys, threading, time
+def main(job):
+    thread = threading.Thread(target=lambda: (time.sleep(0.2), print("thread", flush=True)))
+    thread.start()
+    atexit.register(print, "exit function")
+    print("job", job)
+    {end}
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "said"),
+    [
+        ("", 0, ""),
+        ("sys.exit(5)", 5, ""),
+        ("sys.exit('hil: no link')", 1, "hil: no link"),
+        ("raise ValueError('not so')", 1, "ValueError: not so"),
+    ],
+)
+def test_a_child_ends_as_python_does(end: str, status: int, said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Its threads are waited for, its exit functions run, its status is what it says."""
+    (tmp_path / "own_part_of_a_child.py").write_text(PART.format(end=end))
+    child = Child("rig", "own_part_of_a_child", 7, folders=[str(tmp_path)])
+    assert child.wait(60.0) and child.poll() == status
+    heard = capfd.readouterr().err
+    assert [heard.index(each) for each in ("job 7", "thread", "exit function")] and said in heard
+
+
+def test_a_child_ends_where_the_environment_keeps_python_for_more_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """PYTHONINSPECT: the rig read standard input behind its last line, and ended with status 1."""
     monkeypatch.setenv("PYTHONINSPECT", "1")
-    child = Child("rig", "sysconfig", None, dump=lambda job, stream: None)
+    (tmp_path / "own_part_of_a_child.py").write_text(PART.format(end=""))
+    child = Child("rig", "own_part_of_a_child", 7, folders=[str(tmp_path)])
     assert child.wait(60.0) and child.poll() == 0
+
+
+@pytest.mark.parametrize("old_kernel", [False, True])
+def test_a_child_that_ends_is_noticed_by_who_waits_and_leaves_no_descriptor(
+    old_kernel: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a kernel before 5.3 nothing wakes who waits, and Python looks again and again."""
+
+    def refused(pid: int) -> int:
+        raise OSError(ENOSYS, "Function not implemented")
+
+    if old_kernel:
+        monkeypatch.setattr(os, "pidfd_open", refused)
+    (tmp_path / "own_part_of_a_child.py").write_text(PART.format(end="sys.exit(5)"))
+    before = len(os.listdir("/proc/self/fd"))
+    child = Child("rig", "own_part_of_a_child", 7, folders=[str(tmp_path)])
+    assert not child.wait(0.0)
+    assert child.wait(60.0) and child.wait(60.0) and child.poll() == 5
+    assert len(os.listdir("/proc/self/fd")) == before
+    hanging = Child("rig", "time", 60.0, dump=lambda job, stream: None)
+    hanging.kill()
+    assert len(os.listdir("/proc/self/fd")) == before and hanging.how().endswith("was killed by SIGKILL")
