@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from design.controllers.gain_rows_many import feedforward, held_exactly
     from design.controllers.historical import Historical
     from design.controllers.linear_law import AgedFeedback, AgedRows, LinearFeedback, LinearLaw, OutputFeedback, RowsLaw
-    from design.controllers.published_motor import PublishedH2, PublishedHinf
-    from design.controllers.send_all import Constant, Local, SendAll
+    from design.controllers.send_all import Constant, Local, PublishedH2, PublishedHinf, SendAll
     from design.controllers.sensor_nodes import SensorNodes, Turns
 
 _HOMES: Final = {
@@ -60,8 +59,8 @@ _HOMES: Final = {
     "LoopModel": "design.controllers.contract",
     "ModeSchedule": "design.controllers.contract",
     "OutputFeedback": "design.controllers.linear_law",
-    "PublishedH2": "design.controllers.published_motor",
-    "PublishedHinf": "design.controllers.published_motor",
+    "PublishedH2": "design.controllers.send_all",
+    "PublishedHinf": "design.controllers.send_all",
     "Rows": "design.controllers.contract",
     "RowsLaw": "design.controllers.linear_law",
     "RunningController": "design.controllers.contract",

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
 from design.jump_linear.krylov import spectral_radius
-from design.jump_linear.positive_radius import is_sparse, positive_radius, solve_sparse, sparse_operator
+from design.jump_linear.stability_proof import is_sparse, positive_radius, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]
 
@@ -258,7 +258,7 @@ def mean_square_radius(A: Array, transition: Array) -> float:
         transition: (N, N) row-stochastic matrix.
 
     Small systems take every eigenvalue; one large mode takes the squares of those of A. Where few transitions are
-    possible, see `design.jump_linear.positive_radius`. Other large systems take ARPACK, matrix-free, started at the identity:
+    possible, see `design.jump_linear.stability_proof`. Other large systems take ARPACK, matrix-free, started at the identity:
     the operator maps positive semidefinite families to such, so its radius is an eigenvalue with such a family. Where ARPACK
     does not converge, all eigenvalues are computed as far as the size allows, else the growth of the identity's iterates; nan
     where that settles too slowly. Stability is decided by (7.17), not by this number: `design.jump_linear.certificate`.

@@ -184,7 +184,7 @@ class Designed:
         Raises:
             FieldError: the file does not state its problem.
         """
-        from design.tracking.filed_problem import differs, problem_of
+        from design.tracking.design_file import differs, problem_of
 
         problem = problem_of(self._read(task))
         return "" if task.sc is None or task.ca is None else differs(problem, task.model, task.sc, task.ca)
@@ -199,8 +199,7 @@ class Designed:
             FieldError: names the field.
             DesignError: no gains meet the request.
         """
-        from design.tracking.design_file import solve_cached
-        from design.tracking.filed_problem import problem_of
+        from design.tracking.design_file import problem_of, solve_cached
 
         sc, ca, model, read = task.sc, task.ca, task.model, self._read(task)
         if sc is None or ca is None:

@@ -26,10 +26,10 @@ from hil.certify.certifier import (
     limited_to_undamped,
     limited_to_whole,
     undecided,
+    why_no_controller,
 )
 from hil.certify.historical_loop import certify_historical
 from hil.certify.jump_loop import certify_jump_loop
-from hil.certify.not_covered import why_no_controller
 from hil.certify.send_all_loop import certify_linear_law, certify_send_all
 from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.certify.word_and_deed import tested

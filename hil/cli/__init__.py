@@ -16,9 +16,8 @@ from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
-from hil.plugins.process_state import ProcessState
+from hil.plugins.process_guard import WATCH, ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
-from hil.plugins.watch import WATCH
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",

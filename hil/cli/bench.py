@@ -6,8 +6,8 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
+from hil.cli.terminal import json_option, print_json
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)

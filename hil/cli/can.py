@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.json_output import json_option, print_json
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")

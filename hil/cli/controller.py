@@ -18,7 +18,7 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
 
     The rig is started elsewhere: hil rig EXPERIMENT --link URI.
     """
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.rig.session_link import link_of

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration, Number
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def command(
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_answers import experiment_over_history, measured_network, show_historical
     from hil.cli.design_trade_off import SHAPES, show_trade_off
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain
     from hil.files.outputs import check_output, write_output
@@ -171,7 +171,7 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
     from design.requests.tracking import LocalDesigned
     from hil.cli.design_answers import design_local, show_local
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
 
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
     _refuse_others(common, "with --local, which designs for the plant alone")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
-from hil.cli.json_output import print_json
+from hil.cli.terminal import print_json
 
 if TYPE_CHECKING:
     from hil.design_questions.can_priority import Judged, Place
@@ -28,7 +28,7 @@ def show_can_id(subject: str, path: Path | None, force: bool, as_json: bool) -> 
     Raises:
         HilError: no CAN bus with time, recorded traffic, or a file that cannot be written.
     """
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.design_questions.can_priority import places_of, recommended
     from hil.experiment import load_experiment
     from hil.experiment.table import Seconds

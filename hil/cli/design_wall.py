@@ -7,9 +7,8 @@ from pathlib import Path
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration, NumberList
-from hil.cli.terminal import print_facts
+from hil.cli.terminal import json_option, print_facts, print_json
 from hil.errors import HilError
 
 
@@ -35,7 +34,7 @@ def command(
     from design.errors import DesignError
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.design_questions.coupler_header import coupler_header
     from hil.files.outputs import check_output, write_output
     from plants.omni import Omni

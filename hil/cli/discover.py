@@ -6,8 +6,8 @@ from typing import Any
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
+from hil.cli.terminal import json_option, print_json
 
 NONE_THERE = 1  # exit status: neither rig nor controller
 

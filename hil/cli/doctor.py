@@ -24,9 +24,8 @@ import click
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from hil.cli.json_output import json_option, print_json
-from hil.cli.terminal import visible
-from hil.log.write.loop_form import loop_form
+from hil.cli.terminal import json_option, print_json, visible
+from hil.log.write.provenance import loop_form
 from hil.plugins.user_modules import REMEDY, shadows
 from hil.runtime.real.machine import processor
 from hil.vcan import what_would_run

@@ -17,7 +17,7 @@ import time
 from typing import Final, NoReturn
 
 from hil.plugins.first_instants import ENDING
-from hil.plugins.process_state import ProcessState
+from hil.plugins.process_guard import ProcessState
 
 STOPS_S: Final = 1.0
 """From a signal to the end of a command that does not heed it."""
@@ -87,7 +87,7 @@ class Guard:
         self._page[DONE] = 1  # last: what stands behind it is whole
 
     def stopping(self) -> None:
-        """Say that a signal was heeded; see `hil.plugins.watch`."""
+        """Say that a signal was heeded; see `hil.plugins.process_guard`."""
         if self._page is not None:
             self._page[STOPPING] = 1
 

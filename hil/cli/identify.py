@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import Duration
-from hil.cli.terminal import print_facts
+from hil.cli.terminal import json_option, print_facts, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -62,7 +61,7 @@ def law(
     Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.files.outputs import check_output, write_output
     from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording

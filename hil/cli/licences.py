@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from hil.cli.json_output import json_option, print_json
+from hil.cli.terminal import json_option, print_json
 
 COPYLEFT = re.compile(r"\bL?GPL|\bAGPL|Lesser General Public|\bMPL|Mozilla Public|\bEPL|Eclipse Public", re.IGNORECASE)
 

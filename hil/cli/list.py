@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import click
 
-from hil.cli.json_output import json_option, print_json
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 FIRST: Final = "dc-motor-hinf"

@@ -74,7 +74,7 @@ def command(
 def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> dict[str, str]:
     """Return the files of a controller as a program of its own; see `hil.cli.new_external`."""
     from hil.cli.new_external import external_controller, program_files
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
 

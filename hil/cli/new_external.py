@@ -11,7 +11,7 @@ from typing import Any, Final, Literal
 from hil.compose.law_tables import LawTables, law_tables
 from hil.compose.loop import Loop
 from hil.errors import HilError
-from hil.rig.sensor_list import Sensor
+from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of
 from transport.packets import SELECTIONS
 from transport.wire.layout import MAX_VALUES

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.json_output import json_option, print_json
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:

@@ -15,8 +15,7 @@ def command(file: Path, output: Path | None) -> None:
 
     The command changes no existing file.
     """
-    from hil.cli.terminal import visible
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working, visible
     from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")

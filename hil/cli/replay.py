@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.json_output import json_option, print_json
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def command(
     Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
     the holder of --key signed; 2 bad input.
     """
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.files.outputs import check_output
     from hil.log.read.run import read_run
 
@@ -97,8 +97,7 @@ def command(
 
 
 def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
-    from hil.cli.terminal import visible
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working, visible
     from hil.session.replay.process import ask_process
 
     with Working(f"questions to {uri}"):
@@ -130,8 +129,7 @@ def _signed(file: Path, key: Path) -> Run:
 
 
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
-    from hil.cli.terminal import visible
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working, visible
     from hil.log.run import records_sha256
     from hil.session.replay.recorded import verify_tags
     from hil.session.replay.replay import changed_files, experiment_of, verify
@@ -165,7 +163,7 @@ def _what_if(
 ) -> None:
     import numpy as np
 
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.experiment import parse_plugin
     from hil.session.replay.replay import experiment_of, what_if
 

@@ -21,8 +21,7 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
     An existing page is replaced; the log is never changed.
     """
     from hil.api.face import report
-    from hil.cli.terminal import visible
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working, visible
 
     with Working(f"page of {file}"):
         page, *drawn = report(file, output=output, force=True, figures=figures, folder=folder)

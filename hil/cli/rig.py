@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.json_output import json_option
+from hil.cli.terminal import json_option
 
 
 @click.command()

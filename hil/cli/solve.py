@@ -18,7 +18,7 @@ def command(experiments: tuple[str, ...]) -> None:
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import click
 
-from hil.cli.json_output import json_option, print_json
 from hil.cli.option_types import NumberList
+from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 
 
@@ -32,7 +32,7 @@ def command(
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
     from design.passivity.stiffness_map import stiffness_map
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working
     from hil.files.outputs import check_output, write_output
     from hil.pages.analyses import stiffness_page
     from plants.omni import Omni

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.cli.json_output import print_json
+from hil.cli.terminal import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:

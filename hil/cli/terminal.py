@@ -7,13 +7,17 @@ value, whatever a plug-in prints meanwhile.
 
 from __future__ import annotations
 
+import io
+import json
 import os
+import sys
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from shutil import get_terminal_size
 from textwrap import wrap
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO, TypeVar
 
 import click
 
@@ -140,3 +144,90 @@ def _painted(part: str, line: Line, number: int) -> str:
     if line.coloured is None:
         return click.style(part, fg=line.colour)
     return click.style(part[: line.coloured], fg=line.colour) + part[line.coloured :] if number == 0 else part
+
+
+class Working:
+    """A line on a terminal's standard error from here to the end of the block, silence elsewhere.
+
+    Nothing may be printed inside the block, and no other picture drawn.
+
+    Args:
+        title: what is computed.
+    """
+
+    def __init__(self, title: str) -> None:
+        from rich.console import Console
+        from rich.markup import escape
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        self._bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
+        self._title = escape(visible(title))
+        self._task: Any = None
+
+    def __enter__(self) -> Working:
+        self._bar.start()
+        self._task = self._bar.add_task(self._title, total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, stage: str, done: int, total: int, value: float) -> None:
+        """Show how far a design is, and the norm that it has reached."""
+        self._bar.update(self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total)
+
+
+_OUT: Final = "hil.cli.terminal"
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+
+def json_option(help: str = "Print one JSON object.") -> Callable[[_Command], _Command]:
+    """Return the option `--json` of a command, its parameter `as_json`; what else is printed goes to standard error.
+
+    Args:
+        help: what ``--help`` says of it.
+    """
+    return click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_only_json, help=help)
+
+
+def print_json(value: object) -> None:
+    """Print the one JSON value of a command."""
+    out = click.get_current_context().meta.get(_OUT, sys.stdout)
+    print(json.dumps(value, indent=2), file=out, flush=True)
+
+
+def _only_json(context: click.Context, _option: click.Parameter, as_json: bool) -> bool:
+    if as_json and not context.resilient_parsing:
+        context.meta[_OUT] = context.with_resource(_stdout_to_stderr())
+    return as_json
+
+
+@contextmanager
+def _stdout_to_stderr() -> Iterator[TextIO]:
+    """Yield where standard output went until now; for so long it goes to standard error, the descriptor too."""
+    out = sys.stdout
+    with open(os.devnull, "w") as nowhere, redirect_stdout(sys.stderr or nowhere):
+        if not _is_descriptor(out, 1):  # a test or a notebook took its place
+            yield out
+            return
+        out.flush()
+        kept = os.dup(1)
+        os.dup2(2 if _is_descriptor(sys.stderr, 2) else nowhere.fileno(), 1)
+        try:
+            with open(kept, "w", encoding=out.encoding, errors=out.errors, closefd=False) as file:
+                yield file
+        finally:
+            with suppress(OSError):
+                os.dup2(kept, 1)
+            with suppress(OSError):
+                os.close(kept)
+
+
+def _is_descriptor(stream: TextIO | None, number: int) -> bool:
+    try:
+        return stream is not None and stream.fileno() == number
+    except (io.UnsupportedOperation, ValueError):  # no file, or closed
+        return False

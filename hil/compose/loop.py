@@ -42,16 +42,15 @@ from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
+from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
-from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController, Plant
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop_chains import loop_chains
-from hil.rig.normal_form import rig_of
-from hil.rig.own_parts import in_words_of_parts
+from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError

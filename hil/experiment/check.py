@@ -15,9 +15,9 @@ import msgspec
 
 from hil.errors import HilError
 from hil.experiment.nodes import Medium, Node
+from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
-from hil.experiment.unavailable_plugin import UnavailablePlugin
 from hil.files.regular import read_regular
 from hil.files.toml_text import parse_toml
 from hil.plugins import registry

@@ -8,12 +8,14 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
 
-from hil.experiment.unavailable_plugin import UnavailablePlugin
+from hil.errors import HilError
+from plants.parts.linear import Signal
 from transport.durations import in_seconds
 
 LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits
@@ -80,3 +82,36 @@ def plain(value: Any) -> Any:
     if value is None or isinstance(value, str | int | float):
         return float(value) if isinstance(value, Seconds) else value
     return f"{type(value).__module__}.{type(value).__qualname__}"  # of an object that was built in Python
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnavailablePlugin:
+    """A plant or a controller that ran, and cannot be made again from its log alone.
+
+    Args:
+        field: table of the experiment, "plant" or "controller".
+        kind: what the log says of it.
+        why: what it would need.
+        said: the rest of its table, as the log has it.
+    """
+
+    field: str
+    kind: str
+    why: str
+    said: dict[str, Any]
+
+    inputs: tuple[Signal, ...] = ()
+    outputs: tuple[Signal, ...] = ()
+    states: tuple[Signal, ...] = ()
+
+    def model(self) -> NoReturn:
+        """Raise `HilError`."""
+        raise self.missing()
+
+    def start(self, given: object) -> NoReturn:
+        """Raise `HilError`."""
+        raise self.missing()
+
+    def missing(self) -> HilError:
+        """Return what is to be raised for it."""
+        return HilError(f"{self.field}: {self.why}")

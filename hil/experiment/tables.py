@@ -9,8 +9,7 @@ import msgspec
 
 from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
-from hil.experiment.table import Seconds, Table, not_negative, plain
-from hil.experiment.unavailable_plugin import UnavailablePlugin
+from hil.experiment.table import Seconds, Table, UnavailablePlugin, not_negative, plain
 from hil.plugins import registry
 from hil.plugins.user_modules import written_in
 from transport.links.link import TransportError

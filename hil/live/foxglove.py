@@ -9,8 +9,7 @@ from typing import Any, Final
 from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.live_signals import together
-from hil.log.write.sinks import PayloadWriter
+from hil.log.write.sinks import PayloadWriter, together
 from hil.runtime.changes import Changes
 from hil.runtime.time.clock import Clock
 from hil.session import Onlooker

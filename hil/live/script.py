@@ -8,14 +8,14 @@ from typing import Any, Final
 
 import msgspec
 
+from hil.compose.changed import refuse_in_real_time
 from hil.compose.loop import Loop
-from hil.compose.real_time_changes import refuse_in_real_time
 from hil.errors import HilError
 from hil.files.regular import read_regular
 from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
 from hil.runtime.changes import END, Change
-from hil.session.replay.recorded_changes import Asked, changes_of, composed
+from hil.session.replay.recorded import Asked, changes_of, composed
 
 MOST_BYTES: Final = 20_000_000
 

@@ -11,8 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from hil.compose.loop import Loop
-from hil.live.scopes import Trace, traces_of
-from hil.live.tail import Records, Tail
+from hil.live.scopes import Records, Tail, Trace, traces_of
 from hil.log.events import decode_event
 from hil.log.records import EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
@@ -20,7 +19,7 @@ from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
 from hil.log.write.sinks import PayloadWriter
 from hil.runtime.changes import CHANGE, END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock
-from hil.session.replay.recorded_changes import Asked
+from hil.session.replay.recorded import Asked
 from transport.draws import REASONS
 
 EVENTS: Final = 300

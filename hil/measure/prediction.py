@@ -21,7 +21,7 @@ from hil.measure.signals import signals_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import gains_over
-from hil.rig.port import motion_of
+from hil.rig.spec import motion_of
 
 if TYPE_CHECKING:
     from design.networked_loop.prediction import Prediction

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, chdir
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.errors import HilError
-from hil.notebook.paper_style import paper_style
 
 if TYPE_CHECKING:
     import pandas
@@ -156,4 +156,26 @@ def _side(rows: Sequence[Sequence[Cell]], column: int) -> str:
     return "left" if any(isinstance(row[column], str) for row in rows) else "right"
 
 
-__all__ = ["MM_PER_INCH", "Result", "data_frame"]
+PAPER_STYLE: Any = {
+    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
+    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
+}  # fmt: skip
+"""The style of matplotlib for a figure that is printed in a column."""
+
+
+def paper_style(asked: str) -> AbstractContextManager[None]:
+    """Return the context in which figures are drawn: matplotlib's own defaults, and `PAPER_STYLE`.
+
+    Args:
+        asked: what needs matplotlib, for the message.
+
+    Raises:
+        HilError: if matplotlib is not installed.
+    """
+    try:
+        with chdir("/"):  # matplotlib reads the file when it is imported for the first time
+            from matplotlib import style
+    except ImportError as error:
+        raise HilError(f"{asked}: matplotlib is not installed; pip install 'hilrig[notebook]'") from error
+    context: AbstractContextManager[None] = style.context([PAPER_STYLE], after_reset=True)
+    return context

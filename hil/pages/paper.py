@@ -10,8 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hil.errors import HilError
-from hil.notebook import MM_PER_INCH
-from hil.notebook.paper_style import paper_style
+from hil.notebook import MM_PER_INCH, paper_style
 from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.html.numbers import share_text
 

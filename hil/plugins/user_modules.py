@@ -23,9 +23,7 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.files.regular import read_regular
-from hil.plugins.process_calls import refuse_calls_from
-from hil.plugins.process_state import ProcessState
-from hil.plugins.watch import WATCH
+from hil.plugins.process_guard import WATCH, ProcessState, refuse_calls_from
 
 MAX_BYTES: Final = 1_000_000
 _PREFIX: Final = "hil_own_"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from design.controllers import row_count
-from hil.rig.sensor_list import Sensor, first_identifiers
+from hil.rig.sensors import Sensor, first_identifiers
 from hil.rig.spec import RigSpec
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, said
 from transport.links.traits import CanFraming, LinkTraits

@@ -2,19 +2,47 @@
 
 from __future__ import annotations
 
-from hil.errors import ExperimentError
+from collections.abc import Iterator
+from contextlib import contextmanager
+from traceback import walk_tb
+
+from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
-from hil.experiment.unavailable_plugin import UnavailablePlugin
+from hil.experiment.table import UnavailablePlugin
+from hil.plugins.user_plugins import told_of
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of
 from hil.rig.can_frames import can_faults
-from hil.rig.own_parts import in_words_of_parts
 from hil.rig.packet_ages import Receiver
-from hil.rig.port import Port, port_of
 from hil.rig.schedules import beyond_the_end, fault_schedule, fault_schedule_faults
-from hil.rig.sensor_list import ordered_names, sensors_of
-from hil.rig.sensors import node_faults, sensor_nodes, shared_media
-from hil.rig.spec import RigSpec
+from hil.rig.sensors import node_faults, ordered_names, sensor_nodes, sensors_of, shared_media
+from hil.rig.spec import Port, RigSpec, port_of
 from transport.links.traits import CanFraming, traits_of
+
+
+@contextmanager
+def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
+    """Say of which part of the user's own an exception comes that was not foreseen, and in which line: before anything runs.
+
+    Raises:
+        ExperimentError: the exception came of plant, controller or a network law that is not ours.
+    """
+    try:
+        yield
+    except HilError:
+        raise
+    except Exception as error:  # whatever an author's part raises when it is asked
+        text = told_of(error, _parts(experiment).values())
+        if text is None:
+            raise
+        asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
+        paths = [path for path, part in _parts(experiment).items() if any(part is each for each in asked)]
+        raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {text}"]) from error
+
+
+def _parts(e: Experiment) -> dict[str, object]:
+    laws = {f"network.nodes.{name}.law": node.law for name, node in e.network.nodes.items()}
+    ends = {"network.sc.law": e.network.sc.law, "network.ca.law": e.network.ca.law}
+    return {"plant": e.plant, "controller": e.controller, **ends, **laws}
 
 
 def rig_of(e: Experiment) -> RigSpec:

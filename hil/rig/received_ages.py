@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hil.rig.packet_ages import Received
-from hil.rig.sensor_list import Sensor
-from hil.rig.sensors import SharedMedium
+from hil.rig.sensors import Sensor, SharedMedium
 from hil.rig.spec import RigSpec
 from transport.laws.delay_states import measured_ages
 from transport.laws.protocols import NetworkLaw, RecordedLaw, slots_served

@@ -18,17 +18,15 @@ from hil.experiment import Experiment
 from hil.log.events import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.topics import channels_of
-from hil.log.write.live_signals import published, together
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, RecordObservers, Sink, TeeSink
+from hil.log.write.sinks import PayloadWriter, RecordObservers, Sink, TeeSink, published, together
 from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.rig.link_faults import refuse_undisturbed
-from hil.rig.session_link import SessionLink, link_of, no_link
+from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of
 from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals

@@ -7,7 +7,6 @@ only, as part of it runs without site-packages.
 """
 
 from hil.vcan.runner import run_beside_vcan, what_would_run
-from hil.vcan.supervise import RUNNER_FAILED, TIMED_OUT, RunnerError
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RUNNER_FAILED, TIMED_OUT, RunnerError, Wanted
 
 __all__ = ["RUNNER_FAILED", "TIMED_OUT", "RunnerError", "Wanted", "run_beside_vcan", "what_would_run"]

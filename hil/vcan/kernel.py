@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from hil.vcan.supervise import RunnerError, say, started
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RunnerError, Wanted, say, started
 
 PROGRAMS: Final = {"xz-utils": "xz", "iproute2": "ip", "user-mode-linux": "linux.uml", "kmod": "kmod"}
 """Programs of a package that has another name."""

@@ -6,8 +6,7 @@ import shutil
 import socket
 from typing import Final
 
-from hil.vcan.supervise import RunnerError, say, unshare, works
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RunnerError, Wanted, say, unshare, works
 
 # vcan0 takes classic and FD frames (MTU 72). Multicast on lo is what zenoh and udp_multicast expect of a machine.
 LINKS: Final = """\

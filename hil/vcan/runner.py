@@ -6,8 +6,7 @@ from collections.abc import Callable
 from functools import partial
 
 from hil.vcan import kernel, native, uml
-from hil.vcan.supervise import RunnerError, run
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RunnerError, Wanted, run
 
 Start = Callable[[Wanted], list[str]]  # what to execute
 

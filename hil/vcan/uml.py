@@ -27,8 +27,7 @@ from hil.errors import HilError
 from hil.files.regular import open_regular, read_regular
 from hil.vcan import guest
 from hil.vcan.kernel import Kernel
-from hil.vcan.supervise import RUNNER_FAILED, RunnerError, die_with_parent, say, unshare
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RUNNER_FAILED, RunnerError, Wanted, die_with_parent, say, unshare
 
 ROOT: Final = Path(__file__).resolve().parents[2]  # of the package hil
 # The inner process: isolated and without site-packages, as it needs neither and shall start at once.

@@ -23,7 +23,7 @@ from hil.log.read.run import read_run
 from hil.log.topics import channels_of
 from hil.runtime.changes import Change
 from hil.session import run_session
-from hil.session.replay.recorded_changes import Asked, changes_of
+from hil.session.replay.recorded import Asked, changes_of
 from hil.session.replay.replay import verify
 from tests.hil.live.test_live import Page
 from tests.waiting import children_of, until

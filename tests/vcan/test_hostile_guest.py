@@ -14,8 +14,7 @@ import pytest
 
 from hil.vcan import RunnerError, guest, uml
 from hil.vcan.kernel import Kernel
-from hil.vcan.supervise import RUNNER_FAILED
-from hil.vcan.wanted import Wanted
+from hil.vcan.supervise import RUNNER_FAILED, Wanted
 from tests.waiting import LIMIT_S
 
 

@@ -76,8 +76,7 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
 
         return read_latencies(paths[0], one_clock=one_clock)
     if endings == {".pcap"}:
-        from hil.log.recordings.captured_frames import read_captured_frames
-        from hil.log.recordings.foreign_packets import read_ping_capture
+        from hil.log.recordings.foreign_packets import read_captured_frames, read_ping_capture
 
         return read_captured_frames(paths[0]) or read_ping_capture(paths[0])
 

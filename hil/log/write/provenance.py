@@ -8,11 +8,19 @@ from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from platform import python_version
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from hil.files.installed import versions_of
 from hil.log.events import to_json
-from hil.log.write.loop_form import LoopForm, loop_form
+from hil.log.write import frame_length
+
+LoopForm = Literal["compiled", "interpreted"]
+
+
+def loop_form() -> LoopForm:
+    """Return it: the modules that pyproject.toml names are compiled together or not at all, and this asks one of them."""
+    return "interpreted" if str(frame_length.__file__).endswith(".py") else "compiled"
+
 
 CHECKOUT: Final = Path(__file__).parents[3]
 """The folder of this package: the root of a checkout, or `site-packages`."""

@@ -28,8 +28,7 @@ from hil.pages.html.figures import (
 )
 from hil.pages.html.numbers import share_text, text_of
 from hil.pages.html.payload import Payload, Still, columns_of
-from hil.pages.html.scene import draw_scene, scene_legend
-from hil.pages.html.svg import draw_bars, draw_histogram
+from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene, scene_legend
 
 SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from design.as_printed.chapter2 import PRINTED, PrintedRequest, printed_stability
 from design.as_printed.examples import (
     CHAPTER2_BOUNDARY_S,
     chapter2_gain,
@@ -15,8 +16,6 @@ from design.as_printed.examples import (
     chapter2_reference_gain,
     chapter2_system,
 )
-from design.as_printed.robust_feedback import PrintedRequest
-from design.as_printed.stability import PRINTED, printed_stability
 from design.lmi.decision import decide, prove_certificate
 from design.lmi.program import LmiSolution
 from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform

@@ -22,17 +22,15 @@ from hil.rig.can_bus import can_bus_of
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
-from hil.runtime.nodes.arrived_plant import Arrived
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.runtime.nodes.law_watch import LawWatch
-from hil.runtime.nodes.plant_watch import PlantWatch
+from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
 from hil.runtime.nodes.port_damper import damper_of
 from hil.runtime.nodes.safety import Safety
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
-from hil.runtime.nodes.sensor_node import SensorNode
-from hil.runtime.nodes.triggers import trigger_of
+from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import begun, rng_for
 from transport.medium.changing import ChangingChannel, ChangingMedium

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from hil.compose.loop import Loop
-from hil.rig.sensor_list import Sensor
-from hil.rig.sensors import SharedMedium
+from hil.rig.sensors import Sensor, SharedMedium
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.medium.independent import Impairment, impair

@@ -22,8 +22,7 @@ from hil.runtime.nodes.wire import Wire, before
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.time.clock import monotonic_ns
 from hil.session.replay.compare import BATCH, near_values
-from hil.session.replay.recorded import frames, recorded_wire
-from hil.session.replay.recorded_changes import refuse_changed
+from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of
 from transport.links.link import Link
 from transport.links.opening import open_link

@@ -5,7 +5,7 @@ Whether the answers that a log holds carry the codes of a key: who had no key ca
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from hmac import compare_digest
 from pathlib import Path
@@ -14,11 +14,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.compose.changed import changed
+from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.log.append_column import AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR, TIMING
+from hil.runtime.changes import CHANGE, END, Change
 from hil.runtime.nodes.wire import Wire, before
 from hil.session.replay.compare import BATCH, in_time
 from transport.links.authenticated_link import cmac, read_key
@@ -177,3 +180,52 @@ def verify_tags(run: Run, key: Path, source: str = "log") -> Tags:
             wrong += 1
             first = tick if first is None else first
     return Tags(verified=verified, wrong=wrong, first=first)
+
+
+Asked = tuple[int, str, Any]
+"""Slot, path of the field, and value."""
+
+
+def changes_of(run: Run) -> list[Asked]:
+    """Return the changes of a run, in order.
+
+    Raises:
+        HilError: an event says otherwise than `hil.runtime.changes.log_change` writes it.
+    """
+    found = []
+    for event in run.events:
+        if event["kind"] == CHANGE:
+            data = event["data"]
+            if not isinstance(data, dict) or not isinstance(data.get("path"), str) or "value" not in data:
+                raise HilError(f"event of slot {event['tick']}: a change without path and value")
+            found.append((int(event["tick"]), data["path"], data["value"]))
+    return found
+
+
+def composed(loop: Loop, asked: Iterable[Asked], *, certify: bool = True) -> Iterator[tuple[int, Change]]:
+    """Give the slot and the loop of each change.
+
+    Args:
+        loop: what runs at the beginning.
+        asked: in the order of slots.
+        certify: whether their certificates are computed.
+
+    Raises:
+        ExperimentError: one does not fit.
+    """
+    for k, path, value in asked:
+        if path == END:
+            yield k, Change(path=path, value=value, loop=None)
+            return
+        loop = changed(loop, k, path, value, certify=certify)
+        yield k, Change(path=path, value=value, loop=loop)
+
+
+def refuse_changed(run: Run, source: str, what: str) -> None:
+    """Refuse a log of a run that was changed, where its experiment alone is not enough.
+
+    Raises:
+        HilError: it was changed.
+    """
+    if changes_of(run):
+        raise HilError(f"{source}: its experiment was changed while it ran; {what} needs one that stayed; --verify does not")

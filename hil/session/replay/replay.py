@@ -19,7 +19,7 @@ from design.controllers import Controller, packet_samples
 from hil.compose.loop import Loop, compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
-from hil.experiment.unavailable_plugin import UnavailablePlugin
+from hil.experiment.table import UnavailablePlugin
 from hil.log.append_column import AppendColumn, pieces, whole
 from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
@@ -36,8 +36,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.session.replay.compare import BATCH, Comparison, near_frames
-from hil.session.replay.recorded import RecordedAnswers, Woken, frames, recorded_wire
-from hil.session.replay.recorded_changes import changes_of, composed, refuse_changed
+from hil.session.replay.recorded import RecordedAnswers, Woken, changes_of, composed, frames, recorded_wire, refuse_changed
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 

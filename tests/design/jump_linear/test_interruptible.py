@@ -14,7 +14,7 @@ import pytest
 from scipy.sparse import csc_array
 
 from design.jump_linear import krylov as room
-from design.jump_linear import positive_radius
+from design.jump_linear import stability_proof
 from design.jump_linear.krylov import apart, interruptible, spectral_radius
 from tests.waiting import until
 
@@ -93,9 +93,9 @@ def test_a_large_factorisation_is_made_apart_with_the_same_bits(monkeypatch: pyt
         made.append(0)
         return apart(compute)
 
-    monkeypatch.setattr(positive_radius, "apart", seen)
-    here = positive_radius.solve_sparse(operator, right)
+    monkeypatch.setattr(stability_proof, "apart", seen)
+    here = stability_proof.solve_sparse(operator, right)
     assert not made
-    monkeypatch.setattr(positive_radius, "QUICK", 100)
-    assert positive_radius.solve_sparse(operator, right).tolist() == here.tolist() and made == [0]
-    assert np.isnan(positive_radius.solve_sparse(csc_array(np.eye(400)), np.ones(400))).all()  # singular
+    monkeypatch.setattr(stability_proof, "QUICK", 100)
+    assert stability_proof.solve_sparse(operator, right).tolist() == here.tolist() and made == [0]
+    assert np.isnan(stability_proof.solve_sparse(csc_array(np.eye(400)), np.ones(400))).all()  # singular

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.jump_linear import bounded_real, second_moment, shift_states
+from design.jump_linear import bounded_real, coupled_lyapunov, second_moment
 from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
+from design.jump_linear.coupled_lyapunov import ShiftStates
 from design.jump_linear.h2 import H2Nearby, h2_derivative
 from design.jump_linear.joint_expectation import factors_of, mean
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Bordered, Resolvent, mean_square_radius, operator_matrix
-from design.jump_linear.shift_states import ShiftStates
 from design.jump_linear.stability_proof import StabilityProof
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
 
@@ -50,7 +50,7 @@ def free(monkeypatch: pytest.MonkeyPatch) -> None:
     """No dense factorisation, and shift states eliminated wherever there are enough of them."""
     monkeypatch.setattr(second_moment, "DENSE_LIMIT", 0)
     monkeypatch.setattr(bounded_real, "DENSE_LIMIT", 0)
-    monkeypatch.setattr(shift_states, "LIMIT", 0)
+    monkeypatch.setattr(coupled_lyapunov, "LIMIT", 0)
 
 
 @pytest.mark.parametrize("options", SHAPES)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from design.as_printed.chapter2 import PrintedRequest
 from design.as_printed.examples import chapter2_process, chapter2_system
-from design.as_printed.robust_feedback import PrintedRequest
 from design.errors import Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate

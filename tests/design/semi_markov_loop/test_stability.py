@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.special import erfcx
 
+from design.as_printed.chapter2 import printed_stability
 from design.as_printed.examples import (
     CHAPTER2_BOUNDARY_S,
     chapter2_gain,
@@ -16,7 +17,6 @@ from design.as_printed.examples import (
     chapter2_reference_gain,
     chapter2_system,
 )
-from design.as_printed.stability import printed_stability
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi.exact import prove
 from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate

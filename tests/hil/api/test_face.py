@@ -57,7 +57,7 @@ UNUSED = {
 def test_a_run_imports_its_own_plant_and_controller_and_nothing_that_it_does_not_use(tmp_path: Path) -> None:
     run = "['run', 'dc-motor-hinf', '--duration', '0.1', '-o', 'x.mcap', '--set', 'reference=[]', '--set', 'disturbance=[]']"
     found = all_imported_by(f"from hil.cli import main\ntry: main({run})\nexcept SystemExit: pass\nimport os", cwd=tmp_path)
-    assert {"plants.dc_motor", "design.controllers.published_motor", "transport.laws.age"} <= found
+    assert {"plants.dc_motor", "design.controllers.send_all", "transport.laws.age"} <= found
     assert (tmp_path / "x.mcap").stat().st_size and not sorted(found & UNUSED)
 
 

@@ -18,7 +18,7 @@ from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
 from hil.log.write.sinks import MemorySink
 from hil.runtime.virtual import run_virtual
 from hil.session import Session, run_session
-from hil.session.replay.recorded_changes import Asked, changes_of
+from hil.session.replay.recorded import Asked, changes_of
 from hil.session.replay.replay import verify
 
 LATE = {"kind": "markov", "matrix": [[0.1, 0.9], [0.1, 0.9]]}

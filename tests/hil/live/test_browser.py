@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hil.log.read.run import read_run
-from hil.session.replay.recorded_changes import changes_of
+from hil.session.replay.recorded import changes_of
 from hil.session.replay.replay import verify
 from tests.hil.live.test_live import Page, asked
 from tests.hil.pages import chromium

@@ -11,7 +11,7 @@ import pytest
 
 import hil
 from design.monte_carlo.confidence import mean_interval
-from hil.api.laws_result import Laws
+from hil.api.questions import Laws
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot, Reproduction
 

@@ -19,8 +19,7 @@ from hil.log.topics import PASSIVITY, STATE
 from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.pages.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
-from hil.pages.run.curve import curve
-from hil.pages.run.time_panels import markers
+from hil.pages.run.time_panels import curve, markers
 
 Array = npt.NDArray[np.float64]
 

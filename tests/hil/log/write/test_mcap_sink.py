@@ -19,9 +19,8 @@ from hil.experiment import load_experiment
 from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
-from hil.log.write.loop_form import loop_form
 from hil.log.write.mcap_sink import McapSink
-from hil.log.write.provenance import commit
+from hil.log.write.provenance import commit, loop_form
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
 from tests.bench.plain_log import PlainSink

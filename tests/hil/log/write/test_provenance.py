@@ -9,8 +9,7 @@ import pytest
 
 import hil
 from hil.log.write import frame_length
-from hil.log.write.loop_form import loop_form
-from hil.log.write.provenance import Provenance, commit
+from hil.log.write.provenance import Provenance, commit, loop_form
 
 
 def git(folder: Path, *words: str) -> str:

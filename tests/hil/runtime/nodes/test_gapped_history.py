@@ -20,7 +20,7 @@ from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.normal_form import rig_of
-from hil.runtime.nodes.sample_history import SampleHistory
+from hil.runtime.nodes.controller_input import SampleHistory
 from hil.runtime.simulated import simulate
 from transport.draws import DELIVERED
 

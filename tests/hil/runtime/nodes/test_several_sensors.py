@@ -25,9 +25,8 @@ from hil.measure.network_paths import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.normal_form import rig_of
-from hil.runtime.nodes.controller_input import NewestSample
-from hil.runtime.nodes.sample_history import SampleHistory
-from hil.runtime.nodes.triggers import DeadBand, Error, Magnitude, Relative
+from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
+from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude, Relative
 from hil.runtime.simulated import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many

@@ -1,4 +1,9 @@
-"""What a user's module leaves as it was: working folder, standard streams, handlers of signals, environment."""
+"""What a user's module must leave as it was: working folder, streams, handlers of signals, environment, the process itself.
+
+A call that would end, copy or replace the process is an error of that module: ``os._exit(0)`` ends a run, a worker of a sweep or
+a whole pytest without a word and with status 0; a fork returns to hil twice. This is no sandbox: it says what a module does by
+mistake. What it does on purpose, `hil.cli.guard` sees.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +12,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
+from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import wraps
+from typing import Any, Final, Protocol
 
 from hil.plugins.first_instants import ENDING
 
@@ -82,3 +89,56 @@ def _folder() -> str | None:
 def _file(number: int) -> tuple[int, int] | None:
     about = _or_none(lambda: os.fstat(number))
     return None if about is None else (about.st_dev, about.st_ino)
+
+
+CALLS: Final = ("_exit", "abort", "fork", "forkpty", "execv", "execve")
+REMEDY: Final = "would end, copy or replace the process of hil itself: raise an exception, or start another with subprocess"
+
+
+def refuse_calls_from(prefix: str) -> None:
+    """Let these calls raise a RuntimeError where a module of such a name, or a file beside one, makes them.
+
+    Args:
+        prefix: of the names of modules.
+    """
+    for name in CALLS:
+        call = getattr(os, name)
+        if not isinstance(getattr(call, "__wrapped__", None), type(os.getpid)):  # not yet
+            setattr(os, name, _refusing(call, prefix))
+
+
+def _refusing(call: Callable[..., Any], prefix: str) -> Callable[..., Any]:
+    @wraps(call)
+    def refuse(*arguments: Any, **named: Any) -> Any:
+        frame = sys._getframe()
+        while frame.f_back is not None and frame.f_globals.get("__name__") in ("os", __name__):  # os.execvp and its kin
+            frame = frame.f_back
+        files = [str(module.__file__) for name, module in sys.modules.items() if name.startswith(prefix)]
+        if os.path.dirname(frame.f_code.co_filename) in map(os.path.dirname, files):
+            raise RuntimeError(f"os.{call.__name__} {REMEDY}")
+        return call(*arguments, **named)
+
+    return refuse
+
+
+class Watch(Protocol):
+    """Receives what it cannot see from outside."""
+
+    def begin(self, module: str) -> None:
+        """Watch from here: the first line of a module, named by its file, is next."""
+        ...
+
+    def stopping(self) -> None:
+        """A signal was heeded: what ends now ends in order, and closes its log."""
+        ...
+
+
+class _Unwatched:
+    def begin(self, module: str) -> None:
+        pass
+
+    def stopping(self) -> None:
+        pass
+
+
+WATCH: Final[ContextVar[Watch]] = ContextVar("who watches this process", default=_Unwatched())  # noqa: B039 (it has no state)
