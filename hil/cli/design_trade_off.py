@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.cli.json_output import print_json
+from hil.cli.terminal import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -32,8 +32,7 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
         HilError: no gains meet the request, or a file that cannot be written.
     """
     from design.errors import DesignError
-    from hil.cli.terminal import print_table, visible
-    from hil.cli.working import Working
+    from hil.cli.terminal import Working, print_table, visible
     from hil.design_questions.norm_trade_off import compromises
     from hil.files.outputs import check_output, write_output
 
