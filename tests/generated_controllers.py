@@ -78,14 +78,14 @@ def c_on_hil(words: Sequence[str], loop: Loop, channel: str, options: str = "") 
 
         def to_it() -> None:
             while not ended.is_set():
-                frame = bus.recv_frame(0.1)
+                frame = bus.frames.recv_frame(0.1)
                 if frame is not None:
                     to.write(FRAME.pack(frame[0], len(frame[2]), 0, 0, 0, frame[2]))
 
         def from_it() -> None:
             while len(data := of.read(FRAME.size)) == FRAME.size:
                 identifier, length, _, _, _, payload = FRAME.unpack(data)
-                bus.send_frame(identifier, payload[:length])
+                bus.frames.send_frame(identifier, payload[:length])
 
         threads = [threading.Thread(target=each) for each in (to_it, from_it)]
         for thread in threads:

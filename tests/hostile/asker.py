@@ -34,12 +34,12 @@ def main() -> None:
     with HilBus(channel, can_filters=[{"can_id": 0x100, "can_mask": 0x7C0, "extended": False}]) as bus:
         print("up", flush=True)
         while True:
-            frame = bus.recv_frame(1.0)
+            frame = bus.frames.recv_frame(1.0)
             asked = decode(frame[2]) if frame is not None else None
             if isinstance(asked, SensorPacket) and asked.seq != HELLO:
                 for packet in forged(asked, way):
                     with suppress(can.CanError, OSError, ValueError):
-                        bus.send_frame(0x100, encode_sensor(packet))
+                        bus.frames.send_frame(0x100, encode_sensor(packet))
 
 
 if __name__ == "__main__":

@@ -73,8 +73,8 @@ def on_the_link(uri: str, heard: list[bytes]) -> Iterator[Put]:
 
             def put(data: bytes, as_controller: bool) -> None:
                 with suppress(can.CanError, OSError):
-                    bus.send_frame(0x140 if as_controller else 0x100, data)
-                    while (frame := bus.recv_frame(0.0)) is not None:
+                    bus.frames.send_frame(0x140 if as_controller else 0x100, data)
+                    while (frame := bus.frames.recv_frame(0.0)) is not None:
                         heard.append(frame[2])
 
             yield put

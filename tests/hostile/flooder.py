@@ -127,7 +127,8 @@ def main() -> None:
     channel, seconds, kind, aim = sys.argv[1:]
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     flood = Flood(kind, aim)
-    with ZenohPeer(*channel.split()) if " " in channel else HilBus(channel) as bus:
+    with ZenohPeer(*channel.split()) if " " in channel else HilBus(channel) as joined:
+        bus = joined.frames if isinstance(joined, HilBus) else joined
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
         while time.monotonic() < end:

@@ -42,12 +42,12 @@ def on_can(channel: str, way: str) -> None:
     with HilBus(channel, can_filters=[{"can_id": 0x100, "can_mask": 0x7C0, "extended": False}]) as bus:
         print("up", flush=True)
         while True:
-            frame = bus.recv_frame(1.0)
+            frame = bus.frames.recv_frame(1.0)
             packet = decode(frame[2]) if frame is not None else None
             if isinstance(packet, SensorPacket):
                 for data in answers(packet, frame[2], way):
                     with suppress(can.CanError, OSError):
-                        bus._mesh.send(FRAME.pack(0.0, 0, 0x140, len(data), FD_FRAME) + data)
+                        bus.frames.mesh.send(FRAME.pack(0.0, 0, 0x140, len(data), FD_FRAME) + data)
 
 
 def on_zenoh(uri: str, way: str) -> None:

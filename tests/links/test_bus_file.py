@@ -146,7 +146,7 @@ PROGRAM = """
 import can, sys
 from transport.links.bus_file import BusFile
 bus = can.Bus("t", interface="hil", timed=1, bitrate="500k")
-bus._timed._bus._file.change(lambda text: (print("held", flush=True), sys.stdin.read())[0] or text)
+bus.frames.timed._bus._file.change(lambda text: (print("held", flush=True), sys.stdin.read())[0] or text)
 """
 
 

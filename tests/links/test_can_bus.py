@@ -418,13 +418,13 @@ def test_frames_that_a_filter_keeps_out_hold_no_call_and_are_counted() -> None:
     """The clock here goes on by 1 ms with each frame: a call of 5 ms passes over five of them, a look over twenty."""
     from itertools import count
 
-    from transport.links import can_bus
+    from transport.links import hil_frames
 
     ticks = count()
     with HilBus("skip", can_filters=[{"can_id": 0x140, "can_mask": 0x7FF, "extended": False}]) as bus, HilBus("skip") as other:
         for _ in range(40):
-            other.send_frame(0x300, b"")
+            other.frames.send_frame(0x300, b"")
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(can_bus, "monotonic", lambda: next(ticks) / 1e3)
-            assert bus.recv_frame(0.005) is None and bus.filtered == 5
-            assert bus.recv_frame(0) is None and bus.filtered in (25, 26)
+            patch.setattr(hil_frames, "monotonic", lambda: next(ticks) / 1e3)
+            assert bus.frames.recv_frame(0.005) is None and bus.frames.filtered == 5
+            assert bus.frames.recv_frame(0) is None and bus.frames.filtered in (25, 26)

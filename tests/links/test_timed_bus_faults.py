@@ -40,7 +40,7 @@ def kinds(frames: list[can.Message]) -> list[int]:
 
 def test_disturbed_bits_of_chosen_frames_take_their_sender_off_the_bus_and_others_go_on() -> None:
     with bus(bitrate=500_000, berr_reporting=True) as first, bus(bitrate=500_000, berr_reporting=True) as second:
-        second.plan([BusFault(monotonic_ns(), FOR_EVER_NS, identifier=0x100)], 0, [])
+        second.frames.plan([BusFault(monotonic_ns(), FOR_EVER_NS, identifier=0x100)], 0, [])
         first.send(message(0x100))
         seen = error_frames(first, lambda found: BUS_OFF in kinds(found))
         states = [each.data[1] for each in seen if each.arbitration_id == CONTROLLER]
@@ -59,7 +59,7 @@ def test_disturbed_bits_of_chosen_frames_take_their_sender_off_the_bus_and_other
 
 def test_a_rate_of_bit_errors_breaks_frames_and_all_get_through_in_their_order() -> None:
     with bus(bitrate="1M", berr_reporting=True) as first, bus(bitrate="1M", berr_reporting=True) as second:
-        first.plan([BusFault(monotonic_ns(), FOR_EVER_NS, rate=2e-3)], 28, [])
+        first.frames.plan([BusFault(monotonic_ns(), FOR_EVER_NS, rate=2e-3)], 28, [])
         for n in range(150):
             first.send(message(n))
         got: list[int] = []
@@ -79,7 +79,7 @@ def test_a_fault_takes_another_participant_off_the_bus_which_hears_nothing_and_c
         controller.send(message(0x140))
         assert received(rig, 1)[0].arbitration_id == received(listener, 1)[0].arbitration_id == 0x140
         now = monotonic_ns()
-        rig.plan([BusFault(now, now + SOON_NS, off=(0,))], 0, [[0x140, 0x141]])
+        rig.frames.plan([BusFault(now, now + SOON_NS, off=(0,))], 0, [[0x140, 0x141]])
         until(lambda: controller.state is can.BusState.ERROR, "bus-off")
         rig.send(message(0x100))
         assert received(listener, 1)[0].arbitration_id == 0x100
@@ -97,7 +97,7 @@ def test_who_is_told_to_restart_comes_back_by_itself_and_who_is_not_stays_off() 
     for restart_ms in (20, 0):
         with bus(bitrate=500_000, restart_ms=restart_ms) as first, bus(bitrate=500_000) as second:
             over = monotonic_ns() + SOON_NS // 5
-            second.plan([BusFault(0, over, identifier=0x100)], 0, [])
+            second.frames.plan([BusFault(0, over, identifier=0x100)], 0, [])
             first.send(message(0x100))
             error_frames(first, lambda found: BUS_OFF in kinds(found))
             wait_until(over)
@@ -146,7 +146,8 @@ def test_the_very_same_frame_of_two_is_heard_once_and_both_have_sent_it() -> Non
             return heard.count(0x100) == 1
 
         until(round_of_both, "one frame of two senders")
-        assert sorted(heard) == [0x050, 0x100, 0x200, 0x201] and not first._timed._items and not second._timed._items  # type: ignore[union-attr]
+        assert sorted(heard) == [0x050, 0x100, 0x200, 0x201]
+        assert not first.frames.timed._items and not second.frames.timed._items  # type: ignore[union-attr]
 
 
 def test_a_rate_that_times_nothing_is_said_once() -> None:
@@ -160,7 +161,7 @@ def test_a_rate_that_times_nothing_is_said_once() -> None:
 
 def test_a_bus_without_time_has_no_faults_and_an_impossible_restart_is_refused() -> None:
     with can.Bus("t", interface="hil") as untimed, pytest.raises(can.CanOperationError, match="join it with timed=True"):
-        untimed.plan([], 0, [])  # type: ignore[attr-defined]
+        untimed.frames.plan([], 0, [])  # type: ignore[attr-defined]
     with pytest.raises(can.CanInitializationError, match="restart_ms: -1, expected milliseconds, 0 to 1000000"):
         bus(restart_ms=-1)
 

@@ -67,7 +67,7 @@ def said(of: int) -> Callable[[list[can.Message]], bool]:
 
 def test_disturbed_frames_of_a_socketcan_program_end_in_bus_off_which_candump_shows(bus: str) -> None:
     with bridged(bus) as other, candump(bus) as lines, can.Bus(bus, interface="socketcan") as program:
-        other.plan([BusFault(0, FOR_EVER_NS, identifier=0x123)], 0, [])
+        other.frames.plan([BusFault(0, FOR_EVER_NS, identifier=0x123)], 0, [])
         marker = can.Message(arbitration_id=0x700, is_extended_id=False)
         until(lambda: program.send(marker) or bool(lines), "candump")  # type: ignore[func-returns-value]
         program.send(can.Message(arbitration_id=0x123, data=b"12345678", is_extended_id=False))
@@ -85,7 +85,7 @@ def test_disturbed_frames_of_a_socketcan_program_end_in_bus_off_which_candump_sh
 
 def test_a_controller_that_is_told_to_restart_comes_back_and_the_frame_gets_through(bus: str) -> None:
     with bridged(bus, "--restart-ms", "10") as other, can.Bus(bus, interface="socketcan") as program:
-        other.plan([BusFault(0, monotonic_ns() + 300_000_000, identifier=0x123)], 0, [])
+        other.frames.plan([BusFault(0, monotonic_ns() + 300_000_000, identifier=0x123)], 0, [])
         program.send(can.Message(arbitration_id=0x123, data=b"12345678", is_extended_id=False))
         found = error_frames(program, said(RESTARTED))
         assert [each.arbitration_id & BUS_OFF for each in found if each.arbitration_id in (BUS_OFF, 0x104)] == [BUS_OFF, 0]

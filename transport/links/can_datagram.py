@@ -10,12 +10,18 @@ from transport.links.python_can import can
 from transport.wire.fields import frame_length
 
 FRAME: Final = Struct("<dHIBB")
-"""Time stamp, frames lost before (see `transport.links.unix_mesh.HEAD`); identifier with flags, length, FD flags; then data."""
+"""Time stamp, frames lost before (see `transport.links.mesh_peer.HEAD`); identifier with flags, length, FD flags; then data."""
 
 # The bits of <linux/can.h>.
-EXTENDED, REMOTE, ERROR, ID_MASK = 0x80000000, 0x40000000, 0x20000000, 0x1FFFFFFF
-BITRATE_SWITCH, ERROR_STATE, FD_FRAME = 0x01, 0x02, 0x04
-OWN, LOOK = 0x80, 0x40
+EXTENDED: Final = 0x80000000
+REMOTE: Final = 0x40000000
+ERROR: Final = 0x20000000
+ID_MASK: Final = 0x1FFFFFFF
+BITRATE_SWITCH: Final = 0x01
+ERROR_STATE: Final = 0x02
+FD_FRAME: Final = 0x04
+OWN: Final = 0x80
+LOOK: Final = 0x40
 """Flags of ours: a frame of one's own; no frame, but a word that the error state of a participant has changed."""
 
 

@@ -28,6 +28,7 @@ from transport.links.can_bus import HilBus
 from transport.links.can_datagram import ERROR, EXTENDED, ID_MASK, REMOTE
 from transport.links.can_errors import status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
+from transport.links.hil_frames import HilFrames
 from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError
 from transport.links.python_can import can
 from transport.packets import decode, frame_length, node_of, packet_size
@@ -42,7 +43,7 @@ _SKIPPED: Final = 2 * FRAGMENTS
 
 
 class _Frames(Protocol):
-    """A bus as the link uses it; `HilBus` is one."""
+    """A bus as the link uses it; `HilFrames` is one."""
 
     @property
     def lost(self) -> int: ...
@@ -57,19 +58,13 @@ class _Frames(Protocol):
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
 
-    def shutdown(self) -> None: ...
-
 
 class _MessageFrames:
     """Frames over any python-can bus, by way of its messages."""
 
-    __slots__ = ("_bus", "_fd", "shutdown")
-
-    lost = turned_away = filtered = 0  # no other bus says so
-
     def __init__(self, bus: can.BusABC, fd: bool) -> None:
         self._bus, self._fd = bus, fd
-        self.shutdown = bus.shutdown
+        self.lost = self.turned_away = self.filtered = 0  # no other bus says so
 
     def send_frame(self, identifier: int, data: bytes) -> bool:
         fd = self._fd
@@ -86,7 +81,7 @@ class _MessageFrames:
 
 
 def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
-    return bus if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
+    return bus.frames if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
 
 
 class CanLink(Closing):
@@ -105,8 +100,8 @@ class CanLink(Closing):
         claims: closed with the link.
     """
 
-    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_hear", "_join", "_lengths", "_pad", "_parts", "_row",
-                 "_say", "_state", "_statuses", "_step", "uri")  # fmt: skip
+    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_frames", "_hear", "_join", "_lengths", "_pad", "_parts",
+                 "_row", "_say", "_state", "_statuses", "_step", "uri")  # fmt: skip
 
     def __init__(
         self,
@@ -127,7 +122,8 @@ class CanLink(Closing):
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._lengths = [64 if pad else frame_length(n) for n in range(65)] if fd else [*range(9)]  # of a frame with n bytes
         self._claims, self._join = tuple(claims), join
-        self._bus = _frames_of(join(), fd)
+        self._bus = join()  # what leaves the bus when it is let go
+        self._frames = _frames_of(self._bus, fd)
         self._closed = False
         self._parts = [b""] * len(heard)  # of each sender, what has come of a packet in fragments
         self._state: State = "active"
@@ -136,12 +132,12 @@ class CanLink(Closing):
 
     @property
     def counters(self) -> LinkCounters:
-        bus = self._bus
-        return replace(self._counters, dropped=self._counters.dropped + bus.lost, foreign=self._counters.foreign + bus.filtered,
-                       turned_away=bus.turned_away)  # fmt: skip
+        own, frames = self._counters, self._frames
+        return replace(own, dropped=own.dropped + frames.lost, foreign=own.foreign + frames.filtered,
+                       turned_away=frames.turned_away)  # fmt: skip
 
     def send(self, packet: bytes) -> None:
-        step, say, size, send, heard = self._step, self._say, len(packet), self._bus.send_frame, True
+        step, say, size, send, heard = self._step, self._say, len(packet), self._frames.send_frame, True
         node = node_of(packet) if len(say) > 1 else 0
         if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
@@ -166,7 +162,7 @@ class CanLink(Closing):
             if self._closed:
                 return None
             try:
-                frame = self._bus.recv_frame(wait)
+                frame = self._frames.recv_frame(wait)
             except _FAULTS as error:
                 self._fault(error, wait)
                 return None
@@ -233,11 +229,11 @@ class CanLink(Closing):
         return data[:size]
 
     def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
-        bus = self._bus
-        if not isinstance(bus, HilBus):
+        frames = self._frames
+        if not isinstance(frames, HilFrames):
             raise TransportError(f"link {self.uri!r}: no bus of ours, whose bits could be disturbed")
         try:
-            bus.plan(faults, seed, [[], [*self._hear]])
+            frames.plan(faults, seed, [[], [*self._hear]])
         except _FAULTS as error:
             raise TransportError(f"link {self.uri!r}: {error}") from error
 
@@ -261,8 +257,8 @@ class CanLink(Closing):
         self._row += 1
         if self._row % _REOPEN_EVERY == 1:
             with suppress(*_FAULTS):
-                bus = _frames_of(self._join(), self._fd)
-                old, self._bus = self._bus, bus
+                bus = self._join()
+                old, self._bus, self._frames = self._bus, bus, _frames_of(bus, self._fd)
                 self._row = 0
                 old.shutdown()
 

@@ -20,6 +20,9 @@ from transport.links.private_directory import locked
 HEAD: Final = Struct("<dH")
 """Time stamp, s; datagrams lost before this one."""
 
+HEAD_BYTES: Final = 10
+"""Size of `HEAD`."""
+
 _STAMP: Final = Struct("@ll")
 _STAMP_SPACE: Final = socket.CMSG_SPACE(_STAMP.size)
 _SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does not name it
@@ -39,7 +42,7 @@ def _stamp_what_waits(connection: socket.socket) -> None:
 class Peer:
     """One connection, and how many datagrams it missed since the last one that got through."""
 
-    __slots__ = ("_send", "missed", "socket")
+    __slots__ = ("_send", "missed", "read", "socket")
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -49,7 +52,7 @@ class Peer:
             connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             _stamp_what_waits(connection)
         self.socket = connection
-        self._send = connection.send
+        self._send, self.read = connection.send, connection.recv
         self.missed = 0
 
     def offer(self, datagram: bytes) -> None:
@@ -58,7 +61,7 @@ class Peer:
             self._send(datagram, MSG_NOSIGNAL)
             return
         told = min(self.missed, 0xFFFF)
-        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD.size :], MSG_NOSIGNAL)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD_BYTES:], MSG_NOSIGNAL)
         self.missed -= told
 
     def arrival_ns(self) -> int:

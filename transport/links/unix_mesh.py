@@ -2,16 +2,17 @@
 
 Every participant listens on a socket in one directory and is connected to every other participant. A newcomer connects to
 all sockets that it finds there, removes those that no process answers (their owners were killed), and changes a shared mark;
-a sender that sees the mark changed lets the newcomers in first. Hence everyone hears whatever is sent after it joined.
+a sender that sees the mark changed lets the newcomers in and sends to them too. Hence everyone hears whatever is sent after it
+joined. The mark is read behind the sending, which who waits for the datagram does not wait for.
 The mark is read and written, never mapped: whatever is done to its file costs a newcomer, not a life (SIGBUS).
 
 The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receiver. Beyond that a datagram is lost for this
 receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
 missed. No participant ever waits for another, be it slow, stopped or dead.
 
-A datagram begins with `HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it, which is
-the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a sender
-says of the time decides nothing, or who says 0 would always be heard first.
+A datagram begins with `mesh_peer.HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it,
+which is the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a
+sender says of the time decides nothing, or who says 0 would always be heard first.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import os
 import select
 import socket
 import stat
+from collections.abc import Sequence
 from contextlib import suppress
 from errno import EMFILE, ENFILE, ENOBUFS, ENOMEM
 from pathlib import Path
@@ -27,13 +29,13 @@ from threading import Lock
 from typing import Final
 
 from transport.links.link import Closing, TransportError
-from transport.links.mesh_peer import HEAD, SOCKETS, Peer, remove_left_behind
+from transport.links.mesh_peer import HEAD_BYTES, SOCKETS, Peer, remove_left_behind
 from transport.links.private_directory import locked
 
 QUEUE_LIMIT: Final = 256
 """So many datagrams of up to 80 bytes wait at least at a receiver, from each sender."""
 
-POLLS: Final = 600
+POLLS: Final = 400
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
 _MOST_IN_VAIN: Final = 8
 
@@ -187,16 +189,25 @@ class Mesh(Closing):
         Returns:
             Whether a participant took it, or there is none; False if none of them had room.
         """
-        if self._mark() != self._seen:
+        peers = self._peers
+        taken, full = self._offer(peers, datagram, wait_s)
+        if self._mark() != self._seen:  # looked at when the others have it already, who wait for it
             self._admit()
-        taken, full = False, False
-        for peer in self._peers:
+        if self._peers is not peers:
+            late, full_too = self._offer([peer for peer in self._peers if peer not in peers], datagram, wait_s)
+            taken, full = taken or late, full or full_too
+        return taken or not full
+
+    def _offer(self, peers: Sequence[Peer], datagram: bytes, wait_s: float) -> tuple[bool, bool]:
+        """Return whether one of them took it, and whether one had no room."""
+        taken = full = False
+        for peer in peers:
             try:
                 peer.offer(datagram)
                 taken = True
             except OSError as error:
                 full |= not self._not_sent(peer, datagram, error, wait_s)
-        return taken or not full
+        return taken, full
 
     def _not_sent(self, peer: Peer, datagram: bytes, error: OSError, wait_s: float) -> bool:
         """Try again or count it; return False if the participant is there and had no room."""
@@ -233,49 +244,65 @@ class Mesh(Closing):
         Args:
             timeout_s: s; None waits for ever.
         """
-        while ready := self._wait(timeout_s):
+        ready = self._epoll.poll(timeout_s if timeout_s is None or timeout_s >= _COARSE_S else 0)
+        if not ready and timeout_s is not None and 0 < timeout_s < _COARSE_S:
+            found = self._look() if self._looks else []
+            if isinstance(found, bytes):
+                return found
+            ready = found or self._sleep(timeout_s)
+        while ready:
             descriptor = ready[0][0] if len(ready) == 1 else min(ready, key=self._time)[0]
             peer = self._sources.get(descriptor)
             if peer is None:
                 self._admit()
             else:
-                try:
-                    datagram = peer.socket.recv(_LARGEST)
-                except OSError:  # another thread took it, or the other end has left: what it sent is read next
-                    datagram = None
-                if datagram:
-                    if len(datagram) >= HEAD.size:
-                        self.lost += datagram[8] | datagram[9] << 8
-                        return datagram
-                elif datagram is not None:
-                    self._remove(peer, unread=False)
-            timeout_s = 0
+                datagram = self._read(peer)
+                if datagram is not None:
+                    return datagram
+            ready = self._epoll.poll(0)
         return None
 
-    def _wait(self, timeout_s: float | None) -> list[tuple[int, int]]:
-        look = self._epoll.poll
-        if timeout_s is None or timeout_s >= _COARSE_S or timeout_s <= 0:
-            return look(timeout_s)
-        # Who waits this briefly waits for an answer, and waking up from a sleep would double its way. Where looking does
-        # not help, as when both ends share one CPU, it is given up, and tried again ever more rarely.
-        if not self._looks:
-            pass
-        elif self._rest == 0:
-            for _ in range(POLLS):
-                ready = look(0)
-                if ready:
-                    self._vain = 0
-                    return ready
-            self._vain += 1
-            if self._vain >= _MOST_IN_VAIN:
-                self._rest = 1 << min(self._vain, 14)
-        else:
+    def _read(self, peer: Peer) -> bytes | None:
+        """Return the next datagram of a participant, None if there is none."""
+        try:
+            datagram = peer.read(_LARGEST)
+        except OSError:  # another thread took it, or the other end has left: what it sent is read next
+            return None
+        if len(datagram) >= HEAD_BYTES:
+            self.lost += datagram[8] | datagram[9] << 8
+            return datagram
+        if not datagram:
+            self._remove(peer, unread=False)
+        return None
+
+    def _look(self) -> bytes | list[tuple[int, int]]:
+        """Look for an answer without sleep; return what came, or what epoll has, [] if nothing came.
+
+        Who waits briefly waits for an answer, and waking up from a sleep would double its way. Where looking does not help, as
+        when both ends share one CPU, it is given up, and tried again ever more rarely.
+        """
+        if self._rest:
             self._rest -= 1
+            return []
+        lone = next(iter(self._sources.values())) if len(self._sources) == 1 else None
+        for _ in range(POLLS):
+            # A lone participant is read without asking epoll whether it can be: none but a newcomer could have come first.
+            found = self._epoll.poll(0) if lone is None else self._read(lone)
+            if found:
+                self._vain = 0
+                return found
+        self._vain += 1
+        if self._vain >= _MOST_IN_VAIN:
+            self._rest = 1 << min(self._vain, 14)
+        return []
+
+    def _sleep(self, timeout_s: float) -> list[tuple[int, int]]:
+        """Wait more exactly than epoll does, which counts milliseconds."""
         with suppress(ValueError):  # more than 1024 open files
             if not select.select((self._epoll,), (), (), timeout_s)[0]:
                 return []
-            timeout_s = 0
-        return look(timeout_s)
+            timeout_s = 0.0
+        return self._epoll.poll(timeout_s)
 
     def _time(self, event: tuple[int, int]) -> int:
         peer = self._sources.get(event[0])

@@ -286,8 +286,9 @@ def test_what_a_full_queue_loses_is_counted_at_both_ends(channel: str, options: 
         for number in range(3000):
             rig.send(sensor(number))
         assert rig.counters.dropped > 0 and rig.counters.sent + rig.counters.dropped == 3000
-        while controller.receive(0) is not None:
-            pass
+        empty = 0
+        while empty < 3:  # a look ends early on a machine that is busy elsewhere
+            empty = 0 if controller.receive(0) is not None else empty + 1
         assert controller.counters.received <= rig.counters.sent
         rig.send(sensor(1))
         assert controller.receive(1) == sensor(1)

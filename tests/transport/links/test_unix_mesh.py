@@ -17,7 +17,8 @@ import pytest
 
 from tests.file_limit import files_up_to
 from transport import TransportError
-from transport.links.unix_mesh import HEAD, POLLS, QUEUE_LIMIT, Mesh
+from transport.links.mesh_peer import HEAD
+from transport.links.unix_mesh import POLLS, QUEUE_LIMIT, Mesh
 
 
 @pytest.fixture
@@ -51,6 +52,15 @@ def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_he
         assert counting.polls <= 10 * POLLS
         sender.send(HEAD.pack(0.0, 0))
         assert listener.receive(0.01) is not None
+
+
+def test_who_joined_before_a_datagram_was_sent_hears_it_once_as_those_who_were_there(directory: Path) -> None:
+    with Mesh(directory) as sender, Mesh(directory) as there:
+        assert sender.send(HEAD.pack(0.0, 0)) and sender.participants == 2
+        with Mesh(directory) as newcomer:
+            assert sender.send(HEAD.pack(1.0, 0)) and sender.participants == 3
+            assert [there.receive(0), there.receive(0), there.receive(0)] == [HEAD.pack(0.0, 0), HEAD.pack(1.0, 0), None]
+            assert [newcomer.receive(0), newcomer.receive(0)] == [HEAD.pack(1.0, 0), None]
 
 
 @pytest.mark.parametrize("timeout_s", [0.0007, 0.003, 0.06])

@@ -1,0 +1,216 @@
+"""One participant of a `hil` bus, frame by frame: what `transport.links.can_bus` is made of, without python-can's messages.
+
+A link takes it as it is, and the loop waits for it: pyproject.toml names this module among those that are compiled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from time import monotonic, monotonic_ns, time
+from typing import Any, Final
+
+from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model.node import State
+from transport.can_bus_model.planned_faults import BusFault
+from transport.links.can_datagram import BITRATE_SWITCH, ERROR, FD_FRAME, FRAME, LOOK, OWN, frame_of
+from transport.links.can_errors import BUS_ERROR, changed, destroyed
+from transport.links.held_bus import StateChange
+from transport.links.link import LOOK_S, TransportError
+from transport.links.python_can import can
+from transport.links.timed_sender import TimedSender
+from transport.links.unix_mesh import Mesh
+
+_SKIPPED: Final = 64
+"""So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
+
+_FRAME_BYTES: Final = 16
+"""Size of `FRAME`."""
+
+
+class HilFrames:
+    """One participant.
+
+    Args:
+        folder: where the participants of the channel meet.
+        title: of the channel, in messages.
+        fd: send and hear CAN FD frames.
+        own: hear one's own frames.
+        bus_errors: hear an error frame for every destroyed frame, where the bus takes time.
+        rates: of a bus that takes time; None for one that does not.
+        restart_s: from bus-off to when recovery begins, s; None: it stays off.
+
+    Attributes:
+        filtered: frames that a filter kept out, or that are none.
+        matches: pairs of identifier and mask that are heard; None: all.
+        mesh: what carries the frames.
+        timed: the way onto a bus that takes time.
+
+    Raises:
+        TransportError: the folder, or the state of the bus, cannot be had.
+    """
+
+    def __init__(
+        self, folder: Path, title: str, *, fd: bool, own: bool = False, bus_errors: bool = False,
+        rates: BitRates | None = None, restart_s: float | None = None,
+    ) -> None:  # fmt: skip
+        self._title, self._fd, self._own, self._bus_errors = title, fd, own, bus_errors
+        self._closed = False
+        self.matches: tuple[tuple[int, int], ...] | None = None
+        self.filtered = 0
+        self.timed: TimedSender | None = None
+        self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None)
+        if rates is not None:
+            callbacks = self._got_through, self._was_destroyed, self._state_changed, self._poke
+            try:
+                self.timed = TimedSender(folder, rates, *callbacks, restart_s)
+            except TransportError:
+                self.mesh.close()
+                raise
+
+    @property
+    def lost(self) -> int:
+        """Frames that we did not get from others because our queue was full."""
+        return self.mesh.lost
+
+    @property
+    def turned_away(self) -> int:
+        """How often a newcomer found no free file descriptor here."""
+        return self.mesh.refused
+
+    def _got_through(self, item: Any, end_ns: int, alone: bool) -> None:
+        """Hand a frame to everybody, with the end of its EOF as its time."""
+        identifier, length, flags, data = item
+        stamp = time() - (monotonic_ns() - end_ns) / 1e9
+        if alone:
+            self.mesh.send(FRAME.pack(stamp, 0, identifier, length, flags) + data)
+        if self._own:
+            self.mesh.echo(FRAME.pack(stamp, 0, identifier, length, flags | OWN) + data)
+
+    def _was_destroyed(self, item: Any, bit: int, alone: bool) -> None:
+        """Put an error frame into our own queue and the others', as drivers of SocketCAN do with ``berr-reporting on``."""
+        frame = frame_of(*item)
+        own, theirs = destroyed(frame, bit, sender=True), destroyed(frame, bit, sender=False)
+        if alone:
+            self.mesh.send(FRAME.pack(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
+        self.mesh.echo(FRAME.pack(time(), 0, ERROR | own.kind, 8, 0) + own.data)
+
+    def _state_changed(self, before: State, change: StateChange) -> None:
+        said = changed(before, change.state, change.tec, change.rec)
+        self.mesh.echo(FRAME.pack(time(), 0, ERROR | said.kind, 8, 0) + said.data)
+
+    def _poke(self) -> None:
+        """Have the others look at their error states."""
+        self.mesh.send(FRAME.pack(time(), 0, ERROR, 0, LOOK))
+
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+        """Say what is wrong with the bus when, in place of what was said before; see `SharedBus.plan`.
+
+        Raises:
+            can.CanOperationError: the bus takes no time, or is shut down.
+        """
+        if self.timed is None or self._closed:
+            raise can.CanOperationError(f"{self._title}: no bus that takes time; join it with timed=True")
+        self.timed.plan(faults, seed, senders)
+
+    def put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> bool:
+        """Send a frame; return whether a participant took it, or there is none.
+
+        Args:
+            identifier: with the flags of <linux/can.h>.
+            length: of the data, or what a remote frame says.
+            flags: of `FRAME`.
+            data: at most 64 bytes.
+            wait_s: how long to wait for room in a full queue, s.
+
+        Raises:
+            can.CanOperationError: the bus is shut down.
+        """
+        if self._closed:
+            raise can.CanOperationError(f"{self._title} is shut down")
+        now = time()
+        if self.timed is not None and not identifier & ERROR:
+            return self.timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
+        heard = self.mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
+        if self._own:
+            self.mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
+        return heard
+
+    def take(self, timeout: float | None) -> tuple[tuple[Any, ...], bytes] | None:
+        """Return the fields of `FRAME` and the data of the next frame that no filter keeps out.
+
+        Args:
+            timeout: s; None waits for ever. None may be returned earlier, when a participant joined or left.
+
+        Raises:
+            can.CanOperationError: the bus is shut down.
+        """
+        if self._closed:
+            raise can.CanOperationError(f"{self._title} is shut down")
+        end = None if timeout is None else monotonic() + (timeout if timeout > 0 else LOOK_S)
+        for _ in range(_SKIPPED):
+            frame = self.mesh.receive(timeout)
+            if frame is None:
+                return None
+            if len(frame) >= _FRAME_BYTES:
+                fields = FRAME.unpack_from(frame)
+                if self.timed is None or not self._not_for_us(fields):
+                    if (self._fd or not fields[4] & FD_FRAME) and (self.matches is None or self._wanted(fields[2])):
+                        return fields, frame[_FRAME_BYTES:]
+                    self.filtered += 1
+            else:
+                self.filtered += 1
+            if end is not None and monotonic() >= end:
+                return None
+            timeout = 0.0
+        return None
+
+    def send_frame(self, identifier: int, data: bytes) -> bool:
+        """Send without a `can.Message`, which halves the cost: standard identifier, FD with bit rate switch where `fd`.
+
+        Args:
+            identifier: of 11 bits.
+            data: of a length that such a frame has.
+
+        Returns:
+            Whether a participant took it, or there is none; False if none of them had room.
+        """
+        return self.put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
+        """Receive without a `can.Message`: identifier with the flags of <linux/can.h>, whether FD, data; or None.
+
+        Args:
+            timeout: s; None may come earlier, when a participant joined or left.
+        """
+        taken = self.take(timeout)
+        if taken is None:
+            return None
+        fields, data = taken
+        return fields[2], bool(fields[4] & FD_FRAME), data
+
+    def _not_for_us(self, fields: tuple[Any, ...]) -> bool:
+        """Return whether this is no frame for a participant of a bus that takes time; look at its error state where told to."""
+        timed, (stamp, _, identifier, _, flags) = self.timed, fields
+        if timed is None:
+            return False
+        if flags & LOOK:
+            timed.look()
+            return True
+        if identifier & ERROR:
+            return bool(identifier & BUS_ERROR) and not self._bus_errors
+        return timed.was_off(monotonic_ns() - round((time() - stamp) * 1e9))
+
+    def _wanted(self, identifier: int) -> bool:
+        for can_id, mask in self.matches or ():
+            if not (identifier ^ can_id) & mask:
+                return True
+        return bool(identifier & ERROR)
+
+    def shutdown(self) -> None:
+        """Leave the bus; frames already sent still arrive. May be called twice."""
+        if not self._closed:
+            self._closed = True
+            if self.timed is not None:
+                self.timed.close()
+            self.mesh.close()
