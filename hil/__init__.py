@@ -34,6 +34,8 @@ Importing this package costs nothing: each name brings its module when it is fir
 
 from __future__ import annotations
 
+import sys
+
 _NAMES = {
     "hil.api.assertions": "assert_law assert_probability",
     "hil.api.questions": "DesignResult design laws",
@@ -57,7 +59,7 @@ __all__ = sorted(_HOMES)  # noqa: PLE0605
 
 def __getattr__(name: str) -> object:
     if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
     from importlib import import_module
 
     import_module("hil.plugins.user_modules").refuse_shadowed_packages()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class HilError(Exception):
     """Something the user can mend; the message names the object, the value and what was expected.
@@ -31,6 +33,24 @@ class ExperimentError(HilError):
         self.source = source
         self.faults = faults
         super().__init__("\n".join(f"{source}: {fault}" for fault in faults))
+
+
+def nearest(name: object, known: Iterable[str], *, lead: str = "; ", cutoff: float = 0.6) -> str:
+    """Return what a message about an unknown name ends with: a question for the nearest known one, or nothing.
+
+    Args:
+        name: what was written.
+        known: what could have been.
+        lead: what joins the question to the message.
+        cutoff: from 0, anything is near, to 1, only the same.
+
+    >>> nearest("settling_tme_s", ["sse", "settling_time_s"])
+    "; did you mean 'settling_time_s'?"
+    """
+    from difflib import get_close_matches
+
+    near = get_close_matches(str(name)[:100], known if isinstance(known, list) else [*known], n=1, cutoff=cutoff)
+    return f"{lead}did you mean {near[0]!r}?" if near else ""
 
 
 class ForeignVerdict(Exception):

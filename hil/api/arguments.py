@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
-from inspect import Parameter, signature
+from inspect import Parameter, Signature, signature
 from numbers import Integral, Real
 from pathlib import Path
 from types import NoneType, SimpleNamespace, UnionType
@@ -16,7 +16,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 
 from design.errors import DesignError
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.experiment.tables import Experiment
 from plants.errors import PlantError
 from transport.links.link import TransportError
@@ -49,6 +49,7 @@ def checked_arguments(function: Callable[P, R]) -> Callable[P, R]:
         __tracebackhide__ = True  # pytest shows the line of the test, not this function
         if not hints:
             hints.update(get_type_hints(SimpleNamespace(__annotations__=own), globalns=vars(_module(function))))
+        _refuse_unknown(function.__name__, named, kwargs)
         for name, value in named.bind(*args, **kwargs).arguments.items():
             kind = named.parameters[name].kind
             if kind is not Parameter.VAR_KEYWORD:
@@ -60,6 +61,17 @@ def checked_arguments(function: Callable[P, R]) -> Callable[P, R]:
             raise HilError(str(error)) from error
 
     return called
+
+
+def _refuse_unknown(name: str, named: Signature, kwargs: Mapping[str, Any]) -> None:
+    """Refuse an argument that the function lacks, with the nearest that it has; changes of an experiment are looked at later."""
+    changes = any(each.kind is Parameter.VAR_KEYWORD for each in named.parameters.values())
+    own = [key for key in named.parameters if not changes or named.parameters[key].kind is Parameter.KEYWORD_ONLY]
+    keys = [*Experiment.__struct_encode_fields__] if changes else []
+    for key in kwargs:
+        hint = "" if key in named.parameters or key in keys or nearest(key, keys) else nearest(key, own)
+        if hint:
+            raise HilError(f"hil.{name}: no argument is called {key!r}{hint}")
 
 
 def _module(function: Callable[..., Any]) -> Any:

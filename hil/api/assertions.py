@@ -12,7 +12,7 @@ from design.monte_carlo.confidence import SequentialTest
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment
 from hil.compose.loop import compose
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.experiment import Experiment
 from hil.session import Session, simulated_session
 
@@ -190,7 +190,7 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
     network = session.summary["network"]
     sides = {"sc": network["sc"], "ca": network["ca"], **network["nodes"]}
     if side not in sides:
-        raise HilError(f"assert_law: side {side!r}; expected one of {', '.join(map(repr, sides))}")
+        raise HilError(f"assert_law: side {side!r}; expected one of {', '.join(map(repr, sides))}{nearest(side, sides)}")
     found = sides[side]
     p_value = found["p_value"]
     if p_value is None:

@@ -14,7 +14,7 @@ import click
 
 from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
 from hil.plugins.process_guard import WATCH, ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
@@ -80,6 +80,10 @@ class LazyGroup(click.Group):
             collect_garbage_again()
         return command
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        ctx.meta[__name__] = tuple(args)
+        return super().parse_args(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; an interrupt is one line and status 130 or 143, not click's "Aborted!" and 1."""
         try:
@@ -96,6 +100,11 @@ class LazyGroup(click.Group):
                 raise
             print("\nhil: interrupted", file=sys.stderr)
             sys.exit(at.status if isinstance(at, Terminated) else 130)
+        except click.UsageError as e:
+            from hil.cli.suggestions import suggest
+
+            suggest(e, ctx.meta[__name__])
+            raise
         except BrokenPipeError:  # `hil list | head`; click would make it a failure
             _close_stdout()
             sys.exit(141)
@@ -108,11 +117,8 @@ class LazyGroup(click.Group):
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError as e:
-            import difflib
-
-            near = difflib.get_close_matches(args[0], COMMANDS, n=1) if args else []
-            if near and "Did you mean" not in e.message:
-                raise click.UsageError(f"{e.message} Did you mean {near[0]!r}?", ctx) from e
+            if args and "Did you mean" not in e.message and (hint := nearest(args[0], COMMANDS, lead=" ")):
+                raise click.UsageError(e.message + hint.replace("did", "Did", 1), ctx) from e
             raise
 
 

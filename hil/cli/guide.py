@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 
 ORDER = (
     "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time",
@@ -32,7 +32,6 @@ def _topics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
 @click.argument("topic", required=False, shell_complete=_topics)
 def command(topic: str | None) -> None:
     """Show the guide's page on TOPIC, in a pager ($PAGER, less) where it is long; without a topic, list them."""
-    import difflib
     import sys
 
     found = pages()
@@ -42,9 +41,7 @@ def command(topic: str | None) -> None:
             print(f"{name:<{width}}  {path.read_text(encoding='utf-8').partition(chr(10))[0].removeprefix('# ')}")
         return
     if topic not in found:
-        near = difflib.get_close_matches(topic, found, n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise HilError(f"no topic {topic!r} in the guide; {hint}`hil guide` lists them")
+        raise HilError(f"no topic {topic!r} in the guide{nearest(topic, found, cutoff=0.4) or ';'} `hil guide` lists them")
     text = found[topic].read_text(encoding="utf-8")
     if not sys.stdout.isatty():
         print(text, end="")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.terminal import json_option, print_json
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
     from hil.sweeps.problems import Problem, Reached
@@ -33,9 +33,11 @@ def command(controller: str | None, names: tuple[str, ...], runs: int, write: bo
     from hil.sweeps.problems import best_known, problems, reached
 
     chosen = [problem for problem in problems() if not names or problem.name in names]
-    unknown = set(names) - {problem.name for problem in problems()}
+    names_of = [problem.name for problem in problems()]
+    unknown = set(names) - set(names_of)
     if unknown:
-        raise HilError(f"--only: no problem is called {min(unknown)!r}; there are {', '.join(p.name for p in problems())}")
+        hint = nearest(min(unknown), names_of) or "."
+        raise HilError(f"--only: no problem is called {min(unknown)!r}{hint} There are: {', '.join(names_of)}")
     if write:
         if controller is not None:
             raise HilError("--write: stores what the set itself tried, and takes no --controller")

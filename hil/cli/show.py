@@ -11,14 +11,11 @@ from hil.cli.completion import EXPERIMENT
 @click.argument("experiment", type=EXPERIMENT)
 def command(experiment: str) -> None:
     """Print the file of a shipped EXPERIMENT: hil show dc-motor-hinf > mine.toml"""
-    import difflib
-
-    from hil.errors import HilError
+    from hil.errors import HilError, nearest
     from hil.experiment import shipped
 
     found = shipped()
     if experiment not in found:
-        near = difflib.get_close_matches(experiment, found, n=1, cutoff=0.4)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise HilError(f"no shipped experiment {experiment!r:.80}; {hint}`hil list` shows them")
+        hint = nearest(experiment, found, cutoff=0.4) or ";"
+        raise HilError(f"no shipped experiment {experiment!r:.80}{hint} `hil list` shows them")
     print(found[experiment].read_text(encoding="utf-8"), end="")

@@ -14,7 +14,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.terminal import json_option, print_json
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import StopRule
@@ -200,7 +200,7 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
     name, _, width = text.partition("=")
     statistic, _, metric = name.rpartition(":")
     if metric not in metrics:
-        raise HilError(f"--until: {metric!r} is not one of {', '.join(metrics)}")
+        raise HilError(f"--until: {metric!r} is not one of {', '.join(metrics)}{nearest(metric, metrics)}")
     try:
         number = float(width)
     except ValueError:

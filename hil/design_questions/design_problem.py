@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from design.tracking.gain_parametrisation import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_gains
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.plugins.protocols import Plant
 
 if TYPE_CHECKING:
@@ -140,6 +141,10 @@ def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:
     Raises:
         HilError: an option that does not fit.
     """
+    known = [each.name for each in fields(TrackingProblem) if each.name not in ("A", "B", "C", "sc", "ca")]
+    for name in options:
+        if name not in known:
+            raise HilError(f"design: no option is called {name!r}{nearest(name, known) or '.'} There are: {', '.join(known)}")
     try:
         return TrackingProblem(A=target.A, B=target.B, C=target.C, sc=target.sc, ca=target.ca, **options)
     except ValueError as error:

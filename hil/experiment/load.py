@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import tomllib
 import typing
@@ -10,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hil.errors import ExperimentError, HilError
+from hil.errors import ExperimentError, HilError, nearest
 from hil.experiment.check import Checker
 from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment, Seconds
@@ -60,10 +59,8 @@ def load_experiment(
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        near = difflib.get_close_matches(name, shipped(), n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        hint += "`hil list` shows the shipped ones"
-        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name; {hint}") from None
+        hint = (nearest(name, shipped()) or ";") + " `hil list` shows the shipped ones"
+        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so
         pass
     data = read_regular(path, MAX_BYTES, "an experiment file")

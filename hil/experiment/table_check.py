@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import collections.abc
 import dataclasses
-import difflib
 import json
 import math
 import types
@@ -17,8 +16,8 @@ from typing import Any, Final
 
 import msgspec
 
-from hil.errors import HilError
-from hil.experiment.tables import HIDDEN, Experiment, Seconds, Table
+from hil.errors import HilError, nearest
+from hil.experiment.tables import HIDDEN, Experiment, Network, Seconds, Table
 from hil.plugins.protocols import FieldFault
 
 _UNIONS: Final = (typing.Union, types.UnionType)
@@ -211,10 +210,10 @@ class TableCheck:
             if tag == (key, value):
                 continue
             if key not in known:
-                near = difflib.get_close_matches(key, known, n=1)
                 names = [name for name in known if cls is not Experiment or name not in HIDDEN]
-                hint = f"; did you mean {near[0]!r}?" if near else f"; there are {', '.join(names)}" if names else "; it has none"
-                self.faults.append(f"{at}: unknown field{hint}")
+                inner = [f"network.{key}"] if cls is Experiment and key in Network.__struct_encode_fields__ else []
+                there = f"; there are {', '.join(names)}" if names else "; it has none"
+                self.faults.append(f"{at}: unknown field{nearest(inner[0] if inner else key, inner or names) or there}")
                 continue
             count = len(self.faults)
             converted = self._value(hints[fields[key]], value, at)
@@ -271,7 +270,7 @@ class TableCheck:
             message, _, where = str(e).partition(" - at `$")
             if message.startswith("Invalid enum value"):
                 words = [w for part in (hint, *args) if typing.get_origin(part) is typing.Literal for w in typing.get_args(part)]
-                message += f", expected one of {', '.join(map(str, words))}" if words else ""
+                message += f", expected one of {', '.join(map(str, words))}{nearest(value, map(str, words))}" if words else ""
             if message.startswith("Expected `array`") and (written := form(hint)):
                 message += f"; it is written {written}"
             at += where.rstrip("`")

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Real
 from typing import Any, Final
 
-from hil.errors import ExperimentError
+from hil.errors import ExperimentError, nearest
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
@@ -106,8 +105,7 @@ def _check_topics(topics: object) -> None:
         raise AssertionError(f"topics is {topics!r:.80}, expected a tuple of names, such as ('/actuator/applied',)")
     for topic in topics:
         if topic not in known:
-            near = difflib.get_close_matches(topic, known, n=1)
-            raise AssertionError(f"topics: no topic is called {topic!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+            raise AssertionError(f"topics: no topic is called {topic!r}{nearest(topic, known)}")
 
 
 def _numbers(measure: Measure, view: RunView, what: str) -> dict[str, Any]:

@@ -5,7 +5,6 @@ Numbers by name, where a name that is not there is answered with those that are.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 from hil.compose.loop import Loop
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.experiment import Experiment
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
@@ -263,9 +262,7 @@ def unknown_name(what: str, name: object, known: Iterable[str]) -> UnknownName:
     no metric is called 'settling_tme_s'; did you mean 'settling_time_s'? There are: sse, settling_time_s
     """
     names = list(known)
-    near = difflib.get_close_matches(str(name), names, n=1)
-    hint = f"; did you mean {near[0]!r}?" if near else "."
-    return UnknownName(f"no {what} is called {str(name)!r}{hint} There are: {', '.join(names) or 'none'}")
+    return UnknownName(f"no {what} is called {str(name)!r}{nearest(name, names) or '.'} There are: {', '.join(names) or 'none'}")
 
 
 class Named(dict[str, T]):

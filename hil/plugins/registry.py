@@ -5,11 +5,10 @@ A kind with a colon is no entry point but a class of the user's own file, see :m
 
 from __future__ import annotations
 
-import difflib
 from functools import cache
 from typing import Final, Literal
 
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.files.installed import Point, points, said_by
 from hil.plugins.user_modules import is_own, load_own, written_in
 
@@ -56,9 +55,8 @@ def load(group: Group, name: str, folder: str = ".") -> type:
         return own
     found = _of(group)
     if name not in found:
-        near = difflib.get_close_matches(name, found, n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise HilError(f"no {group[4:-1]} plug-in is called {name!r}{hint} (there are: {', '.join(sorted(found))})")
+        there = f"(there are: {', '.join(sorted(found))})"
+        raise HilError(f"no {group[4:-1]} plug-in is called {name!r}{nearest(name, found)} {there}")
     try:
         plugin: type = found[name].load()
     except (ImportError, AttributeError) as e:

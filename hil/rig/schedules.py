@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import lcm
 
+from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
@@ -49,7 +50,7 @@ def fault_schedule_faults(e: Experiment, on_bus: Sequence[str] = (), *, timed_li
     bits = [f"fault[{i}].kind: {none}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS and not there_is]
     there = f"there are: {', '.join(e.network.nodes)}" if e.network.nodes else "no node is named: use link"
     return bits + [
-        f"fault[{i}].node: there is no node {fault.node!r} ({there})"
+        f"fault[{i}].node: there is no node {fault.node!r}{nearest(fault.node, e.network.nodes)} ({there})"
         for i, fault in enumerate(e.fault)
         if fault.node is not None and fault.node not in e.network.nodes and not (fault.kind == "bus-off" and fault.node in on_bus)
     ]

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from design.controllers import SensorNodes, Turns, packet_samples
-from hil.errors import ExperimentError
+from hil.errors import ExperimentError, nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
 from hil.rig.schedules import bus_cycle
@@ -97,7 +97,8 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
     index = {s.name: i for i, s in enumerate(e.plant.outputs)}
     nodes = [e.network.nodes[name] for name in names]
     unknown = [
-        f"network.nodes.{name}.outputs[{i}]: the plant has no output {output!r} (there are: {', '.join(index)})"
+        f"network.nodes.{name}.outputs[{i}]: the plant has no output {output!r}{nearest(output, index)} "
+        f"(there are: {', '.join(index)})"
         for name, node in zip(names, nodes)
         for i, output in enumerate(node.outputs)
         if output not in index
@@ -154,7 +155,8 @@ def node_faults(e: Experiment) -> list[str]:
         for i, output in enumerate(node.outputs):
             at = f"{own}.outputs[{i}]"
             if output not in outputs:
-                faults.append(f"{at}: the plant has no output {output!r} (there are: {', '.join(outputs)})")
+                hint = nearest(output, outputs)
+                faults.append(f"{at}: the plant has no output {output!r}{hint} (there are: {', '.join(outputs)})")
             elif owner.setdefault(output, name) != name:
                 faults.append(f"{at}: {output!r} is measured by node {owner[output]!r} already")
         if len(node.outputs) > MAX_OUTPUTS or len(node.outputs) * node.buffer + len(outputs) > MAX_VALUES:
@@ -168,7 +170,7 @@ def node_faults(e: Experiment) -> list[str]:
         for i, node_name in enumerate(medium.nodes):
             at = f"network.media.{name}.nodes[{i}]"
             if node_name not in nodes:
-                faults.append(f"{at}: there is no node {node_name!r} (there are: {', '.join(nodes)})")
+                faults.append(f"{at}: there is no node {node_name!r}{nearest(node_name, nodes)} (there are: {', '.join(nodes)})")
             elif on.setdefault(node_name, name) != name:
                 faults.append(f"{at}: node {node_name!r} is on medium {on[node_name]!r} already")
     return faults

@@ -34,7 +34,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 from numpy.lib import format as npy
 
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.experiment import experiment_from_resolved
 from hil.files.outputs import written_whole
 from hil.log.append_column import pieces
@@ -118,7 +118,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
     known = (*run.arrays, EVENTS_TOPIC) if target.suffix == ".csv" else (*run.arrays,)
     for topic in topics:
         if topic not in known:
-            raise HilError(f"topic {topic!r}: not in the log, expected one of {', '.join(known)}")
+            raise HilError(f"topic {topic!r}: not in the log, expected one of {', '.join(known)}{nearest(topic, known)}")
     wanted = [*dict.fromkeys(topics or known)]
     paths = [target] if target.suffix != ".csv" or len(wanted) == 1 else [_table_path(target, topic) for topic in wanted]
     for path in paths:

@@ -11,7 +11,7 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Final
 
-from hil.errors import HilError
+from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
 from hil.log.topics.bus import BUS as BUS
 from hil.log.topics.loop import APPLIED as APPLIED
@@ -86,7 +86,8 @@ def missing(topic: str, there: Sequence[str]) -> MissingTopic:
     """Return the error of a reader that needs a topic which a log lacks."""
     known = TOPICS.get(topic)
     about = "" if known is None else f"; it is written by the {known.filled_by}, since hilrig {known.since}"
-    return MissingTopic(f"topic {topic}: this log lacks it{about}; it has {', '.join(there) or 'none'}")
+    hint = nearest(topic, there) if known is None else ""
+    return MissingTopic(f"topic {topic}: this log lacks it{about}{hint or ';'} it has {', '.join(there) or 'none'}")
 
 
 def panels(schemas: Mapping[str, Schema], topics: Sequence[str] | None = None) -> dict[str, list[tuple[str, Curve]]]:
