@@ -10,6 +10,7 @@ A controller of a plant without a network, by python-control: what a networked d
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import isqrt
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -144,10 +145,10 @@ class Designed:
             raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:
             read = self._read(task)
-            return SendAll(
+            return _covering(task, SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
                 sojourns=read.sojourns, samples=read.samples,
-            )  # fmt: skip
+            ))  # fmt: skip
         if sc is None or ca is None:
             raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
         ages: tuple[int, ...] = ()
@@ -170,10 +171,10 @@ class Designed:
         design = solve_cached(problem)
         gains = nested(np.asarray(design.gains))
         sojourns = sc.sojourns if self.sojourns > 1 else ()
-        return SendAll(
+        return _covering(task, SendAll(
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
             ages=ages,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def unfit(self, task: DesignTask) -> str:
         """Return in what the problem of the file differs from that of a loop; empty where it does not, or no chain states it.
@@ -206,15 +207,37 @@ class Designed:
             raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
         filed = problem_of(read)
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
-        return SendAll(
+        return _covering(task, SendAll(
             gains=nested(np.asarray(design.gains)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
             sojourns=read.sojourns, samples=read.samples,
-        )  # fmt: skip
+        ))  # fmt: skip
 
     def _read(self, task: DesignTask) -> DesignFile:
         from design.tracking.design_file import load_design
 
         return load_design(Path(task.folder) / self.file)
+
+
+def _covering(task: DesignTask, found: SendAll) -> SendAll:
+    """Return gains with a table and a row for every delay up to the loop's largest.
+
+    A design has no row for a delay that its chains do not reach, such as one beyond a latency's bound; there it repeats the last.
+    """
+    model, sc, ca = task.model, task.sc, task.ca
+    K = np.asarray(found.gains, dtype=float)
+    per_delay = found.selection != "constant"
+    delays = isqrt(K.shape[1]) if found.selection == "both" else K.shape[1]
+    if sc is None or ca is None or (per_delay and delays <= ca.max_delay):  # too few rows for what comes: the loop refuses it
+        return found
+    more = max(0, model.d_max + 1 - delays) if per_delay else 0
+    if found.selection == "both":
+        pairs = K.reshape(len(K), delays, delays, *K.shape[2:])
+        K = np.pad(pairs, [(0, 0), (0, more), (0, more), (0, 0), (0, 0)], mode="edge").reshape(len(K), -1, *K.shape[2:])
+    elif more:
+        K = np.pad(K, [(0, 0), (0, more), (0, 0), (0, 0)], mode="edge")
+    if not found.sojourns and not found.ages and int(sc.label.max()) < len(K):
+        K = np.pad(K, [(0, max(0, model.tau_max + 1 - len(K))), (0, 0), (0, 0), (0, 0)], mode="edge")
+    return replace(found, gains=nested(K))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

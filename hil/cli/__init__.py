@@ -101,9 +101,10 @@ class LazyGroup(click.Group):
             print("\nhil: interrupted", file=sys.stderr)
             sys.exit(at.status if isinstance(at, Terminated) else 130)
         except click.UsageError as e:
-            from hil.cli.suggestions import suggest
+            from hil.cli.suggestions import suggestion
 
-            suggest(e, ctx.meta[__name__])
+            if hint := suggestion(e, ctx.meta[__name__]):
+                raise click.UsageError(e.format_message() + hint, e.ctx) from e
             raise
         except BrokenPipeError:  # `hil list | head`; click would make it a failure
             _close_stdout()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import hil
 from design.controllers import LinearLaw
 from design.errors import FieldError
 from design.networked_loop.certify import certify_loop
@@ -295,3 +297,19 @@ def test_a_table_of_gains_over_packets_has_a_verdict_whatever_the_law(changed: s
     """Fewer ages than gains, a channel that never turns bad, and one that nearly always loses."""
     verdict = compose(load_experiment("dc-motor-packets", (changed, "allow_uncertified=true"))).verdict
     assert verdict is not None and verdict.state == state and reason in verdict.reason
+
+
+BOUNDED = {"kind": "packet", "latency": {"dist": "uniform", "loc": "1 ms", "scale": "119 ms"}}
+
+
+@pytest.mark.parametrize("information", ["tau", "applied", "both"])
+def test_a_design_covers_delays_that_a_bounded_latency_never_makes(information: str) -> None:
+    """`max_age` is 3 by default, the latency reaches 2 slots: the rows that are never applied change no input."""
+    loop: dict[str, Any] = {
+        "controller": {"kind": "designed", "information": information}, "network.sc.law": BOUNDED, "network.ca.law": BOUNDED,
+    }  # fmt: skip
+    by_default = hil.run("dc-motor-packets", duration=5, **{"network.sc.max_age": 3, "network.ca.max_age": 3}, **loop)
+    exactly = hil.run("dc-motor-packets", duration=5, **{"network.sc.max_age": 2, "network.ca.max_age": 2}, **loop)
+    assert by_default.summary["certificate"]["state"] == "certified"
+    applied = [run.arrays["/actuator/applied"]["voltage"] for run in (by_default, exactly)]
+    assert (applied[0] == applied[1]).all() and applied[0].any()
