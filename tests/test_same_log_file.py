@@ -12,11 +12,11 @@ from pathlib import Path
 import pytest
 
 from design.verdict import FROM_A_SOLVER, Verdict
-from hil.cli.doctor import stand_ins
 from hil.log.read.run import read_run
+from tests.other_processors import together
 
 NAMES = ("dc-motor-ours-hinf", "dc-motor-smith", "multisensor-published", "vtol-hinf", "vtol-fault")
-OTHERS = {name: environment for name, environment in stand_ins().items() if "Nehalem" in name or "glibc" in name}
+OTHERS = {name: environment for name, environment in together().items() if "Nehalem" in name or "glibc" in name}
 
 
 def logs(folder: Path, environment: dict[str, str]) -> dict[str, Path]:

@@ -68,8 +68,8 @@ def read(terminal: int) -> str:
 def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
     tmp_path: Path, title: str, arguments: tuple[str, ...]
 ) -> None:
-    (tmp_path / "large.toml").write_text(LARGE.format(controller='"h2"', tail=0.8))
-    (tmp_path / "designed.toml").write_text(LARGE.format(controller='"designed"\nobjective = "h2"', tail=0.8))
+    (tmp_path / "large.toml").write_text(LARGE.format(controller='"h2"', tail=0.93))
+    (tmp_path / "designed.toml").write_text(LARGE.format(controller='"designed"\nobjective = "h2"', tail=0.93))
     made = set(tmp_path.iterdir())
     process, terminal = in_a_terminal(tmp_path, *arguments)
     seen = ""
