@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.simulated import simulate
 from hil.session import run_session
+from tests.warm_hil import hil_command
 
 WAY = 'network.sc.law={kind="constant", age=5}', 'network.ca.law={kind="constant", age=5}'
 
@@ -35,7 +34,7 @@ def test_a_newton_ends_where_the_wall_and_the_coupler_say(material: int, depth: 
 
 
 def test_theorem_61_is_refused_with_the_number_and_nothing_is_written(tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-m", "hil", "run", "omni-theorem61"], cwd=tmp_path, capture_output=True, text=True)
+    done = hil_command("run", "omni-theorem61", cwd=tmp_path)
     assert done.returncode == 2 and "spectral radius 1.1527" in done.stderr
     assert not list(tmp_path.iterdir())
 

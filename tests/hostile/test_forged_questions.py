@@ -13,6 +13,7 @@ import pytest
 from hil.files.keys import make_keys
 from hil.session.replay.replay import verify
 from tests.hostile.test_who_commands import session
+from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime
 
@@ -44,12 +45,12 @@ def test_a_log_of_a_session_with_a_key_is_verified(tmp_path: Path) -> None:
     assert summary["controller_counters"]["refused"] == 0 and "controller_refused" not in summary["problems"]
     verdict = verify(run)
     assert verdict.difference is None and verdict.answers > 0
-    done = subprocess.run([sys.executable, "-m", "hil", "replay", "run.mcap"], cwd=tmp_path, capture_output=True, text=True)
+    done = hil_command("replay", "run.mcap", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    replay = [sys.executable, "-m", "hil", "replay", "run.mcap", "--json", "--auth"]
-    done = subprocess.run([*replay, "keys/frames.key"], cwd=tmp_path, capture_output=True, text=True)
+    replay = ["replay", "run.mcap", "--json", "--auth"]
+    done = hil_command(*replay, "keys/frames.key", cwd=tmp_path)
     tags = json.loads(done.stdout)["tags"]
     assert done.returncode == 0 and tags["verified"] >= verdict.answers and tags["wrong"] == 0, done.stdout + done.stderr
     make_keys(tmp_path / "others")
-    done = subprocess.run([*replay, "others/frames.key"], cwd=tmp_path, capture_output=True, text=True)
+    done = hil_command(*replay, "others/frames.key", cwd=tmp_path)
     assert done.returncode == 1 and json.loads(done.stdout)["tags"] == {"verified": 0, "wrong": tags["verified"], "first": 0}

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import os
 import stat
-import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 from random import Random
@@ -18,6 +16,7 @@ import pytest
 
 from hil.cli import cli
 from tests.hostile.logs import our_log
+from tests.warm_hil import hil_command
 
 FEW = 6
 PARTS = 4
@@ -73,10 +72,7 @@ def _attack(given: list[Words], folder: Path) -> None:
     bad = []
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache"), "OMP_NUM_THREADS": "1"}
     for words in given:
-        done = subprocess.run(
-            [sys.executable, "-m", "hil", *words], cwd=folder, env=environment, stdin=subprocess.DEVNULL, capture_output=True,
-            timeout=PATIENCE_S, text=True, errors="replace",
-        )  # fmt: skip
+        done = hil_command(*words, cwd=folder, env=environment, timeout=PATIENCE_S)
         if done.returncode not in STATUSES or any(word in done.stderr for word in ("Traceback", "Warning", "Exception ignored")):
             bad.append(f"hil {words} ended with {done.returncode}: {done.stderr[-1500:]}")
         if before and not device.is_char_device():

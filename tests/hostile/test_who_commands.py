@@ -22,7 +22,7 @@ from hil.files.keys import make_keys
 from hil.log.read.run import Run, read_run
 from tests.links.test_zenoh_access import stranger, tls_entries
 from tests.ports import free_port
-from tests.waiting import LIMIT_S
+from tests.warm_hil import hil_command
 from transport.links.contract import control
 
 pytestmark = pytest.mark.realtime
@@ -43,11 +43,8 @@ def intruder(uri: str, way: str) -> Iterator[None]:
 
 
 def session(folder: Path, uri: str, experiment: str = "dc-motor-hinf", seconds: int = 2) -> tuple[int, dict[str, Any], Run]:
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "run", experiment, "--clock", "real", "--link", uri, "--json", "--duration", str(seconds),
-         "--set", "reference.0.at=0.2", "-o", "run.mcap", "--force"],
-        cwd=folder, capture_output=True, text=True, timeout=LIMIT_S,
-    )  # fmt: skip
+    done = hil_command("run", experiment, "--clock", "real", "--link", uri, "--json", "--duration", str(seconds),
+                       "--set", "reference.0.at=0.2", "-o", "run.mcap", "--force", cwd=folder)  # fmt: skip
     assert "Traceback" not in done.stderr and done.stdout, done.stderr
     return done.returncode, json.loads(done.stdout), read_run(folder / "run.mcap")
 
@@ -90,11 +87,8 @@ def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with intruder(uri, "role"):
         for _ in range(30):  # until the intruder was first: who of the two is, chance decides
-            done = subprocess.run(
-                [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", uri, "-o", "x.mcap",
-                 "--duration", "0.2", "--force"],
-                cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S,
-            )  # fmt: skip
+            done = hil_command("run", "dc-motor-hinf", "--clock", "real", "--link", uri, "-o", "x.mcap", "--duration", "0.2",
+                               "--force", cwd=tmp_path)  # fmt: skip
             if done.returncode != 0:
                 break
             (tmp_path / "x.mcap").unlink()

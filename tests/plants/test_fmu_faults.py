@@ -23,6 +23,7 @@ from plants import FMU
 from plants.fmu_host import PREFIX, remove_left_behind
 from tests.plants.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2
 from tests.waiting import ended, gone, until
+from tests.warm_hil import hil_command
 
 pytest.importorskip("fmpy", reason="FMPy is not installed: pip install 'hilrig[fmu]'")
 pytestmark = pytest.mark.skipif(
@@ -73,8 +74,11 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def command(folder: Path, *words: str) -> list[str]:
-    log = str(folder / "a.mcap")
-    return [sys.executable, "-m", "hil", "run", str(folder / "exp.toml"), "--duration", "2s", "--json", "-o", log, *words]
+    return ["run", str(folder / "exp.toml"), "--duration", "2s", "--json", "-o", str(folder / "a.mcap"), *words]
+
+
+def started(words: list[str], stdout: int = subprocess.PIPE) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, "-m", "hil", *words], stdout=stdout, stderr=subprocess.PIPE, text=True)
 
 
 def left(temporary: Path, patience_s: float = 20.0) -> list[str]:
@@ -103,7 +107,7 @@ def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
     tmp_path: Path, temporary: Path, late: str, told: str
 ) -> None:
     unit(tmp_path, late=late)
-    done = subprocess.run(command(tmp_path), capture_output=True, text=True, timeout=120)
+    done = hil_command(*command(tmp_path), cwd=tmp_path)
     summary = json.loads(done.stdout)
     assert done.returncode == 1 and told in summary["problems"]["plant_failed"] and "Traceback" not in done.stderr
     run = read_run(tmp_path / "a.mcap")  # whole: closed, with its index
@@ -118,7 +122,7 @@ def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
 def test_what_a_unit_starts_and_leaves_ends_with_the_session(tmp_path: Path, temporary: Path, started: str) -> None:
     note = f'FILE *f = fopen("{tmp_path}/pid", "w"); fprintf(f, "%d", getpid()); fclose(f); sleep(1000);'
     unit(tmp_path, late=f"static int n = 0; if (!n++ && !fork()) {{ {started % note} _exit(0); }}")
-    done = subprocess.run(command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, timeout=120)
+    done = hil_command(*command(tmp_path), cwd=tmp_path)
     pid = int((tmp_path / "pid").read_text())
     assert done.returncode == 0
     until(lambda: gone(pid), "the end of what the unit started")
@@ -128,7 +132,7 @@ def test_what_a_unit_starts_and_leaves_ends_with_the_session(tmp_path: Path, tem
 def test_in_real_time_a_unit_that_kills_its_host_while_it_is_warmed_up_is_one_message(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late="kill(getppid(), 9); sleep(60);")
     words = command(tmp_path, "--clock", "real", "--link", "local:")
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    done = hil_command(*words, cwd=tmp_path)
     assert done.returncode in (1, 2) and "the process that holds the unit is gone" in done.stderr + done.stdout
     assert "Traceback" not in done.stderr, done.stderr
 
@@ -143,7 +147,7 @@ def test_in_real_time_a_unit_that_kills_its_host_while_it_is_warmed_up_is_one_me
 )
 def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: Path, late: str, number: int) -> None:
     unit(tmp_path, late=f'fputs("loops\\n", stderr); {late}')
-    with ended(subprocess.Popen(command(tmp_path), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
+    with ended(started(command(tmp_path))) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
@@ -172,13 +176,13 @@ def test_a_unit_that_is_none_is_refused_before_anything_runs(
 
 def test_what_a_unit_prints_stays_out_of_our_output(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late='puts("{}"); fflush(stdout); write(1, "x\\n", 2);')
-    done = subprocess.run(command(tmp_path), capture_output=True, text=True, timeout=120)
+    done = hil_command(*command(tmp_path), cwd=tmp_path)
     assert done.returncode == 0 and json.loads(done.stdout)["slots"] == 40 and "{}\nx\n" in done.stderr
 
 
 def test_the_folder_of_a_killed_session_goes_with_it(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late='fputs("loops\\n", stderr); for (;;);')
-    with ended(subprocess.Popen(command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)) as process:
+    with ended(started(command(tmp_path), subprocess.DEVNULL)) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         assert any(p.name.startswith(PREFIX) for p in temporary.iterdir())
         process.kill()
@@ -214,7 +218,7 @@ def test_the_same_seed_gives_the_same_log(tmp_path: Path, temporary: Path) -> No
 def test_in_real_time_a_unit_that_crashes_ends_the_session_in_order(tmp_path: Path, temporary: Path) -> None:
     unit(tmp_path, late=f'if (!access("{tmp_path}/go", 0)) {{ {SEGFAULT} }}')  # rehearsals are behind it then
     words = command(tmp_path, "--clock", "real", "--link", "local:", "--duration", "60s")
-    with ended(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
+    with ended(started(words)) as process:
         log = tmp_path / "a.mcap"
         until(lambda: log.exists() and log.stat().st_size > 0, "the log is begun")
         begun = log.stat().st_size

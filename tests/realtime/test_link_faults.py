@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +10,7 @@ import pytest
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.session import Session, run_session
+from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime
 
@@ -55,7 +54,6 @@ def test_bits_are_disturbed_where_there_are_bits_only(tmp_path: Path) -> None:
 
 
 def test_a_run_says_once_that_a_bit_rate_times_nothing(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--link", "can:hil:untimed?bitrate=500k", "--clock", "real"]
-    options = ["--duration", "0.5", "--quiet", "-o", str(tmp_path / "run.mcap")]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=120)
+    done = hil_command("run", "dc-motor-hinf", "--link", "can:hil:untimed?bitrate=500k", "--clock", "real", "--duration", "0.5",
+                       "--quiet", "-o", "run.mcap", cwd=tmp_path)  # fmt: skip
     assert (done.stdout + done.stderr).count("bitrate times nothing on this bus") == 1, done.stderr

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from hil.log.read.run import read_run
+from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime
 
@@ -100,10 +99,8 @@ def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any]
     (folder / "tank.py").write_text(body)
     (folder / "own.toml").write_text(EXPERIMENT)
     words = ["run", "own.toml", "--clock", "real", "--link", link, "--quiet", "--json", "-o", "a.mcap"]
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", *words], cwd=folder, capture_output=True, text=True, timeout=120,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))},
-    )  # fmt: skip
+    path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
+    done = hil_command(*words, cwd=folder, env={**os.environ, "PYTHONPATH": path})
     return done.returncode, json.loads(done.stdout)["problems"], done.stderr
 
 

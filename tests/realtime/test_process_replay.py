@@ -13,10 +13,10 @@ import pytest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
-from hil.runtime.real.child import PYTHON
 from hil.session import run_session
 from hil.session.replay.process import ask_process
 from tests.process_replay import DATA, PROGRAMS, answering, asked
+from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime
 
@@ -49,12 +49,11 @@ def test_a_change_of_the_program_is_named_by_slot_and_field(old: str, new: str, 
 def test_the_command_says_each_difference_and_has_a_status(tmp_path: Path) -> None:
     log = DATA / "foreign_controller.mcap"
     with answering(PROGRAMS["foreign_controller"]) as uri:
-        done = subprocess.run([*PYTHON, "-m", "hil", "replay", str(log), "--process", uri], capture_output=True, text=True)
+        done = hil_command("replay", str(log), "--process", uri, cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "") and re.fullmatch(r"0 of \d+ answers differ\n", done.stdout)
     (tmp_path / "changed.py").write_text(PROGRAMS["foreign_controller"].read_text().replace("-0.08,", "0.5,"))
     with answering(tmp_path / "changed.py") as uri:
-        words = [*PYTHON, "-m", "hil", "replay", str(log), "--process", uri, "--json"]
-        done = subprocess.run(words, capture_output=True, text=True)
+        done = hil_command("replay", str(log), "--process", uri, "--json", cwd=tmp_path)
     said = json.loads(done.stdout)
     assert done.returncode == 1 and said["different"] > 20 and said["differences"][0]["field"] == "rows"
 

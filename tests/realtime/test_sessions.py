@@ -27,6 +27,7 @@ from hil.session.replay.replay import verify
 from tests.foreign_session import drive
 from tests.ports import free_port
 from tests.waiting import gone, until
+from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime
 
@@ -176,10 +177,7 @@ def test_killed_session_leaves_no_orphan_and_a_log_whole_but_for_the_last_tenth(
     for pid in pids:
         until(lambda pid=pid: gone(pid), "the end of an orphan", ROOM_S)  # type: ignore[misc]
     session.process.wait()
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "recover", str(session.log), "-o", str(tmp_path / "ok.mcap")],
-        capture_output=True, text=True,
-    )  # fmt: skip
+    done = hil_command("recover", str(session.log), "-o", str(tmp_path / "ok.mcap"), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = read_run(tmp_path / "ok.mcap")
     assert len(run.arrays["/plant/state"]) > 15  # it was being flushed, and not at its end only
@@ -282,13 +280,13 @@ def test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up(tmp_pat
 
 
 def test_local_needs_no_controller_process_and_takes_no_external_controller(tmp_path: Path) -> None:
-    run = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--clock", "real", "--link", "local:", "--duration", "1",
-           "--json", "--set", "reference.0.at=0.2"]  # fmt: skip
-    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    run = ("run", "dc-motor-hinf", "--clock", "real", "--link", "local:", "--duration", "1", "--json",
+           "--set", "reference.0.at=0.2")  # fmt: skip
+    done = hil_command(*run, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert summary["slots"] == 20 and summary["link"] == "local:" and not summary["problems"]
-    refused = subprocess.run([*run, "--external"], cwd=tmp_path, capture_output=True, text=True, timeout=200)
+    refused = hil_command(*run, "--external", cwd=tmp_path)
     assert refused.returncode == 2 and "needs a link" in refused.stderr
 
 

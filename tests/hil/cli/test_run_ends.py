@@ -18,6 +18,7 @@ from hil.experiment import shipped
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
 from tests.waiting import ended, until
+from tests.warm_hil import hil_command
 
 PLANT = '''
 import os
@@ -25,6 +26,7 @@ import sys
 from dataclasses import dataclass
 from typing import ClassVar
 from plants import LinearRun, Signal, StateSpace
+from tests.warm_hil import hil_command
 
 class Base(BaseException):
     pass
@@ -50,17 +52,21 @@ class Cart:
 WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
 
 
-def started(folder: Path, late: str) -> list[str]:
+def prepared(folder: Path, late: str) -> list[str]:
     log = str(folder / "a.mcap")
     begun = f"os.path.exists({log!r}) and os.path.getsize({log!r}) > 0"
     (folder / "cart.py").write_text(PLANT.replace("{late}", late).replace("{begun}", begun))
     (folder / "exp.toml").write_text(shipped()["dc-motor-hinf"].read_text())
-    return [sys.executable, "-m", "hil", "run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
+    return ["run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
+
+
+def started(words: list[str]) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, "-m", "hil", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
 @pytest.mark.parametrize("late", ["return {}['x']", "raise Base('not now')", "sys.exit(0)", "return 1 / 0"])
 def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path: Path, late: str) -> None:
-    done = subprocess.run(started(tmp_path, late), capture_output=True, text=True, timeout=120)
+    done = hil_command(*prepared(tmp_path, late), cwd=tmp_path)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
     told = json.loads(done.stdout)["problems"]["plug_in_failed"]
     assert f"{tmp_path}/cart.py, line " in told and told.startswith(("KeyError", "Base", "SystemExit", "ZeroDivisionError"))
@@ -71,7 +77,7 @@ def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
     late = "print('loops', file=sys.stderr, flush=True)\n            while True: pass"
-    with ended(subprocess.Popen(started(tmp_path, late), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
+    with ended(started(prepared(tmp_path, late))) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
@@ -82,11 +88,11 @@ def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path
 
 def test_a_signal_before_the_first_record_leaves_no_empty_log(tmp_path: Path) -> None:
     late = ""
-    words = started(tmp_path, late or "pass")
+    words = prepared(tmp_path, late or "pass")
     text = (tmp_path / "cart.py").read_text()
     slow = "    def model(self):\n        import pathlib, time\n        if pathlib.Path({log!r}).exists(): time.sleep(60)\n"
     (tmp_path / "cart.py").write_text(text.replace("    def model(self):\n", slow.format(log=str(tmp_path / "a.mcap"))))
-    with ended(subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)) as process:
+    with ended(started(words)) as process:
         until((tmp_path / "a.mcap").exists, "the log's name is taken")
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=60)

@@ -17,6 +17,7 @@ from hil.compose.named_files import with_law_files
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Seconds, experiment_from_resolved, load_experiment, parse_experiment, parse_plugin, shipped
 from hil.experiment.schema import experiment_schema
+from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
 from transport.laws.latency import latency
 
@@ -158,7 +159,7 @@ def test_all_faults_are_reported_at_once() -> None:
 def test_hil_run_refuses_garbage_with_status_2_and_leaves_nothing(tmp_path: Path, data: bytes) -> None:
     bad = tmp_path / "bad.toml"
     bad.write_bytes(data)
-    done = subprocess.run([sys.executable, "-m", "hil", "run", str(bad)], cwd=tmp_path, capture_output=True, text=True)
+    done = hil_command("run", str(bad), cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("hil: ") and len(done.stderr.splitlines()) == 1
     assert done.stdout == "" and [p.name for p in tmp_path.iterdir()] == ["bad.toml"]
@@ -167,7 +168,7 @@ def test_hil_run_refuses_garbage_with_status_2_and_leaves_nothing(tmp_path: Path
 def test_hil_run_refuses_a_faulty_file_with_every_path_and_leaves_nothing(tmp_path: Path) -> None:
     bad = tmp_path / "bad.toml"
     bad.write_text(changed('"50 ms"', "-1").replace("seed = 0", "seed = 1.5"))
-    done = subprocess.run([sys.executable, "-m", "hil", "run", "bad.toml"], cwd=tmp_path, capture_output=True, text=True)
+    done = hil_command("run", "bad.toml", cwd=tmp_path)
     assert done.returncode == 2
     assert {line.split(": ")[2] for line in done.stderr.splitlines()} == {"period", "seed"}
     assert [p.name for p in tmp_path.iterdir()] == ["bad.toml"]

@@ -12,12 +12,16 @@ from pathlib import Path
 
 import pytest
 
+from tests import warm_hil
+
 RUN = ("run", "dc-motor-hinf", "--duration", "100")
 
 
 def hil(folder: Path, *arguments: str, kilobytes: int | None = None) -> subprocess.CompletedProcess[str]:
     """Run ``hil``; no file may become longer than some kilobytes (RLIMIT_FSIZE; a write beyond gets EFBIG)."""
-    limit = "" if kilobytes is None else f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({kilobytes << 10},) * 2);"
+    if kilobytes is None:
+        return warm_hil.hil_command(*arguments, cwd=folder)
+    limit = f"import resource as r; r.setrlimit(r.RLIMIT_FSIZE, ({kilobytes << 10},) * 2);"
     program = f"{limit}from hil.cli import main; main({[*arguments]!r})"
     return subprocess.run([sys.executable, "-P", "-c", program], cwd=folder, capture_output=True, text=True)
 

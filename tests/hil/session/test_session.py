@@ -27,19 +27,17 @@ from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
 from hil.sweeps.seeds import sweep
 from hil.sweeps.sweep import statistics
+from tests.warm_hil import hil_command
 from transport.packets import ControlPacket, decode, encode_control
-
-
-def hil(*args: str, cwd: Path, **env: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "hil", *args], cwd=cwd, capture_output=True, text=True, env={**os.environ, **env}
-    )
 
 
 def test_same_seed_gives_the_same_file_in_two_processes_with_two_hash_seeds(tmp_path: Path) -> None:
     found = set()
     for hash_seed in ("1", "2"):
-        done = hil("run", "dc-motor-hinf", "--json", "-o", f"{hash_seed}.mcap", cwd=tmp_path, PYTHONHASHSEED=hash_seed)
+        done = subprocess.run(
+            [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--json", "-o", f"{hash_seed}.mcap"], cwd=tmp_path,
+            capture_output=True, text=True, env={**os.environ, "PYTHONHASHSEED": hash_seed},
+        )  # fmt: skip
         assert done.returncode == 0, done.stderr
         found.add(json.loads(done.stdout)["log"]["sha256"])
     assert len(found) == 1
@@ -52,7 +50,7 @@ def test_another_seed_gives_another_file(tmp_path: Path) -> None:
 
 
 def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
-    done = hil("run", "dc-motor-hinf", "--json", cwd=tmp_path)
+    done = hil_command("run", "dc-motor-hinf", "--json", cwd=tmp_path)
     summary = json.loads(done.stdout)
     assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "wall_s"} <= set(summary)
     assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
@@ -156,7 +154,7 @@ def test_what_if_with_the_same_controller_is_what_was(tmp_path: Path) -> None:
 def test_loop_that_is_not_stable_is_refused_and_with_leave_is_stopped_by_safety(tmp_path: Path) -> None:
     with pytest.raises(HilError, match=r"radius 1\.054"):
         compose(load_experiment("dc-motor-local", ["allow_uncertified=false"]))
-    done = hil("run", "dc-motor-local", "--json", cwd=tmp_path)
+    done = hil_command("run", "dc-motor-local", "--json", cwd=tmp_path)
     assert done.returncode == 3
     assert "safe state" in json.loads(done.stdout)["safety"]
 

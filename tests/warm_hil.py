@@ -1,0 +1,119 @@
+"""``hil`` in a process of its own that is forked from one with its modules: a tenth of the cost of a fresh start.
+
+For tests of what a command does. What comes before its first line (signals in the first instants, the path, which modules are
+imported, how a user's module ends its process) is asked of a fresh Python.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from tests.waiting import LIMIT_S
+
+ROOT = Path(__file__).parents[1]
+MODULES = (
+    "can", "design.controllers", "design.networked_loop.certify", "hil.cli.recover", "hil.cli.replay", "hil.cli.run",
+    "hil.cli.run_summary", "hil.compose.loop", "hil.compose.stored_gains", "hil.log.read.run", "hil.log.write.mcap_sink",
+    "hil.measure.tracking", "hil.session.replay.replay", "hil.runtime.real.supervisor", "hil.session", "numpy.random",
+    "plants.dc_motor", "rich.progress",
+)  # fmt: skip
+"""What the commands of tests import; none of them starts a thread, so a fork has all of the process."""
+
+
+def hil_command(
+    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S
+) -> subprocess.CompletedProcess[str]:
+    """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
+
+    Args:
+        words: the command and its arguments.
+        cwd: its working folder.
+        env: its environment; that of this process by default.
+        timeout: after which it is killed, s.
+
+    Raises:
+        subprocess.TimeoutExpired: it took longer.
+    """
+    with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
+        given = dict(os.environ if env is None else env)
+        asked = {"words": words, "cwd": str(cwd), "env": given, "out": out.name, "err": err.name, "timeout": timeout}
+        server = _server()
+        assert server.stdin is not None and server.stdout is not None
+        print(json.dumps(asked), file=server.stdin, flush=True)
+        status = json.loads(server.stdout.readline())
+        texts = [file.read().decode(errors="replace") for file in (out, err)]
+    if status is None:
+        raise subprocess.TimeoutExpired(["hil", *words], timeout, *texts)
+    return subprocess.CompletedProcess(["hil", *words], status, *texts)
+
+
+@functools.cache
+def _server() -> subprocess.Popen[str]:
+    pipe = subprocess.PIPE
+    server = subprocess.Popen([sys.executable, "-m", __name__], cwd=ROOT, stdin=pipe, stdout=pipe, text=True)
+    atexit.register(server.communicate)  # it ends with its standard input
+    return server
+
+
+def _serve() -> None:
+    for module in MODULES:
+        importlib.import_module(module)
+    for line in sys.stdin:
+        asked = json.loads(line)
+        pid = os.fork()
+        if not pid:
+            _become(asked)
+        watch = threading.Timer(asked["timeout"], os.kill, (pid, signal.SIGKILL))
+        watch.start()
+        _, status = os.waitpid(pid, 0)
+        late = watch.finished.is_set()
+        watch.cancel()
+        watch.join()  # a fork has one thread
+        print(json.dumps(None if late else os.waitstatus_to_exitcode(status)), flush=True)
+
+
+def _become(asked: dict[str, Any]) -> None:
+    """Be ``python -m hil WORDS``, from its first line to the end of its process."""
+    from hil.__main__ import main
+
+    status: Any = 1
+    try:
+        os.chdir(asked["cwd"])
+        os.environ.clear()
+        os.environ.update(asked["env"])
+        for number, name in enumerate((os.devnull, asked["out"], asked["err"])):
+            opened = os.open(name, os.O_WRONLY if number else os.O_RDONLY)
+            os.dup2(opened, number)
+            os.close(opened)
+        sys.stdin, sys.stdout, sys.stderr = (open(number, mode) for number, mode in enumerate("rww"))  # noqa: SIM115
+        sys.argv = ["hil", *asked["words"]]
+        sys.path[0] = asked["cwd"]
+        sys.path[1:1] = filter(None, asked["env"].get("PYTHONPATH", "").split(os.pathsep))
+        status = main()
+    except SystemExit as end:
+        status = end.code
+    except BaseException:  # as Python says it of what nobody caught
+        sys.excepthook(*sys.exc_info())
+    finally:
+        threading._shutdown()  # type: ignore[attr-defined]
+        atexit._run_exitfuncs()
+        for stream in (sys.stdout, sys.stderr):
+            if stream is not None and not stream.closed:
+                stream.flush()
+        os._exit(status if isinstance(status, int) else int(status is not None))
+
+
+if __name__ == "__main__":
+    _serve()
