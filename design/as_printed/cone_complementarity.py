@@ -49,9 +49,9 @@ def design_by_ccl(problem: TrackingProblem, *, progress: Progress | None = None)
         NotStable: the gains have no certificate.
         DesignError: an objective or option that this route has not.
     """
-    from threadpoolctl import threadpool_limits
+    from design.blas_threads import one_blas_thread
 
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+    with one_blas_thread():
         check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
         found = solve_ccl(problem, progress=progress)
         return certified(problem, found.gains, starts=(found.level,), evaluations=found.iterations)

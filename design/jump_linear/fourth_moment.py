@@ -41,7 +41,7 @@ class FourthMoments:
     """What is known of the fourth moments.
 
     Args:
-        radius: by what E |x|^4 grows in a slot; None where it was not found within the limit of work.
+        radius: by what E |x|^4 grows in a slot, above 1; None where it does not, or was not found within the limit of work.
         state: ``bounded``, ``growing`` or ``undecided``.
         reason: why it is undecided, else empty.
     """
@@ -60,18 +60,33 @@ def fourth_moments(A: Array, transition: Array, *, upper: Array | None = None) -
         upper: (N, N) upper bounds of the transition probabilities, where a mode stands for a tail that is cut: growth over the
             cut chain refutes, no growth over the bounds proves.
     """
-    W = congruence_matrices(A).transpose(0, 2, 1)  # eta -> coordinates of A x x' A'
-    moments = W.shape[0] * W.shape[1] * (W.shape[1] + 1) // 2
-    radius = mean_square_radius(W, transition) if moments <= EXACT else _growth(W, transition)
+    W, moments = _of_products(A)
     below = _below_one(W, transition) if moments <= MOST_MOMENTS else None
     if below is False:
-        return FourthMoments(radius=radius, state="growing")
+        return FourthMoments(radius=fourth_moment_radius(A, transition), state="growing")
     proved = below if upper is None or moments > MOST_MOMENTS else _below_one(W, upper)
     if proved:
-        return FourthMoments(radius=radius, state="bounded")
+        return FourthMoments(radius=None, state="bounded")
     if below and upper is not None:
-        return FourthMoments(radius=radius, state="undecided", reason="the tail of a sojourn law decides")
+        return FourthMoments(radius=None, state="undecided", reason="the tail of a sojourn law decides")
     return FourthMoments(radius=None, state="undecided", reason=f"{moments} moments are too many, or grow too little to tell")
+
+
+def fourth_moment_radius(A: Array, transition: Array) -> float | None:
+    """Return by what E |x|^4 of a jump-linear system grows in a slot; None where it was not found within the limit of work.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) row-stochastic matrix.
+    """
+    W, moments = _of_products(A)
+    return mean_square_radius(W, transition) if moments <= EXACT else _growth(W, transition)
+
+
+def _of_products(A: Array) -> tuple[Array, int]:
+    """The mode matrices of the system whose state is eta, and how many fourth moments it has."""
+    W = congruence_matrices(A).transpose(0, 2, 1)  # eta -> coordinates of A x x' A'
+    return W, W.shape[0] * W.shape[1] * (W.shape[1] + 1) // 2
 
 
 def _below_one(W: Array, transition: Array) -> bool | None:

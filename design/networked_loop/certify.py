@@ -63,12 +63,12 @@ def certify_loop(
     Raises:
         ValueError: wrong shapes; the message starts with the argument at fault.
     """
-    from threadpoolctl import threadpool_limits
+    from design.blas_threads import one_blas_thread
 
     structure = loop_structure(
         A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral  # type: ignore[arg-type]
     )  # fmt: skip
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+    with one_blas_thread():
         return certify_structure(structure, gains, output=output, initial=initial, hinf=hinf)
 
 

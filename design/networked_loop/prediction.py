@@ -98,7 +98,7 @@ def predict_tracking(
         ValueError: wrong shapes.
         DesignError: a reference that no input holds.
     """
-    from threadpoolctl import threadpool_limits
+    from design.blas_threads import one_blas_thread
 
     sc, ca = as_chain(Lambda, "Lambda"), as_chain(Pi, "Pi")
     structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0)
@@ -131,7 +131,7 @@ def predict_tracking(
         first = np.asarray(x0, dtype=np.float64)
         start[:n] += first
         start[n : n + structure.stored_outputs * p] += np.tile(output @ first, structure.stored_outputs)
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+    with one_blas_thread():
         walk.begin(start, _initial_modes(structure, sc, ca, initial))
         mean, second, square, fourth = np.empty((len(r), p)), np.empty((len(r), p)), np.empty(len(r)), np.empty(len(r))
         for k in range(len(r)):

@@ -85,9 +85,10 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
         Infeasible: a mixed bound below the smallest H-infinity norm found, which is `value`.
     """
     import scipy.linalg  # noqa: F401 - it brings a BLAS of its own, and only those that are loaded are held to one thread
-    from threadpoolctl import threadpool_limits
 
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+    from design.blas_threads import one_blas_thread
+
+    with one_blas_thread():
         return _solve(problem, progress)
 
 
@@ -108,9 +109,9 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
         NotStable: the gains have no certificate.
         ValueError: their shape does not fit the problem.
     """
-    from threadpoolctl import threadpool_limits
+    from design.blas_threads import one_blas_thread
 
-    with threadpool_limits(1, user_api="blas"):  # and one order of the sums: a cached design has the same certificate
+    with one_blas_thread():  # and one order of the sums: a cached design has the same certificate
         structure = problem.structure()
         certificate = certify_structure(structure, gains, output=problem.output, initial=problem.initial, hinf=True)
     if not certificate.stable:

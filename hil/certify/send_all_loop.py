@@ -232,13 +232,12 @@ def judge_linear_law(
         input_weight: of z = [C x; rho u], for the norms that stand beside the verdict.
         digest: of the loop that the verdict is on.
     """
-    from threadpoolctl import threadpool_limits
-
+    from design.blas_threads import one_blas_thread
     from design.jump_linear.certificate import certify_system, observed_part
     from design.networked_loop.dynamic_loop import dynamic_loop
 
     loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         plant = np.eye(len(model.A), loop.system.order)
         system, unseen = (loop.system, 0) if isinstance(law, LinearLaw) else observed_part(loop.system, plant)
         certificate = certify_system(

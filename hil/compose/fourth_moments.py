@@ -21,8 +21,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     Args:
         loop: the composed experiment.
     """
-    from threadpoolctl import threadpool_limits
-
+    from design.blas_threads import one_blas_thread
     from design.jump_linear.fourth_moment import fourth_moments
     from design.networked_loop.closed_loop import loop_structure
 
@@ -36,7 +35,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
         model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(integrates(controller))
     )
     closed = structure.matrices(gains_over(controller, model, sc, ca))
-    with threadpool_limits(1, user_api="blas"), np.errstate(all="ignore"):
+    with one_blas_thread(), np.errstate(all="ignore"):
         return fourth_moments(closed, structure.transition, upper=None if structure.between is None else structure.between[1])
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
-from threadpoolctl import threadpool_limits
 
+from design.blas_threads import one_blas_thread
 from design.controllers import (
     AgedFeedback,
     Controller,
@@ -190,7 +190,7 @@ def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
 def _small_matrices() -> Iterator[None]:
     # A second BLAS thread costs time on a quiet machine and minutes on a busy one.
     # What overflows is judged where its number is: certificates say undecided, a run is stopped by its limits.
-    with threadpool_limits(1, user_api="blas"), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         yield
 
 

@@ -20,8 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
+from design.blas_threads import one_blas_thread
 from design.errors import DesignError, Infeasible
 from design.jump_linear.mjls import STABILITY_MARGIN
 from design.networked_loop.closed_loop import LoopStructure
@@ -145,7 +145,7 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
     Raises:
         HilError: see `plants_between`.
     """
-    with threadpool_limits(1, user_api="blas"):  # of matrices this small, threads only wait for each other
+    with one_blas_thread():
         return _judge(target, design, intervals)
 
 
