@@ -25,8 +25,8 @@ _NAMES: Final = {
     "plants.parts.events": "JumpModel JumpRates",
     "plants.parts.linear": "DiscreteStateSpace LinearRun Signal StateSpace",
     "plants.parts.motor_run": "DCMotorRun",
-    "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasSensorNoise HasStateDelays "
-    "HasStateHistory JumpPlant MovesOtherwise Plant PlantRun ReferencesFiles",
+    "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasPassiveElements "
+    "HasSensorNoise HasStateDelays HasStateHistory JumpPlant MovesOtherwise PassiveElement Plant PlantRun ReferencesFiles",
     "plants.parts.semi_markov": "JumpProcess TransitionRates",
     "plants.state_space": "LinearPlant TransferFunction from_control to_control",
     "plants.switched_example": "SwitchedExample SwitchedExampleRun",

@@ -25,11 +25,13 @@ from plants.parts.protocols import GoesOn as GoesOn
 from plants.parts.protocols import HasCost as HasCost
 from plants.parts.protocols import HasDepartures as HasDepartures
 from plants.parts.protocols import HasOwnInputs as HasOwnInputs
+from plants.parts.protocols import HasPassiveElements as HasPassiveElements
 from plants.parts.protocols import HasSensorNoise as HasSensorNoise
 from plants.parts.protocols import HasStateDelays as HasStateDelays
 from plants.parts.protocols import HasStateHistory as HasStateHistory
 from plants.parts.protocols import JumpPlant as JumpPlant
 from plants.parts.protocols import MovesOtherwise as MovesOtherwise
+from plants.parts.protocols import PassiveElement as PassiveElement
 from plants.parts.protocols import Plant as Plant
 from plants.parts.protocols import PlantRun as PlantRun
 from plants.parts.protocols import ReferencesFiles as ReferencesFiles

@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from plants.errors import FieldError, PlantError
+from plants.parts.damping_zones import DampingZone, ZoneRun, check_zones
 from plants.parts.driven import NoisyRun
 from plants.parts.events import pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
 from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
-from plants.parts.protocols import PlantRun
+from plants.parts.protocols import PassiveElement, PlantRun
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
@@ -47,6 +48,8 @@ class Omni:
         force_limit_n: largest magnitude of the force at the tip in N; None for no limit (with a hand).
         encoder_step_m: movement of the tip in m per count; 0 measures the position itself (with a hand).
         coulomb_n: dry friction at the tip in N, for a hand without a spring.
+        zones: damping of the device from a place of its tip on, in rising order; before the first it is ``damping`` (with a
+            hand). The model, and every proof, has the least.
         encoder_noise_rad: standard deviation of white noise on the measured angle in rad, at least 0 (without a hand).
 
     Raises:
@@ -67,6 +70,7 @@ class Omni:
     force_limit_n: float | None = None
     encoder_step_m: float = 0.0
     coulomb_n: float = 0.0
+    zones: tuple[DampingZone, ...] = ()
     encoder_noise_rad: float = 0.0
 
     def __post_init__(self) -> None:
@@ -78,12 +82,14 @@ class Omni:
         require_not_negative("encoder_step_m", self.encoder_step_m)
         require_not_negative("coulomb_n", self.coulomb_n)
         require_not_negative("encoder_noise_rad", self.encoder_noise_rad)
+        check_zones(self.zones)
         if self.force_limit_n is not None:
             require_positive("force_limit_n", self.force_limit_n)
         if self.hand is None:
             for name, given in (
                 ("lever_m", self.lever_m != 1.0), ("force_limit_n", self.force_limit_n is not None),
                 ("encoder_step_m", self.encoder_step_m > 0.0), ("coulomb_n", self.coulomb_n > 0.0),
+                ("zones", bool(self.zones)),
             ):  # fmt: skip
                 if given:
                     raise FieldError(name, "belongs to the held device; add the table hand")
@@ -120,8 +126,14 @@ class Omni:
 
     @property
     def tip_damping_n_s_per_m(self) -> float:
-        """Damping at the tip with the hand, in N s/m."""
-        return self.damping / self.lever_m**2 + (self.hand.damping_n_s_per_m if self.hand else 0.0)
+        """Damping at the tip with the hand, in N s/m; the least where it changes over the workspace."""
+        return min(self.tip_dampings_n_s_per_m)
+
+    @property
+    def tip_dampings_n_s_per_m(self) -> tuple[float, ...]:
+        """Damping at the tip with the hand before the first zone, and in each, in N s/m."""
+        hand = self.hand.damping_n_s_per_m if self.hand else 0.0
+        return tuple(b / self.lever_m**2 + hand for b in (self.damping, *(zone.damping for zone in self.zones)))
 
     def model(self) -> StateSpace:
         """Return the continuous-time model: state (angle, speed), held (position, speed) with y and z unmoved by it."""
@@ -136,8 +148,14 @@ class Omni:
         """Return what acts on the device and is not in `model`; push, path and slide are, as bounded inputs."""
         found = [] if self.force_limit_n is None else [f"a force that saturates at {self.force_limit_n:g} N"]
         found += ["dry friction"] if self.coulomb_n else []
+        found += ["damping that changes over the workspace"] if self.zones else []
         found += ["an encoder that rounds"] if self.encoder_step_m else []
         return tuple(found)
+
+    def passive_elements(self) -> tuple[PassiveElement, ...]:
+        """Return what of `beyond_model` is passive at the tip: all but an encoder that rounds."""
+        names = [name for name in self.beyond_model() if name != "an encoder that rounds"]
+        return tuple(PassiveElement(name, self.force_limit_n if "saturates" in name else None) for name in names)
 
     def own_inputs(self) -> tuple[str, ...]:
         """Return what the hand does of its own will: it pushes, leads the device along its path, and slides along the wall."""
@@ -175,26 +193,31 @@ class HeldRun:
 
     __slots__ = (
         "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_place", "_push", "_slide",
-        "_sources", "_step_m", "_x",
+        "_sources", "_step_m", "_ways", "_x", "_zones",
     )  # fmt: skip
 
     def __init__(self, omni: Omni, hand: Hand, rng: np.random.Generator) -> None:
         self._push, self._slide = PushRun(hand.push, rng), SlideRun(hand.slide, rng)
+        self._zones = ZoneRun(omni.zones)
+        self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
         self._move_as(omni, hand, PathRun(hand))
         self._place = self._slide.at(0)
-        self._x = [omni.lever_m * omni.initial_angle_rad, omni.lever_m * omni.initial_speed_rad_s, 0.0]
         self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
         self._step_m = omni.encoder_step_m
         self._now_ns, self._force, self._applied, self._given = 0, 0.0, (0.0,), 0.0
 
     def _move_as(self, omni: Omni, hand: Hand, path: PathRun) -> None:
-        mass, beta, spring = omni.tip_mass_kg, omni.tip_damping_n_s_per_m, hand.stiffness_n_per_m
-        # (x, v, p) under (force + push, p')
-        drawn = [[0.0, 1.0, 0.0], [-spring / mass, -beta / mass, spring / mass], [0.0, 0.0, 0.0]]
-        self._flow = Flow(drawn, [[0.0, 0.0], [1.0 / mass, hand.damping_n_s_per_m / mass], [0.0, 1.0]])
-        self._dry = RubbingAxis(1.0 / mass, beta / mass, Friction(coulomb_v=omni.coulomb_n)) if omni.coulomb_n else None
-        self._damping, self._path = beta, path
-        self._sources = (self._push, path, self._slide)
+        mass, spring = omni.tip_mass_kg, hand.stiffness_n_per_m
+        self._ways = []
+        for beta in omni.tip_dampings_n_s_per_m:
+            # (x, v, p) under (force + push, p')
+            drawn = [[0.0, 1.0, 0.0], [-spring / mass, -beta / mass, spring / mass], [0.0, 0.0, 0.0]]
+            flow = Flow(drawn, [[0.0, 0.0], [1.0 / mass, hand.damping_n_s_per_m / mass], [0.0, 1.0]])
+            dry = RubbingAxis(1.0 / mass, beta / mass, Friction(coulomb_v=omni.coulomb_n)) if omni.coulomb_n else None
+            self._ways.append((flow, dry))
+        self._flow, self._dry = self._ways[self._zones.at(self._x[0])]
+        self._damping, self._path = omni.tip_damping_n_s_per_m, path
+        self._sources = (self._push, path, self._slide, *self._zones.sources)
 
     def under(self, omni: Omni, hand: Hand) -> HeldRun:
         """Return it with other parameters from now on; the hand leads it from where it is."""
@@ -218,10 +241,11 @@ class HeldRun:
         self._force = force + w[0] if w else force
         before, now_ns = self._x[0], self._now_ns
         end_ns = now_ns + dt_ns
-        if self._push.next_ns > end_ns < self._path.next_ns and end_ns < slide.next_ns:  # nothing happens on the way
+        other_ns = min(self._path.next_ns, slide.next_ns, self._zones.next_ns)
+        if self._push.next_ns > end_ns < other_ns:  # nothing happens on the way
             if dt_ns:
                 self._move(now_ns, end_ns)
-        elif dt_ns and self._push.next_ns == end_ns < self._path.next_ns and end_ns < slide.next_ns:  # at its end the push
+        elif dt_ns and self._push.next_ns == end_ns < other_ns:  # at its end the push
             self._move(now_ns, end_ns)
             self._push.fire()
         else:
@@ -233,6 +257,9 @@ class HeldRun:
             self._given += moved * (force - self._damping * moved * NS_PER_S / dt_ns)
 
     def _move(self, begin_ns: int, end_ns: int) -> None:
+        if self._zones.looks:
+            self._zones.looks = False
+            self._flow, self._dry = self._ways[self._zones.at(self._x[0])]
         force = self._force + self._push.force_n
         if self._dry is not None:
             position, speed = self._dry.move(self._x[0], self._x[1], force, (end_ns - begin_ns) / NS_PER_S)

@@ -9,7 +9,9 @@ Reference: ERRATA 22; `design.passivity.condition`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +22,7 @@ from design.passivity.condition import damping_needed, is_passive_over
 from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.own_give import felt_n_per_m
 from design.passivity.synthesis import ceiling_n_per_m
+from design.passivity.varying_delay import keeps_order, lags
 from design.processes.delay_chain import DelayChain
 from design.verdict import State, Verdict
 
@@ -43,6 +46,7 @@ def certify_wall(
     equalised: bool = False,
     material_chain: npt.ArrayLike | None = None,
     unknown: Sequence[str] = (),
+    saturates_n: float = math.inf,
 ) -> Verdict:
     """Say what is proved of a wall that is felt through a network.
 
@@ -56,6 +60,7 @@ def certify_wall(
         material_chain: Lambda over the materials that are touched, for the second moment of the loop in contact; None leaves
             that number out.
         unknown: what else the loop has that this theory does not know, in words.
+        saturates_n: largest force of the motor in N.
 
     Returns:
         A verdict of kind ``passivity``, without a digest; every number is in its details.
@@ -69,6 +74,7 @@ def certify_wall(
         sc, ca = sides[0][0], sides[1][0]
     delays = sorted({i + j for i in sides[0] for j in sides[1]})
     varies = any(len(side) > 1 for side in sides)
+    asked = lags(*sides) if varies else delays
     loop = HapticLoop(device=device, coupler=coupler, period_s=period_s, sc_max=sides[0][-1], ca_max=sides[1][-1])
     details: dict[str, object] = {
         "delays": delays, "damping_n_s_per_m": beta, "static_compliance_m_per_n": coupler.static_compliance_m_per_n,
@@ -88,20 +94,25 @@ def certify_wall(
     if not varies and radius >= 1.0:
         reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.5g})"
         return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
-    needed = damping_needed(coupler, period_s, delays)
+    needed = damping_needed(coupler, period_s, asked, varying=varies)
+    moves = varies and is_passive_over(coupler, period_s, beta, *asked) and keeps_order(sc)
     held = [is_passive_over(coupler, period_s, beta, d) for d in delays]
-    number = min(needed.damping_n_s_per_m, beta) if all(held) else needed.damping_n_s_per_m  # the exact answer decides
+    holds = moves if varies else all(held)
+    number = min(needed.damping_n_s_per_m, beta) if holds else needed.damping_n_s_per_m  # the exact answer decides
     details |= {"damping_needed_n_s_per_m": number, "worst_delay": needed.delay}
     decided = (number, QUANTITY, beta, details)
     if not all(held):
-        failed = [d for d, holds in zip(delays, held) if not holds]
+        failed = [d for d, met in zip(delays, held) if not met]
         reason = (
             f"the coupler misses the condition at {_samples(failed)} of delay: it needs {number:.6g} N s/m, "
             f"device and hand have {beta:.6g} N s/m"
         )
         return _verdict("undecided", reason, beta, *decided)
-    if varies:
-        reason = f"the delay varies over {_samples(delays)}; the condition is proved for each of them held, not for their change"
+    if varies and not moves:
+        reason = (
+            f"the delay varies over {_samples(delays)}; the condition is proved for each of them held, not for their change, "
+            f"which takes {number:.6g} N s/m" + ("" if keeps_order(sc) else " and samples that come in their order")
+        )
         return _verdict("undecided", f"{reason}; coupler.equalise = true makes it one delay", beta, *decided)
     for i, m in enumerate(wall.touched):
         if m.spared_m_per_n > m.most_spared_m_per_n(period_s):
@@ -114,13 +125,44 @@ def certify_wall(
         what = "stiffness or coupler" if wall.spares else "stiffness"
         reason = f'the wall gives energy away where its {what} changes under pressure; switching = "energy" makes it passive'
         return _verdict("undecided", reason, beta, *decided)
+    cut = cut_off(wall, coupler, saturates_n)
+    if cut:
+        return _verdict("undecided", cut, beta, *decided)
     if unknown:
         return _verdict("undecided", f"the proof does not know {', '.join(unknown)}", beta, *decided)
     reason = (
-        f"passive for every passive hand and wall at {_samples(delays)} of delay: needs {number:.6g} N s/m, "
+        f"passive for every passive hand and wall at {_samples(delays)} of delay{', in any order' if varies else ''}: needs "
+        f"{number:.6g} N s/m, "
         f"device and hand have {beta:.6g} N s/m"
     )
     return _verdict("certified", reason, beta, *decided)
+
+
+def cut_off(wall: Wall, coupler: Coupler, saturates_n: float) -> str:
+    r"""Return why nothing is proved with a motor that saturates; empty where the proof holds.
+
+    It is not cut off where the wall itself never asks for more. Else let g be what is cut off of f, and sat(f) >= 0 what is left.
+    The device feels sat(f), and of a coupler with falling taps, h_0 = c_0, h_l = c_l - c_(l-1) <= 0,
+
+        sum sat(f) (C f - C f(k-1)) >= sum sat(f) (C sat(f) - C sat(f)(k-1)),
+
+    for sat(f) = F wherever g > 0, and F (h_0 + sum h_l) sum g >= 0. The wall behind sat is one with a spring that saturates.
+
+    Args:
+        wall: what is touched.
+        coupler: C.
+        saturates_n: F in N.
+    """
+    if wall.limit_n <= saturates_n:
+        return ""
+    taps = coupler.taps_m_per_n
+    falls = all(a >= b for a, b in pairwise((*taps, 0.0))) and not coupler.integrator_m_per_n
+    if falls and not wall.spares and len({m.stiffness_n_per_m for m in wall.touched}) == 1:
+        return ""
+    return (
+        f"the motor saturates at {saturates_n:g} N, and the proof takes that for one stiffness behind taps that never rise; "
+        f"wall.force_limit_n = {saturates_n:g} keeps the wall within it"
+    )
 
 
 def named(material: Material) -> str:

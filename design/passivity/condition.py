@@ -216,9 +216,11 @@ Array = npt.NDArray[np.float64]
 
 
 def cosine_coefficients(
-    coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, delay: int
+    coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, *delays: int
 ) -> list[Fraction]:
     """Return the exact cosine coefficients of the real part of (*) divided by 1 - cos t, times 2 beta.
+
+    Of several delays it is the sum of their F_N that is taken away: see `design.passivity.varying_delay`.
 
     With an integrator they are those of the real part itself, times 2 beta.
 
@@ -226,16 +228,16 @@ def cosine_coefficients(
         coupler: C.
         period_s: T in s.
         damping_n_s_per_m: beta = b + b_h in N s/m.
-        delay: nd, samples.
+        delays: nd, samples; one for a delay that stays.
     """
     scale = 2 * Fraction(damping_n_s_per_m) / Fraction(period_s)
     taps = [scale * Fraction(c) for c in coupler.taps_m_per_n]
-    order = delay + 1
-    out = [Fraction(0)] * max(len(taps), order)
+    orders = [delay + 1 for delay in delays]
+    out = [Fraction(0)] * max(len(taps), *orders)
     above = Fraction(0)  # sum of the taps from the j-th on
     for j in reversed(range(len(out))):
         above += taps[j] if j < len(taps) else 0
-        out[j] = (above if j == 0 else 2 * above) - (max(order - j, 0) if j == 0 else 2 * max(order - j, 0))
+        out[j] = (1 if j == 0 else 2) * (above - sum(max(order - j, 0) for order in orders))
     if not coupler.integrator_m_per_n:
         return out
     whole = [Fraction(0)] * (len(out) + 1)  # times 1 - cos t: cos t cos jt = (cos (j+1)t + cos (j-1)t)/2
@@ -248,18 +250,18 @@ def cosine_coefficients(
     return whole
 
 
-def is_passive_over(coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, delay: int) -> bool:
-    """Return whether (*) holds for one delay, decided exactly for the numbers as given.
+def is_passive_over(coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, *delays: int) -> bool:
+    """Return whether (*) holds for one delay, or for the delays that one that varies can take: decided exactly.
 
     Args:
         coupler: C.
         period_s: T in s.
         damping_n_s_per_m: beta in N s/m; 0 or less meets no condition.
-        delay: nd, samples.
+        delays: nd, samples; several: those of `varying_delay.lags`.
     """
     if damping_n_s_per_m <= 0.0:
         return False
-    return is_nonnegative(cosine_coefficients(coupler, period_s, damping_n_s_per_m, delay))
+    return is_nonnegative(cosine_coefficients(coupler, period_s, damping_n_s_per_m, *delays))
 
 
 class DampingNeeded(NamedTuple):
@@ -270,7 +272,7 @@ class DampingNeeded(NamedTuple):
     angle_rad: float
 
 
-def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int]) -> DampingNeeded:
+def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int], *, varying: bool = False) -> DampingNeeded:
     """Return the smallest b + b_h with which a coupler meets (*) for every delay, in floats; inf where none does.
 
     beta = max over delays and angles of F_N(t) / (2/T sum c_l D_l(t)): the number that decides, beside the exact answer.
@@ -279,14 +281,17 @@ def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int]) -> 
         coupler: C; its integrator, which only helps, is left out.
         period_s: T in s.
         delays: the delays nd in samples.
+        varying: whether they are those of `varying_delay.lags`, whose F_N add up; the delay told is then the largest.
     """
-    taps, asked = np.asarray(coupler.taps_m_per_n), sorted(set(delays))
+    taps, asked = np.asarray(coupler.taps_m_per_n), sorted(delays) if varying else sorted(set(delays))
     t = np.linspace(0.0, np.pi, 64 * max(taps.size, asked[-1] + 1) + 1)
     worst, unit = DampingNeeded(0.0, asked[0], 0.0), (2.0 / period_s) * float(np.abs(taps).sum())
     for _ in range(3):
         offered = (2.0 / period_s) * (taps @ dirichlet(taps.size, t))
-        for delay in asked:
-            kernel = fejer(delay + 1, t)
+        kernels = {delay: fejer(delay + 1, t) for delay in asked}
+        if varying:
+            kernels = {asked[-1]: np.sum([kernels[delay] for delay in asked], axis=0)}
+        for delay, kernel in kernels.items():
             touches = (np.abs(offered) <= 1e-7 * unit) & (kernel <= 1e-7)  # a common zero, as the wave coupler has
             with np.errstate(divide="ignore", invalid="ignore"):
                 needs = np.where(touches, 0.0, np.where(offered > 0.0, kernel / offered, np.inf))

@@ -10,7 +10,11 @@ last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out i
 Integrating the rows over (0, pi) bounds every causal coupler, of any length, from below:
 C(1) >= (T/pi) int max_N F_N(t)/(2 beta) dt.
 
-Reference: Theorem 6.1; ERRATA 22.
+A delay that varies asks for the sum of the F_N of `design.passivity.varying_delay`. With a weight W the program
+minimises the largest |W(z) C(z)| on the circle instead: what the device moves by more than the wall, 1/Q - 1/G = C. A modulus is
+the largest of Re(e^-ip W C) over all p: the p of the last answer is added as a row, until none is violated.
+
+Reference: Theorem 6.1; ERRATA 22; (6.12), whose weight W is this one.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,9 +30,12 @@ import numpy.typing as npt
 from design.controllers.rendered_wall import MAX_TAPS, Coupler
 from design.errors import DesignError, Infeasible
 from design.passivity.condition import dirichlet, fejer, is_passive_over
+from design.passivity.weight import Weight
 
 MARGIN = 1e-6  # of the smallest value on the circle, in units of T/(2 beta)
 ROUNDS = 12
+WEIGHTED_ROUNDS = 60
+WEIGHT_SLACK = 1e-4  # of the largest |W C| on the grid
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,6 +79,8 @@ def stiffest_coupler(
     damping_n_s_per_m: float,
     taps: int | None = None,
     stiffness_n_per_m: float | None = None,
+    varying: bool = False,
+    weight: Weight | None = None,
 ) -> CouplerDesign:
     """Return the coupler of least static compliance that meets the condition for every delay of a set.
 
@@ -81,13 +90,15 @@ def stiffest_coupler(
         damping_n_s_per_m: damping of the device and least damping of the hand in N s/m, above 0.
         taps: length of C; by default 2 nd + 8 for the largest delay, at least 24.
         stiffness_n_per_m: a request in N/m; the design is refused if it cannot be reached.
+        varying: whether they are the delays of one that varies from sample to sample, of `varying_delay.lags`.
+        weight: W, whose largest |W C| is to be least, instead of C(1).
 
     Raises:
         Infeasible: the request is above the ceiling 2 b/((nd + 1) T), or above what the set of delays allows; ``value`` is
             the stiffness that can be reached.
         DesignError: an argument out of range.
     """
-    asked = tuple(sorted(set(delays)))
+    asked = tuple(sorted(delays)) if varying else tuple(sorted(set(delays)))
     if not asked or asked[0] < 0:
         raise DesignError(f"delays: {list(asked)}, expected at least one, each at least 0")
     for name, given in (("period_s", period_s), ("damping_n_s_per_m", damping_n_s_per_m)):
@@ -105,17 +116,17 @@ def stiffest_coupler(
             "safe for every passive hand; more damping, a shorter period or a shorter delay raise it",
             value=ceiling,
         )
-    shape = _shape(asked, count)
+    shape = _shape(_Asked(asked, count, varying, weight))
     coupler = Coupler(taps_m_per_n=tuple((unit * shape).tolist()))
-    for delay in asked:
-        if not is_passive_over(coupler, period_s, damping_n_s_per_m, delay):
-            raise DesignError(f"coupler: the taps found do not meet the condition for a delay of {delay} samples")
+    for each in [asked] if varying else [(delay,) for delay in asked]:
+        if not is_passive_over(coupler, period_s, damping_n_s_per_m, *each):
+            raise DesignError(f"coupler: the taps found do not meet the condition for a delay of {each[-1]} samples")
     found = CouplerDesign(
         coupler=coupler,
         delays=asked,
         period_s=period_s,
         damping_n_s_per_m=damping_n_s_per_m,
-        bound_m_per_n=unit * least_sum(asked),
+        bound_m_per_n=unit * least_sum(asked, varying=varying),
     )
     if stiffness_n_per_m is not None and stiffness_n_per_m > found.stiffness_n_per_m:
         raise Infeasible(
@@ -126,39 +137,77 @@ def stiffest_coupler(
     return found
 
 
+class _Asked(NamedTuple):
+    delays: tuple[int, ...]
+    taps: int
+    varying: bool
+    weight: Weight | None
+
+    def needed(self, t: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+        kernels = np.array([fejer(delay + 1, t) for delay in self.delays])
+        return np.asarray(kernels.sum(axis=0) if self.varying else kernels.max(axis=0))
+
+
 @lru_cache(maxsize=64)
-def _shape(delays: tuple[int, ...], taps: int) -> npt.NDArray[np.float64]:
+def _shape(asked: _Asked) -> npt.NDArray[np.float64]:
     """Taps in units of T/(2 beta), with a margin on the whole circle."""
-    from scipy.optimize import linprog
-
-    def needed(t: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-        return np.asarray(np.max([fejer(delay + 1, t) for delay in delays], axis=0))
-
-    fine = np.asarray(np.linspace(0.0, np.pi, 256 * taps + 1), dtype=np.float64)
-    kernels, wanted = dirichlet(taps, fine), needed(fine)
+    fine = np.asarray(np.linspace(0.0, np.pi, 256 * asked.taps + 1), dtype=np.float64)
+    kernels, wanted = dirichlet(asked.taps, fine), asked.needed(fine)
     angles = np.arange(0, fine.size, 32)
-    shape, gap = np.zeros(taps), wanted
-    for _ in range(ROUNDS):
-        rows = -kernels[:, angles].T
-        result: Any = linprog(np.ones(taps), A_ub=rows, b_ub=-wanted[angles], bounds=[(None, None)] * taps, method="highs-ds")
-        if result.x is None:
-            raise DesignError(f"coupler: the linear program ended without an answer ({result.message})")
-        shape = np.asarray(result.x)
+    weighed = None if asked.weight is None else asked.weight.of_taps(asked.taps, fine[::16])
+    cuts = None if weighed is None else weighed[:, :1].real.T  # Re(e^-ip W C) <= g, a row each
+    shape, gap = np.zeros(asked.taps), wanted
+    for _ in range(ROUNDS if weighed is None else WEIGHTED_ROUNDS):
+        shape = _least(-kernels[:, angles].T, -wanted[angles], cuts)
         gap = wanted - shape @ kernels
         inner = gap[1:-1]
         peaks = 1 + np.flatnonzero((inner >= gap[:-2]) & (inner > gap[2:]) & (inner > 1e-9))
-        if not np.setdiff1d(peaks, angles).size:
+        more = np.zeros((0, asked.taps)) if weighed is None else _violated(weighed, shape, cuts)
+        if not np.setdiff1d(peaks, angles).size and not len(more):
             break
         angles = np.union1d(angles, peaks)
+        cuts = None if cuts is None else np.vstack([cuts, more])
     near = 1 + np.flatnonzero((gap[1:-1] >= gap[:-2]) & (gap[1:-1] > gap[2:]) & (gap[1:-1] > -1e-3 * shape.sum()))
     pieces = [np.linspace(fine[i - 1], fine[i + 1], 129) for i in near]
     between = np.asarray(np.concatenate([np.array([0.0, np.pi]), *pieces]), dtype=np.float64)
-    shape[0] += max(float((needed(between) - shape @ dirichlet(taps, between)).max()), 0.0) + MARGIN * float(shape.sum())
+    short = float((asked.needed(between) - shape @ dirichlet(asked.taps, between)).max())
+    shape[0] += max(short, 0.0) + MARGIN * float(shape.sum())
     return shape
 
 
-def least_sum(delays: Iterable[int]) -> float:
-    """Return (1/pi) int_0^pi max_N F_N(t) dt: a lower bound of C(1) in units of T/(2 beta), by the midpoint rule."""
+def _least(rows: npt.NDArray[Any], right: npt.NDArray[Any], cuts: npt.NDArray[Any] | None) -> npt.NDArray[np.float64]:
+    """Minimise the sum of the taps, or g over the rows cuts s <= g, subject to rows s <= right."""
+    from scipy.optimize import linprog
+
+    count = rows.shape[1]
+    cost = np.ones(count)
+    if cuts is not None:
+        rows = np.vstack([np.hstack([rows, np.zeros((len(rows), 1))]), np.hstack([cuts, -np.ones((len(cuts), 1))])])
+        right, cost = np.concatenate([right, np.zeros(len(cuts))]), np.append(np.zeros(count), 1.0)
+    result: Any = linprog(cost, A_ub=rows, b_ub=right, bounds=[(None, None)] * len(cost), method="highs-ds")
+    if result.x is None:
+        raise DesignError(f"coupler: the linear program ended without an answer ({result.message})")
+    return np.asarray(result.x)[:count]
+
+
+def _violated(
+    weighed: npt.NDArray[Any], shape: npt.NDArray[np.float64], cuts: npt.NDArray[Any] | None
+) -> npt.NDArray[np.float64]:
+    """Return the rows Re(e^-ip W C) of the angles where |W C| has a peak above the largest that the rows so far admit."""
+    response = shape @ weighed
+    size, level = np.abs(response), float((cuts @ shape).max()) if cuts is not None else 0.0
+    padded = np.concatenate([[-1.0], size, [-1.0]])
+    peak = (padded[1:-1] >= padded[:-2]) & (padded[1:-1] >= padded[2:]) & (size > (1.0 + WEIGHT_SLACK) * level)
+    return np.asarray((weighed[:, peak] * (response[peak].conj() / size[peak])).real.T)
+
+
+def least_sum(delays: Iterable[int], *, varying: bool = False) -> float:
+    """Return (1/pi) int_0^pi max_N F_N(t) dt: a lower bound of C(1) in units of T/(2 beta), by the midpoint rule.
+
+    For a delay that varies it is that of the sum, which is the sum of all N.
+    """
+    if varying:
+        return float(sum(delay + 1 for delay in delays))
     asked = sorted(set(delays))
     count = 4096 * (asked[-1] + 1)
     t = np.asarray((np.arange(count) + 0.5) * (np.pi / count), dtype=np.float64)

@@ -35,6 +35,7 @@ class CouplerRequest:
         taps_m_per_n: the taps themselves in m/N (``taps``).
         integrator_m_per_n: gain of an integrator beside them in m/N per sample (``taps``).
         equalise: whether both ends wait until the largest delay has passed, so that a delay that varies becomes one that stays.
+        varying: whether it is to be safe while the delay varies from sample to sample (``stiffest``), instead of waiting.
         per_material: whether every material spares the coupler what it gives itself, C_i(z) = C(z) - s_i (`sparing`).
 
     Raises:
@@ -50,6 +51,7 @@ class CouplerRequest:
     integrator_m_per_n: float = 0.0
     equalise: bool = False
     per_material: bool = False
+    varying: bool = False
 
     def __post_init__(self) -> None:
         if self.method not in get_args(Method):
@@ -65,6 +67,8 @@ class CouplerRequest:
                 raise FieldError(name, f"{value!r}, expected a finite number above 0")
         if self.count < 0:
             raise FieldError("count", f"{self.count}, expected at least 1, or 0")
+        if self.varying and (self.method != "stiffest" or self.equalise or self.delays):
+            raise FieldError("varying", 'belongs to method = "stiffest" without equalise; its delays are those of the network')
         if self.per_material and self.method == "taps":
             raise FieldError("per_material", "given taps run as they are; give wall.materials[i].spared_m_per_n")
         if bool(self.taps_m_per_n) != (self.method == "taps"):
@@ -103,6 +107,10 @@ class DesignedWall:
         delays = asked.delays or tuple(sorted({i + j for i in sides[0] for j in sides[1]}))
         if asked.equalise and not asked.delays:
             delays = (largest,)
+        if asked.varying:
+            from design.passivity.varying_delay import lags
+
+            delays = lags(*sides)
         beta = damping_of(task) if asked.damping_n_s_per_m is None else asked.damping_n_s_per_m
         makers: dict[Method, Callable[[], Coupler]] = {
             "stiffest": lambda: self._stiffest(delays, model.period_s, beta),
@@ -129,7 +137,7 @@ class DesignedWall:
         from design.passivity.synthesis import stiffest_coupler
 
         return stiffest_coupler(
-            delays, period_s=period_s, damping_n_s_per_m=beta, taps=self.coupler.count or None,
+            delays, period_s=period_s, damping_n_s_per_m=beta, taps=self.coupler.count or None, varying=self.coupler.varying,
             stiffness_n_per_m=self.coupler.stiffness_n_per_m,
         ).coupler  # fmt: skip
 

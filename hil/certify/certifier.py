@@ -5,7 +5,7 @@ What a plant and a controller say of themselves, asked once: who judges and who 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
@@ -121,7 +121,7 @@ def undecided(loop: CertificationProblem, kind: Kind, reason: str, details: Mapp
 
 
 def limited_to_model(
-    plant: Plant, verdict: Verdict, *, knows_state_delays: bool = False, knows_jumps: bool = False
+    plant: Plant, verdict: Verdict, *, knows_state_delays: bool = False, knows_jumps: bool = False, knows: Collection[str] = ()
 ) -> Verdict:  # fmt: skip
     """Return a verdict on the plant's model as one on the plant: undecided where the plant has more than its model.
 
@@ -130,8 +130,9 @@ def limited_to_model(
         verdict: on the model by which it moves, x(k+1) = A x(k) + B u(k).
         knows_state_delays: whether it is on the model with A_1 x(k-1) + ... beside it.
         knows_jumps: whether it is on the model of every mode and on their process.
+        knows: what it holds with, by the names of `BeyondModel.beyond_model`.
     """
-    beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
+    beyond = tuple(name for name in plant.beyond_model() if name not in knows) if isinstance(plant, BeyondModel) else ()
     if not knows_state_delays and isinstance(plant, HasStateDelays) and np.any(plant.state_delays()):
         beyond += ("delayed states",)
     if not knows_jumps and isinstance(plant, JumpPlant):

@@ -7,6 +7,7 @@ The certifier of walls by model following: stable for one hand, and for which pa
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import product
 
@@ -15,10 +16,14 @@ import numpy as np
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
+from hil.plugins.protocols import HasPassiveElements
 
 
 def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a rendered wall: passive for every passive hand, or what decides otherwise; None for other loops.
+
+    What the plant says to be passive at its port is no more than another passive hand: a proof for every passive hand holds with
+    it. A refusal is on the model alone.
 
     Mass, damping and spring of device and hand are read from the plant's own model, x'' = -k/M x - b/M x' + u/M.
     """
@@ -34,11 +39,17 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     from design.passivity.loop import HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
+    elements = tuple(loop.plant.passive_elements()) if isinstance(loop.plant, HasPassiveElements) else ()
     verdict = certify_wall(
         device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=loop.sc, ca=loop.ca,
         equalised=controller.equalise, material_chain=controller.wall.chain,
+        saturates_n=min((e.largest for e in elements if e.largest is not None), default=math.inf),
     )  # fmt: skip
-    return limited_to_model(loop.plant, replace(verdict, digest=loop.digest))
+    if not verdict.certified:
+        return limited_to_model(loop.plant, replace(verdict, digest=loop.digest))
+    said = tuple(f"{e.name}: {'cuts the force off' if e.largest else 'only takes energy'}, as the plant says" for e in elements)
+    certified = replace(verdict, digest=loop.digest, assumptions=(*verdict.assumptions, *said))
+    return limited_to_model(loop.plant, certified, knows={e.name for e in elements})
 
 
 HANDS = tuple(product((0.0, 0.5, 2.0), (0.0, 10.0, 30.0), (0.0, 100.0, 800.0)))

@@ -55,17 +55,20 @@ Check = tuple[State, str] | tuple[None, tuple[str, ...]]
 def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on what plant and controller say as one on what they do.
 
-    A plant that says itself what it is beyond its model leaves every loop undecided, and is not tested.
+    A plant that says itself what it is beyond its model leaves a loop undecided, but for one that is passive with it; it is not
+    tested.
 
     Args:
         loop: the loop that will run.
         verdict: on the matrices and gains that both state.
     """
-    if verdict.state == "undecided" and isinstance(loop.plant, BeyondModel) and loop.plant.beyond_model():
+    beyond = isinstance(loop.plant, BeyondModel) and bool(loop.plant.beyond_model())
+    if verdict.state == "undecided" and beyond:
         return verdict
     departs = verdict.kind == "practical stability" and isinstance(loop.plant, HasDepartures) and bool(loop.plant.departures())
     assumptions: list[str] = []
-    for what, check in (("plant", departure_check if departs else plant_check), ("controller", answers_of)):
+    checks = (("plant", departure_check if departs else plant_check), ("controller", answers_of))
+    for what, check in checks[1:] if beyond and verdict.kind == "passivity" else checks:
         try:
             state, said = check(loop)
         except Exception as error:  # whatever an author's plant or controller does when it is driven

@@ -7,9 +7,12 @@ from pathlib import Path
 
 import click
 
-from hil.cli.option_types import Duration, NumberList
+from hil.cli.option_types import Duration, NumberList, Ratio
 from hil.cli.terminal import json_option, print_facts, print_json
 from hil.errors import HilError
+
+HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in whole numbers (Sturm)"
+VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, over all delays nd, in whole numbers (Sturm)"
 
 
 @click.command()
@@ -19,21 +22,28 @@ from hil.errors import HilError
 @click.option("--damping", type=click.FloatRange(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
 @click.option("--stiffness", type=click.FloatRange(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
 @click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
+@click.option("--varying", is_flag=True, help="Safe while the delay of one direction varies from sample to sample.")
+@click.option("--weight", type=Ratio(), help="W(z) whose largest |W C| is least, such as 1,-0.97/1,-0.9, in powers of 1/z.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
 @click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
 def command(
     period: float, delay: tuple[float, ...], hand: float, damping: float | None, stiffness: float | None, taps: int | None,
-    path: Path | None, header: Path | None, force: bool, as_json: bool,
+    varying: bool, weight: tuple[tuple[float, ...], tuple[float, ...]] | None, path: Path | None, header: Path | None,
+    force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Design the stiffest coupler that is safe for every passive hand at every delay of a set.
 
+    A weight W makes it stiff where |W| is large: it minimises the largest |W(z) C(z)| on the unit circle, C = 1/Q - 1/G the
+    error of the rendered compliance. A weight that is largest at 0 Hz changes nothing.
+
     Exit status 2 where the stiffness cannot be reached; the message has the number that decides it.
     """
-    from design.errors import DesignError
+    from design.errors import DesignError, FieldError
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
+    from design.passivity.weight import Weight
     from hil.cli.terminal import Working
     from hil.design_questions.coupler_header import coupler_header
     from hil.files.outputs import check_output, write_output
@@ -45,9 +55,16 @@ def command(
     delays = [int(d) for d in delay]
     try:
         with Working("coupler of a wall"):
+            asked = None if weight is None else Weight(*weight)
             found = stiffest_coupler(
-                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness
+                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness, varying=varying,
+                weight=asked,
+            )  # fmt: skip
+            plain = found if asked is None else stiffest_coupler(
+                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying
             )
+    except FieldError as error:
+        raise HilError(f"--weight: {error}") from error
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     document = {
@@ -60,9 +77,14 @@ def command(
         "stiffness_n_per_m": found.stiffness_n_per_m,
         "ceiling_n_per_m": ceiling_n_per_m(period, beta, max(delays)),
         "bound_m_per_n": found.bound_m_per_n,
-        "damping_needed_n_s_per_m": damping_needed(found.coupler, period, delays).damping_n_s_per_m,
-        "proof": "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in whole numbers (Sturm)",
+        "damping_needed_n_s_per_m": damping_needed(found.coupler, period, delays, varying=varying).damping_n_s_per_m,
+        "proof": VARYING if varying else HELD,
     }
+    if asked is not None:
+        document["weight"] = {
+            "numerator": list(asked.numerator), "denominator": list(asked.denominator),
+            "largest_m_per_n": asked.peak(found.coupler), "of_the_stiffest_m_per_n": asked.peak(plain.coupler),
+        }  # fmt: skip
     text = json.dumps(document, indent=2) + "\n"
     if path is not None:
         write_output(path, text)
@@ -71,10 +93,17 @@ def command(
     if as_json:
         print_json(document)
         return
+    weighed: tuple[tuple[str, str, str], ...] = ()
+    if asked is not None:
+        largest, before = (f"{asked.peak(each.coupler):.6g}" for each in (found, plain))
+        weighed = (("weight", f"largest |W C| {largest} m/N, {before} of the stiffest", ""),)
+    moves = ", varying" if varying else ""
     compliance = found.coupler.static_compliance_m_per_n
     print_facts((
         ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling", ""),
         ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays", ""),
-        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples, any passive hand, {beta:g} N s/m of damping", ""),
+        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples{moves}, any passive hand, "
+                      f"{beta:g} N s/m of damping", ""),
+        *weighed,
         ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n), ""),
     ))  # fmt: skip

@@ -84,6 +84,24 @@ class NumberList(click.ParamType[tuple[float, ...]]):
         return tuple(found)
 
 
+class Ratio(click.ParamType[tuple[tuple[float, ...], tuple[float, ...]]]):
+    """A quotient of polynomials: coefficients between commas, a slash, coefficients; without a slash a polynomial."""
+
+    name = "B/A"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        parts = str(value).split("/")
+        try:
+            found = [tuple(float(c) for c in part.split(",")) for part in parts]
+        except ValueError:
+            found = []
+        if not 1 <= len(found) <= 2:
+            self.fail(f"{value!r}, expected coefficients of 1, 1/z, ... over those below, such as 1,-0.97/1,-0.9", param, ctx)
+        return found[0], found[1] if len(found) == 2 else (1.0,)
+
+
 LARGEST: Final = 1e30
 """As in an experiment: products of larger ones leave what a double holds."""
 

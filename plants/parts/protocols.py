@@ -106,6 +106,28 @@ class HasDepartures(Protocol):
         ...
 
 
+class PassiveElement(NamedTuple):
+    """What a device has at its port beyond its motion, and what of it a proof of passivity may rest on.
+
+    Attributes:
+        name: noun phrase, as in `BeyondModel.beyond_model`.
+        largest: largest magnitude of the force that is put out, in its unit: more is cut off there. None: it is no such limit,
+            and whatever it does only takes energy.
+    """
+
+    name: str
+    largest: float | None = None
+
+
+@runtime_checkable
+class HasPassiveElements(Protocol):
+    """A device that says which of what it has beyond its model is passive at its port: a wall's certificate holds with it."""
+
+    def passive_elements(self) -> tuple[PassiveElement, ...]:
+        """Return them, each by the name that `beyond_model` gives it."""
+        ...
+
+
 @runtime_checkable
 class HasOwnInputs(Protocol):
     """A plant that says what pushes it from within, as time passes and whatever it does itself: loads, hands, gusts, noise."""

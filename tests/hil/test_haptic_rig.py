@@ -118,9 +118,9 @@ def test_materials_may_follow_the_published_chain() -> None:
     assert share == pytest.approx([0.25, 0.25, 0.5], abs=0.05)  # 5 sd of a share at this memory
 
 
-def test_dry_friction_leaves_the_claim_undecided() -> None:
-    with pytest.raises(ExperimentError, match="dry friction"):
-        compose(load_experiment("omni-push", ["plant.coulomb_n=0.05"]))
+def test_an_encoder_that_rounds_leaves_the_claim_undecided() -> None:
+    with pytest.raises(ExperimentError, match="an encoder that rounds"):
+        compose(load_experiment("omni-push", ["plant.encoder_step_m=1e-5"]))
 
 
 GAP = "controller.wall.pattern={width_m=0.04, height_m=0.04, patches=[{y_m=0, z_m=0, width_m=0.04, height_m=0.02, material=0}]}"

@@ -102,6 +102,9 @@ def test_the_header_compiles_as_c99_and_renders_what_the_rig_renders(tmp_path: P
         (("wall", "--hand", "-1"), "-1.0 is not in the range x>=0"),
         (("wall", "--delay", "3..x"), "'3..x' is no whole number or range"),
         (("wall", "--period", "0"), "expected a duration above 0 s"),
+        (("wall", "--weight", "x"), "'x', expected coefficients of 1, 1/z, ..."),
+        (("wall", "--weight", "1/2/3"), "'1/2/3', expected coefficients"),
+        (("wall", "--weight", "1/1,-2"), "--weight: denominator: [1.0, -2.0] has a pole of modulus 2, expected below 1"),
     ],
 )
 def test_a_wall_that_cannot_be_is_refused_and_nothing_is_written(
@@ -127,3 +130,15 @@ def test_a_map_that_cannot_be_is_refused(arguments: tuple[str, ...], message: st
     with pytest.raises(SystemExit) as end:
         main(["stiffness-map", *arguments])
     assert end.value.code == 2 and message in capsys.readouterr().err
+
+
+def test_a_weight_and_a_delay_that_varies_reach_the_design() -> None:
+    plain, weighed, moving = (
+        json.loads(designed(*WALL, *more, "--json").stdout) for more in ((), ("--weight", "1,-0.97/1,-0.9"), ("--varying",))
+    )
+    facts = weighed["weight"]
+    assert facts["largest_m_per_n"] < facts["of_the_stiffest_m_per_n"] and facts["denominator"] == [1.0, -0.9]
+    assert weighed["static_compliance_m_per_n"] > plain["static_compliance_m_per_n"] and "weight" not in plain
+    assert moving["static_compliance_m_per_n"] > plain["static_compliance_m_per_n"] and "sum" in moving["proof"]
+    assert moving["damping_needed_n_s_per_m"] <= moving["damping_n_s_per_m"] * (1 + 1e-9)
+    assert "largest |W C|" in designed(*WALL, "--weight", "1,-1").stdout

@@ -1,0 +1,83 @@
+"""What is passive at the device: the wall's certificate holds with it, and it turns with what is not."""
+
+import numpy as np
+import pytest
+
+from design.controllers.rendered_wall import Coupler, wave_coupler
+from design.controllers.wall import Material, Wall
+from design.passivity.certificate import cut_off
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.runtime.simulated import simulate
+
+WAVE = 'controller.coupler={method="wave"}'
+RISING = "controller.coupler={method=\"taps\",taps_m_per_n=[0.2,0.02,0.03]}"
+
+
+def verdict(*sets, name="omni-push"):
+    return compose(load_experiment(name, [*sets, "allow_uncertified=true"])).verdict
+
+
+@pytest.mark.parametrize("element", ["plant.coulomb_n=0.1", "plant.zones=[{from_m=0.02,damping=3.0}]"])
+def test_what_only_takes_energy_leaves_the_wall_certified(element):
+    found = verdict(element)
+    assert found.certified and found.limit == pytest.approx(1.9857)
+    assert any("only takes energy, as the plant says" in text for text in found.assumptions)
+
+
+def test_the_worst_damping_of_the_workspace_decides():
+    """The coupler made for b = 1.9857 does not hold where b falls to 1.9."""
+    least = "plant.zones=[{from_m=0.02,damping=1.9}]"
+    assert verdict(least, "controller.coupler.damping_n_s_per_m=1.9857").state == "undecided"
+    made = verdict(least)
+    assert made.certified and made.limit == pytest.approx(1.9)
+
+
+def test_a_motor_that_saturates_is_taken_where_the_wall_asks_no_more_or_the_taps_never_rise():
+    limit = "plant.force_limit_n=0.5"
+    bare = verdict(limit)
+    assert bare.state == "undecided" and "wall.force_limit_n = 0.5 keeps the wall within it" in bare.reason
+    assert verdict(limit, "controller.wall.force_limit_n=0.5").certified
+    assert verdict(limit, WAVE).certified
+    assert verdict(limit, RISING).state == "undecided"
+
+
+def test_an_encoder_that_rounds_stays_undecided():
+    found = verdict("plant.encoder_step_m=1e-5", "plant.coulomb_n=0.1")
+    assert found.state == "undecided" and found.reason.endswith("not decided with an encoder that rounds")
+
+
+def test_a_refusal_is_on_the_model_alone():
+    found = verdict("plant.coulomb_n=0.1", name="omni-theorem61")
+    assert found.state == "undecided" and found.reason.startswith("refused for the plant's model")
+
+
+@pytest.mark.parametrize("sets", [
+    ["plant.coulomb_n=0.1"], ["plant.zones=[{from_m=0.02,damping=3.0}]"], ["plant.zones=[{from_m=0.02,damping=1.0}]"],
+    ["plant.force_limit_n=0.5", WAVE], ["plant.force_limit_n=0.5", "controller.wall.force_limit_n=0.5"],
+])  # fmt: skip
+def test_the_motor_gives_nothing_beyond_what_damping_takes(sets):
+    experiment = load_experiment("omni-push", [*sets, "duration=20"])
+    assert simulate(compose(experiment), 0).arrays["/plant/state"]["given"].max() < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_force_that_is_cut_off_behind_falling_taps_takes_what_is_asked(seed):
+    """sum sat(f) (C f - C f(k-1)) >= sum sat(f) (1 - z^-N) sat(f) T/(2 b): the inequality that `cut_off` rests on."""
+    rng = np.random.default_rng(seed)
+    period, damping, delay, most = 0.001, 7.0, int(rng.integers(0, 6)), 1.0
+    taps = np.array(wave_coupler(period, damping, delay).taps_m_per_n)
+    force = np.concatenate([np.abs(rng.standard_normal(400)) * rng.choice([0.5, 3.0], 400), np.zeros(delay + 2)])
+    moved = np.diff(np.convolve(force, taps), prepend=0.0)[: force.size]
+    left = np.minimum(force, most)
+    asked = left - np.concatenate([np.zeros(delay + 1), left[: -delay - 1]])
+    assert left @ moved >= period / (2 * damping) * (left @ asked) - 1e-12
+
+
+def test_what_is_behind_a_motor_that_saturates_and_not_covered_is_named():
+    springs = tuple(Material(stiffness_n_per_m=k) for k in (1000.0, 800.0))
+    two = Wall(materials=springs, chain=((0.5, 0.5), (0.5, 0.5)))
+    coupler = wave_coupler(0.001, 7.0, 2)
+    assert "one stiffness behind taps that never rise" in cut_off(two, coupler, 5.0)
+    assert not cut_off(Wall(material=1), coupler, 5.0)
+    assert cut_off(Wall(material=1), Coupler(taps_m_per_n=(0.1, 0.05, 0.06)), 5.0)
