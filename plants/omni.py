@@ -12,7 +12,7 @@ import numpy as np
 from plants.errors import FieldError, PlantError
 from plants.parts.damping_zones import DampingZone, ZoneRun, check_zones
 from plants.parts.driven import NoisyRun
-from plants.parts.events import pass_time
+from plants.parts.events import Source, pass_time
 from plants.parts.friction import Friction, RubbingAxis
 from plants.parts.hand import Hand, PathRun, PushRun, SlideRun
 from plants.parts.linear import NS_PER_S, Flow, LinearRun, Signal, StateSpace
@@ -217,7 +217,7 @@ class HeldRun:
             self._ways.append((flow, dry))
         self._flow, self._dry = self._ways[self._zones.at(self._x[0])]
         self._damping, self._path = omni.tip_damping_n_s_per_m, path
-        self._sources = (self._push, path, self._slide, *self._zones.sources)
+        self._sources: tuple[Source, ...] = (self._push, path, self._slide, *self._zones.sources)
 
     def under(self, omni: Omni, hand: Hand) -> HeldRun:
         """Return it with other parameters from now on; the hand leads it from where it is."""
