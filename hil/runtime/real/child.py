@@ -7,7 +7,6 @@ Such a process runs ``python -m hil.runtime.real.child MODULE``, with its job, p
 
 from __future__ import annotations
 
-import atexit
 import gc
 import os
 import pickle
@@ -15,13 +14,11 @@ import select
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from importlib import import_module
-from typing import IO, Final, NoReturn, Protocol
+from typing import IO, Final, Protocol
 
-from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
+from hil.plugins.first_instants import collect_garbage_again
 from hil.runtime.time.clock import monotonic_ns
 
 PYTHON: Final = (sys.executable, "-P")
@@ -177,30 +174,6 @@ def run_job(module: str, folders: Sequence[str]) -> None:
     run(job)
 
 
-def leave(end: BaseException | None) -> NoReturn:
-    """End this process as Python would, but for taking its memory apart, which takes 0.1 s where it is locked.
-
-    Args:
-        end: what ended its work, None for nothing.
-    """
-    status = 0
-    pass_over_signals()
-    if isinstance(end, SystemExit):
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
-        if isinstance(end.code, str):
-            sys.stderr.write(f"{end.code}\n")
-    elif end is not None:
-        status = 1
-        sys.excepthook(type(end), end, end.__traceback__)
-    threading._shutdown()  # type: ignore[attr-defined]
-    atexit._run_exitfuncs()
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            with suppress(OSError, ValueError):
-                stream.flush()
-    os._exit(status)
-
-
 def _has_fileno(stream: object) -> bool:
     try:
         stream.fileno()  # type: ignore[attr-defined]
@@ -239,8 +212,4 @@ def is_stopped(pid: int) -> bool:
 
 
 if __name__ == "__main__":
-    try:
-        run_job(sys.argv[1], sys.argv[2:])
-    except BaseException as end:
-        leave(end)
-    leave(None)
+    run_job(sys.argv[1], sys.argv[2:])
