@@ -138,7 +138,6 @@ def command(
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of
-    from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S
     from hil.session import run_session
     from transport.links.opening import open_link
 
@@ -157,6 +156,8 @@ def command(
             pass  # what cannot be opened is said before anything starts; what is odd about it, by the rig
     uri = None if on is None else on.uri
     if external and uri is not None and sys.stderr is not None:
+        from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S
+
         limit = "until Ctrl-C" if wait == LONGEST_WAIT_S else f"up to {wait or EXTERNAL_TIMEOUT_S:g} s"
         print(f"waiting {limit} for your controller on {visible(uri)}", file=sys.stderr)
     signer = None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import tomllib
 import typing
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -23,12 +22,12 @@ __all__ = [
 ]  # fmt: skip
 
 MAX_BYTES = 1_000_000
+_SHIPPED = Path(__file__).parents[1] / "experiments"
 
 
 def shipped() -> dict[str, Path]:
     """Return the experiments that come with the package, by name."""
-    folder = Path(str(resources.files("hil"))) / "experiments"
-    return {p.stem: p for p in sorted(folder.glob("*.toml"))}
+    return {p.stem: p for p in sorted(_SHIPPED.glob("*.toml"))}
 
 
 def load_experiment(

@@ -6,7 +6,6 @@ Drawing is one bisection then, and only the process that composes a run ever loa
 
 from __future__ import annotations
 
-import difflib
 import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -213,7 +212,9 @@ def _positive(path: str, value: object) -> float:
 def _known(spec: Mapping[str, Any], names: Sequence[str], path: str) -> None:
     for key in spec:
         if key not in names:
-            near = difflib.get_close_matches(str(key), names, n=1)
+            from difflib import get_close_matches  # who makes no mistake needs none
+
+            near = get_close_matches(str(key), names, n=1)
             raise FieldError(f"{path}.{key}", f"unknown; expected {', '.join(names)}" + (f" ({near[0]}?)" if near else ""))
 
 
@@ -240,7 +241,9 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     family = getattr(stats, name, None) if isinstance(name, str) else None
     if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
         laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
-        near = difflib.get_close_matches(str(name), laws, n=1)
+        from difflib import get_close_matches  # who makes no mistake needs none
+
+        near = get_close_matches(str(name), laws, n=1)
         raise FieldError(f"{path}.dist", f"scipy.stats has no law {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
     shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
     _known(spec, ["dist", *shapes, "loc", "scale"], path)
