@@ -7,9 +7,9 @@ left alone, and every row, age and sample is compared at samples of every size.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows, RunningController, Sample, SensorNodes
@@ -25,8 +25,7 @@ FAR = (200, 300, 1000, 3000, 10_000)
 """Slots at the end that a table is asked in too: a table knows no slot."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Question:
+class Question(Struct, frozen=True, kw_only=True):
     """What a controller is asked in one run.
 
     Args:
@@ -47,8 +46,7 @@ class Question:
     """Whether the last value of a sample is a mode, which has no size."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
+class Answer(Struct, frozen=True, kw_only=True):
     """How far answers are from a table's: share of them, slot, age, row and input, and both values."""
 
     size: float

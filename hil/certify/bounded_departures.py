@@ -9,10 +9,11 @@ A relative trigger lets every sample be wrong by a share of itself: one quadrati
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
@@ -31,8 +32,7 @@ Modes = Callable[[Array, Array, Array], tuple[Array, Array]]
 """Matrices of the closed loop of a plant (A, B, C), (N, size, size), its state first; and the transition probabilities."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pushed:
+class Pushed(Struct, frozen=True, kw_only=True):
     """What pushes a loop from within.
 
     Args:

@@ -7,11 +7,12 @@ What the record of a plant that jumps fulfils in a slot in which its mode stays:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, ModeSchedule
@@ -177,8 +178,7 @@ def _with_continuous_time(
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class JumpStep:
+class JumpStep(Struct, frozen=True, kw_only=True):
     """What holds in a slot without a jump: |x(k+1) - F_i x(k) - G_i v| <= W_i (|x(k)|, |v|), entry by entry; v = u + w.
 
     Args:

@@ -15,10 +15,10 @@ be a state that the model does not know, and nothing in a linear model says whet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
@@ -38,8 +38,7 @@ CANCELS = 1e-11
 LARGEST = 1e60
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Track:
+class Track(Struct, frozen=True, kw_only=True):
     """States and outputs of a run, slot by slot after the first: (k, n') and (k, p); what it says was put out, (k - 1, m)."""
 
     states: Array
@@ -47,8 +46,7 @@ class Track:
     applied: Array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Departure:
+class Departure(Struct, frozen=True, kw_only=True):
     """How far a plant is from its model under inputs of one size.
 
     Args:

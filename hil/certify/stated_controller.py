@@ -6,10 +6,10 @@ What a controller of gains by mode, and one that renders a wall, are asked when 
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from design.controllers import (
     AgedFeedback,

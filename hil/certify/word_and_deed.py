@@ -12,10 +12,11 @@ The test at the door ends after some slots; who lies later, beyond the tested in
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
@@ -198,8 +199,7 @@ LARGEST_POLYNOMIAL = 12
 """States of a model up to which its outputs alone foretell its outputs: the polynomial of more loses its digits."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OneStep:
+class OneStep(Struct, frozen=True, kw_only=True):
     """What the record of a plant fulfils in every slot if it moves by its model: e(k) = sum_i taps[i] z(k - i) = 0.
 
     z(k) = (x, y, u + w) in slot k. A load or noise that nothing else moves is left in e.
@@ -215,8 +215,7 @@ class OneStep:
     stated: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Watched:
+class Watched(Struct, frozen=True, kw_only=True):
     """What is compared in a run.
 
     Args:

@@ -261,7 +261,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         watched = _watched(judged, verdict, external)
         if watched is not None and watched.claimed:
             drawn, assumed = own_laws(rig)
-            watched = dataclasses.replace(watched, laws=drawn)
+            watched = replace(watched, laws=drawn)
             assumed += (_not_compared(judged.plant),) if watched.plant is None else ()
             assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
             verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))

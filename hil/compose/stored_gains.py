@@ -10,12 +10,12 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from design.controllers import Controller
 from design.requests.tracking import DesignTask
@@ -34,8 +34,7 @@ LARGEST: Final = 16_000_000
 Origin = Literal["stored", "solved here"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Gains:
+class Gains(Struct, frozen=True, kw_only=True):
     """Where the gains of a run come from.
 
     Args:

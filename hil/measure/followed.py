@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 LEAF: Final = 1 << 15
 """Entries that are summed at once; numpy itself goes on halving down to 128."""
@@ -43,8 +43,7 @@ def pairwise_sum(of: Callable[[int, int], npt.NDArray[np.floating[Any]]], n: int
 Array: TypeAlias = npt.NDArray[np.floating[Any]]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Followed:
+class Followed(Struct, frozen=True, kw_only=True):
     """Times, outputs and reference of the slots that have both.
 
     Args:

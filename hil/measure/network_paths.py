@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from hil.experiment.nodes import Medium
 from hil.log.append_column import AppendColumn, pieces
@@ -105,8 +105,7 @@ def _p_value(
     return p_value if math.isfinite(p_value) else None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NetworkPath:
+class NetworkPath(Struct, frozen=True, kw_only=True):
     """One emulated network.
 
     Args:
@@ -201,8 +200,7 @@ def draws_of(draws: Draws, number: int) -> Draws:
     return own.array()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Load:
+class Load(Struct, frozen=True, kw_only=True):
     """What one node sent.
 
     Args:

@@ -6,11 +6,11 @@ How well the rig kept its times, and whether that is good enough to believe the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import asdict
 
 from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN

@@ -8,11 +8,12 @@ number in the cycle and the age, and from each state all ages follow that some r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import lcm
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from msgspec import Struct
 
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
 from hil.rig.delay_chains import delay_chain
@@ -33,8 +34,7 @@ Late = tuple[int, int]
 """Slots by which a packet is late, at least and at most; of a slot without a packet none."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusDelays:
+class BusDelays(Struct, frozen=True, kw_only=True):
     """By how many slots the packets of a rig are late on a bus, slot by slot of a cycle that comes again for ever.
 
     Args:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
 
 from design.controllers import row_count
 from hil.experiment.nodes import Medium, TrafficTable
@@ -23,8 +24,7 @@ if TYPE_CHECKING:
 CONTROLLER, ACTUATOR, RECORDING = "controller", "actuator", "recording"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OwnPacket:
+class OwnPacket(Struct, frozen=True, kw_only=True):
     """What a node of the rig sends on the bus.
 
     Args:

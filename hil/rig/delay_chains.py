@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isqrt, prod
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chains:
+class Chains(Struct, frozen=True, kw_only=True):
     """The delay chains of a rig, with the labels that its controller tells apart.
 
     Args:

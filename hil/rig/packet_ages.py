@@ -6,10 +6,10 @@ holds the input that it applied before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.laws.protocols import AgeChain, NetworkLaw, PacketAges
@@ -51,8 +51,7 @@ def why_no_ages(law: NetworkLaw, at: Receiver) -> str:
     return f"states no chain: {said}" if isinstance(said, str) and said else "states no chain: it is a packet law or a trace"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Received:
+class Received(Struct, frozen=True, kw_only=True):
     """A network law as its receiver meets it.
 
     Args:

@@ -8,8 +8,9 @@ Which packets a bus with arbitration carries in which slot, where the clocks of 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import lcm
+
+from msgspec import Struct
 
 from hil.errors import nearest
 from hil.experiment import Experiment
@@ -21,8 +22,7 @@ from transport.medium.medium import SampleClock
 from transport.medium.scheduled import Arbitration
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FaultSchedule:
+class FaultSchedule(Struct, frozen=True, kw_only=True):
     """What is broken when.
 
     Args:

@@ -6,7 +6,8 @@ They count by their number, or by the CAN identifier that decides the arbitratio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from design.controllers import SensorNodes, Turns, packet_samples
 from hil.errors import ExperimentError, nearest
@@ -39,8 +40,7 @@ def first_identifiers(given: Sequence[int | None], framing: CanFraming) -> list[
     return [own[0] if set_here is None else set_here for set_here, own in zip(given, below)]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Sensor:
+class Sensor(Struct, frozen=True, kw_only=True):
     """One sensor node.
 
     Args:
@@ -120,8 +120,7 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
 MOST_NODES = 255
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SharedMedium:
+class SharedMedium(Struct, frozen=True, kw_only=True):
     """A medium on which some nodes take turns.
 
     Args:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
@@ -17,8 +17,7 @@ from transport.links.opening import is_foreign
 from transport.links.traits import LinkTraits, identifiers_on, traits_of, with_options
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionLink:
+class SessionLink(Struct, frozen=True, kw_only=True):
     """The link of a session: what it is, and the CAN identifiers of a rig's packets on it.
 
     Args:
@@ -56,8 +55,7 @@ class SessionLink:
         return {"/link/sensor": described, "/link/control": {"can_id.control": said(own.control)}}
 
 
-@dataclass(frozen=True, slots=True)
-class FirstIdentifiers:
+class FirstIdentifiers(Struct, frozen=True):
     """The CAN identifier with which each packet begins.
 
     Args:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from msgspec import Struct, structs
 
 from design.controllers import LoopModel, SensorNodes
 from hil.experiment.tables import Links
@@ -25,8 +26,7 @@ CONJUGATE: Final = (("N", "m"), ("N m", "rad"))
 """Units of an input and an output whose product is energy."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Port:
+class Port(Struct, frozen=True, kw_only=True):
     """A device under one force: mass x'' + damping x' + stiffness x = force.
 
     Args:
@@ -132,5 +132,5 @@ class RigSpec:
 
     def tabulated(self) -> RigSpec:
         """Return the same rig with its laws tabulated: no process that keeps time computes their distributions."""
-        sensors = tuple(replace(sensor, law=prepare(sensor.law)) for sensor in self.sensors)
+        sensors = tuple(structs.replace(sensor, law=prepare(sensor.law)) for sensor in self.sensors)
         return replace(self, sensors=sensors, ca_law=prepare(self.ca_law))

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Literal
+
+from msgspec import Struct
 
 from hil.compose.loop import Loop
 from hil.log.write.sinks import Sink
@@ -22,8 +23,7 @@ END: Final = "end"
 END_TOLD: Final = "the run was ended"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class Change(Struct, frozen=True, kw_only=True):
     """A change, and the loop that runs from it on.
 
     Args:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final, Protocol
+
+from msgspec import Struct
 
 from hil.errors import HilError
 from hil.log.records import Field, field_name
@@ -21,8 +22,7 @@ class SignalLike(Protocol):
     def unit(self) -> str: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Logged:
+class Logged(Struct, frozen=True, kw_only=True):
     """What the topics of a session depend on.
 
     Args:
@@ -54,8 +54,7 @@ class RunsRig(Protocol):
     def rows(self) -> int: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SlotRecord:
+class SlotRecord(Struct, frozen=True, kw_only=True):
     """What the rig knows at the end of a slot, for topics that are filled from it.
 
     Args:
@@ -81,8 +80,7 @@ class SlotRecord:
     answer: bytes
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Curve:
+class Curve(Struct, frozen=True, kw_only=True):
     """One field of a topic in a plot over time; curves of one panel, also of several topics, are drawn together.
 
     Args:
@@ -104,8 +102,7 @@ def _always(logged: Logged) -> bool:
     return True
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Topic:
+class Topic(Struct, frozen=True, kw_only=True):
     """A topic of the log.
 
     Args:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from platform import python_version
 from typing import Any, Final, Literal
+
+from msgspec import Struct, field
 
 from hil.files.installed import versions_of
 from hil.log.events import to_json
@@ -53,8 +54,7 @@ def commit(checkout: Path = CHECKOUT) -> str:
     return answer.stdout.strip() if answer.returncode == 0 else ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Provenance:
+class Provenance(Struct, frozen=True, kw_only=True):
     """Everything that stands in a log before its first record.
 
     Args:
