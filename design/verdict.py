@@ -14,7 +14,9 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 
-Kind = Literal["mean-square stability", "practical stability", "L2 gain", "guaranteed cost", "passivity"]
+Kind = Literal[
+    "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
+]
 State = Literal["certified", "refused", "undecided"]
 
 

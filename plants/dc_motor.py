@@ -163,14 +163,16 @@ class DCMotor:
         return tuple(found)
 
     def departures(self) -> tuple[Departure, ...]:
-        """Return what of `beyond_model` is bounded: all but a supply that saturates.
+        """Return what bounds `beyond_model`: a supply that saturates has a bound up to the supply only.
 
-        Friction is at most the break-away torque; a driver without saturation misses its command by half a count and the dead
-        zone, an encoder the angle by half a count.
+        Friction is at most the break-away torque; a driver misses its command by half a count and the dead zone, an encoder the
+        angle by half a count.
         """
         driver, found = self.driver, []
-        if not driver.ideal and driver.saturation_v is None:
-            found.append(Departure(DRIVER, "input", (0.5 * driver.pwm_step_v + driver.dead_zone_v,)))
+        if not driver.ideal:
+            half, supply = 0.5 * driver.pwm_step_v, driver.saturation_v
+            within = () if supply is None else (supply - half,)
+            found.append(Departure(DRIVER, "input", (half + driver.dead_zone_v,), within))
         if self.friction.dry:
             found.append(Departure(DRY, "input", (self.friction.breakaway_v,)))
         if self.encoder.step_rad:

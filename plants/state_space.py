@@ -20,7 +20,7 @@ from plants.parts.control_package import python_control
 from plants.parts.driven import DrivenRun, NoisyRun
 from plants.parts.exponential import Rows
 from plants.parts.linear import DiscreteStateSpace, LinearRun, LinearRuns, Signal, StateSpace
-from plants.parts.protocols import Plant, PlantRun
+from plants.parts.protocols import Departure, Plant, PlantRun
 from plants.parts.validation import require_not_negative, require_positive, require_rows, require_whole_nanoseconds
 
 if TYPE_CHECKING:
@@ -107,6 +107,11 @@ class LinearPlant:
     def beyond_model(self) -> tuple[str, ...]:
         """Return what the matrices do not say; noise adds to a linear loop, and its variance stays bounded in a stable one."""
         return ("saturated actuators",) if self.saturation else ()
+
+    def departures(self) -> tuple[Departure, ...]:
+        """Return that actuators put out what is asked for, up to their limits."""
+        asked = (0.0,) * len(self.inputs)
+        return (Departure("saturated actuators", "input", asked, self.saturation),) if self.saturation else ()
 
     def own_inputs(self) -> tuple[str, ...]:
         """Return the process noise, where there is one."""

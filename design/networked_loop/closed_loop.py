@@ -145,6 +145,13 @@ class LoopStructure:
         np.add.at(U, e.mode, gains[e.sc, e.row] @ e.right)
         return U
 
+    def standing(self, C: Array) -> Array:
+        """(order, n): the state of the loop whose plant has stood at x, with y = C x, and no packet under way."""
+        n, samples = self.plant_order, self.stored_outputs * len(C)
+        found = np.zeros((self.base.shape[-1], n))
+        found[:n], found[n : n + samples] = np.eye(n), np.tile(C, (self.stored_outputs, 1))
+        return found
+
     def system(self, gains: npt.ArrayLike) -> MJLS:
         """The closed loop for the given gains."""
         A = self.matrices(check_gains(gains, self.gain_shape))

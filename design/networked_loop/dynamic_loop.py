@@ -34,13 +34,19 @@ from design.processes.delay_chain import Array, DelayChain
 
 
 class DynamicLoop(NamedTuple):
-    """The closed loop, bounds of its transition probabilities (None where exact), and the law of the mode at an impulse."""
+    """The closed loop, bounds of its transition probabilities (None where exact), and the law of the mode at an impulse.
+
+    `inputs` (N, m, order) with u(k) = U_i X(k); `standing` (order, n), the state of the loop whose plant has stood at x, with the
+    controller's state and all rows at 0.
+    """
 
     system: MJLS
     between: tuple[Array, Array] | None
     stays: tuple[Array, ...]
     initial: Array
     initial_law: str
+    inputs: Array
+    standing: Array
 
 
 def dynamic_loop(
@@ -92,7 +98,7 @@ def dynamic_loop(
         at, tail = rows + first, (count - 1) * m
         base[at + m : at + m + tail, at : at + tail] = np.eye(tail)
     closed = np.repeat(base[None], len(modes), axis=0)
-    output = np.zeros((len(modes), p + m, order))
+    output, inputs = np.zeros((len(modes), p + m, order)), np.zeros((len(modes), m, order))
     ages, held = sc.output_ages(p), sc.held_outputs(p)
     for i, (s, a, before) in enumerate(modes):
         e = np.zeros((p, order))
@@ -124,9 +130,12 @@ def dynamic_loop(
         closed[i, sample:last] = e[: last - sample]
         closed[i, last:] = u[: order - last]
         output[i, :p, :n] = C_
-        output[i, p:] = input_weight * u
+        inputs[i], output[i, p:] = u, input_weight * u
     drive = np.zeros((order, m))
     drive[:n] = B_
     system = MJLS(A=closed, B=drive, C=output, transition=transition)
     bounds, stays = joint_bounds(sc, ca, modes), joint_stays(sc, ca, modes)
-    return DynamicLoop(system, bounds, stays, default_initial(sc, ca, modes), initial_law(sc, ca))
+    standing = np.zeros((order, n))
+    standing[:n], standing[n:xi] = np.eye(n), np.tile(C_, (stored, 1))
+    standing[sample:last] = C_[: last - sample]
+    return DynamicLoop(system, bounds, stays, default_initial(sc, ca, modes), initial_law(sc, ca), inputs, standing)

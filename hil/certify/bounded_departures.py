@@ -22,14 +22,15 @@ from design.jump_linear.mjls import STABILITY_MARGIN
 from design.verdict import State, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
+from hil.certify.region import ClosedLoop, inside
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
 PARTS = 64
 """Parts of a slot over which the motion of an input that changes within the slot is bounded."""
 ROUNDING = 1e-9
-Modes = Callable[[Array, Array, Array], tuple[Array, Array]]
-"""Matrices of the closed loop of a plant (A, B, C), (N, size, size), its state first; and the transition probabilities."""
+Modes = Callable[[Array, Array, Array], ClosedLoop]
+"""Makes the closed loop of a plant (A, B, C)."""
 
 
 class Pushed(Struct, frozen=True, kw_only=True):
@@ -39,11 +40,18 @@ class Pushed(Struct, frozen=True, kw_only=True):
         names: noun phrases.
         states: what it moves each state by in a slot at most, (n,).
         outputs: what it adds to each output at most, (p,).
+        within: largest command up to which these bounds hold, (m,); inf where they hold at any.
     """
 
     names: tuple[str, ...]
     states: Array
     outputs: Array
+    within: Array
+
+    @property
+    def pushes(self) -> bool:
+        """Whether anything is moved at all, while the commands are within their limits."""
+        return bool(self.states.any() or self.outputs.any())
 
 
 def pushed_by(loop: CertificationProblem) -> Pushed | None:
@@ -54,10 +62,12 @@ def pushed_by(loop: CertificationProblem) -> Pushed | None:
     if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack):
         return None
     inputs, outputs = np.zeros(model.B.shape[1]), np.zeros(len(model.C))
+    within = np.full(len(inputs), np.inf)
     for each in known:
         (inputs if each.at == "input" else outputs)[:] += each.bounds
+        within = np.minimum(within, each.within or np.inf)
     names = tuple(each.name for each in known) + (("a dead-band trigger",) if loop.slack else ())
-    return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop))
+    return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop), within=within)
 
 
 def _slack(loop: CertificationProblem) -> Array:
@@ -104,12 +114,13 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     (n, m), p = B.shape, len(C)
     # the plant with what is added to its outputs as p states that last no slot
-    closed, chances = modes(
+    closed, chances, applied, standing = modes(
         np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]), np.hstack([C, np.eye(p)])
     )
     kept = np.r_[0:n, n + p : closed.shape[-1]]
     own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), n + p))
     E[:, :n, :n], E[:, :, n:] = np.diag(pushed.states), closed[:, kept][:, :, n : n + p] * pushed.outputs
+    limited = bool(np.isfinite(pushed.within).any())
     ends = {}
     try:
         for row, signal in zip(C, loop.plant.outputs):
@@ -119,13 +130,19 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     except (NotStable, np.linalg.LinAlgError) as error:
         return _undecided(verdict, f"{', '.join(pushed.names)}: {error}")
     said = ", ".join(f"{name} within {bound:.4g} {unit}" for name, (bound, unit) in ends.items())
-    return replace(
+    ending = f"ends, in the root mean square, with {said}" if pushed.pushes else "goes to rest"
+    found = replace(
         verdict, kind="practical stability",
-        reason=f"with {', '.join(pushed.names)} it ends, in the root mean square, with {said}; without, {verdict.reason}",
+        reason=f"with {', '.join(pushed.names)} it {ending}; without, {verdict.reason}",
         details={**verdict.details, "ends_within": {name: bound for name, (bound, _) in ends.items()}},
         assumptions=(*verdict.assumptions, "the bound is of the motion around the reference, without loads and noise"),
         method=f"{verdict.method}; what departs from it is bounded, and pushes it",
     )
+    if not limited:
+        return found
+    adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0)
+    within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
+    return inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, named=", ".join(pushed.names))
 
 
 def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
@@ -139,8 +156,8 @@ def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Ver
     wrong = [l for l, share in enumerate(loop.shares) if share]
     signs = np.ones((2 ** len(wrong), len(C)))
     signs[:, wrong] += np.array(list(product((-1.0, 1.0), repeat=len(wrong)))) * np.array(loop.shares)[wrong]
-    nominal, chances = modes(A, B, C)
-    corners = np.array([modes(A, B, sign[:, None] * C)[0] for sign in signs])
+    nominal, chances = modes(A, B, C)[:2]
+    corners = np.array([modes(A, B, sign[:, None] * C).matrices for sign in signs])
     try:
         growth = family_growth(nominal, chances, corners, corners)
     except (DesignError, np.linalg.LinAlgError) as error:
@@ -175,7 +192,7 @@ def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[Non
     if isinstance(plant, HasOwnInputs) and plant.own_inputs():
         return None, ("the plant departs from its model by no more than it says: not compared, as it is moved from within too",)
     m = model.B.shape[1]
-    unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
+    unit = np.minimum(np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float), pushed.within)
     still, steps = (0.0,) * m, 0
     for size in (1e-3, 0.03, 1.0):
         run = plant.start(np.random.default_rng(SEED))

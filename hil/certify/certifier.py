@@ -65,6 +65,8 @@ class CertificationProblem:
         port: force and position of a device under one force, None for another plant.
         slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
         shares: the same as a share of the output's own size, by relative triggers; empty: nowhere.
+        steps: slot and value of every step of the reference.
+        pulses: slot, length in slots and value of every disturbance at the inputs.
     """
 
     plant: Plant
@@ -85,6 +87,8 @@ class CertificationProblem:
     port: Port | None = None
     slack: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
+    steps: tuple[tuple[int, tuple[float, ...]], ...] = ()
+    pulses: tuple[tuple[int, int, tuple[float, ...]], ...] = ()
 
     @property
     def motion(self) -> LoopModel:

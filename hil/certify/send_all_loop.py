@@ -20,6 +20,7 @@ from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
 from hil.certify.bounded_departures import Modes, ends_within
 from hil.certify.certifier import CertificationProblem, jumping, limited_to_model, table_of, undecided
+from hil.certify.region import ClosedLoop
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
 
@@ -44,7 +45,8 @@ def in_every_order(loop: CertificationProblem, sc: DelayChain, ca: DelayChain, m
         modes: makes the closed loop of a plant; what may follow has a probability above 0.
     """
     motion = loop.motion
-    matrices, chances = modes(motion.A, motion.B, motion.C)
+    closed = modes(motion.A, motion.B, motion.C)
+    matrices, chances = closed.matrices, closed.chances
     ages = f"ages {_range(sc)} at the controller and {_range(ca)} at the actuator"
     try:
         found = growth_in_every_order(np.asarray(matrices), np.asarray(chances) > 0.0)
@@ -101,11 +103,12 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     sc, ca, selection = loop.sc, loop.ca, controller.selection
     samples, integral = packet_samples(controller), float(integrates(controller))
 
-    def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+    def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.closed_loop import loop_structure
 
         structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral)
-        return structure.matrices(gains), structure.transition if structure.between is None else structure.between[1]
+        chances = structure.transition if structure.between is None else structure.between[1]
+        return ClosedLoop(structure.matrices(gains), chances, structure.applied_input(gains), structure.standing(C))
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
@@ -201,12 +204,12 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
         return limited_to_model(loop.plant, verdict)
     law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
 
-    def modes(A: Array, B: Array, C: Array) -> tuple[Array, Array]:
+    def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.dynamic_loop import dynamic_loop
 
         found = dynamic_loop(A, B, C, sc, ca, law)
         chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
-        return np.asarray(found.system.A), chances
+        return ClosedLoop(np.asarray(found.system.A), chances, found.inputs, found.standing)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)

@@ -63,10 +63,13 @@ def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
         loop: the loop that will run.
         verdict: on the matrices and gains that both state.
     """
+    regional = verdict.kind == "stability in a region"
     beyond = isinstance(loop.plant, BeyondModel) and bool(loop.plant.beyond_model())
-    if verdict.state == "undecided" and beyond:
+    if verdict.state == "undecided" and beyond and not regional:
         return verdict
-    departs = verdict.kind == "practical stability" and isinstance(loop.plant, HasDepartures) and bool(loop.plant.departures())
+    departs = (regional or verdict.kind == "practical stability") and isinstance(loop.plant, HasDepartures) and bool(
+        loop.plant.departures()
+    )
     assumptions: list[str] = []
     checks = (("plant", departure_check if departs else plant_check), ("controller", answers_of))
     for what, check in checks[1:] if beyond and verdict.kind == "passivity" else checks:

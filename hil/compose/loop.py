@@ -347,6 +347,8 @@ def _judged(
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=found.unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
+        steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
+        pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
     )  # fmt: skip
 
 

@@ -90,11 +90,13 @@ class Departure(NamedTuple):
         name: noun phrase, as in `BeyondModel.beyond_model`.
         at: ``input``: acts beside the input at any instant; ``output``: adds to what is measured.
         bounds: largest magnitude, one entry per input in its unit, or per output in its unit.
+        within: largest command, one entry per input in its unit, up to which the bounds hold; empty: at any.
     """
 
     name: str
     at: Literal["input", "output"]
     bounds: tuple[float, ...]
+    within: tuple[float, ...] = ()
 
 
 @runtime_checkable

@@ -72,13 +72,13 @@ def test_viscous_friction_moves_the_pole_of_the_loop_that_is_judged() -> None:
     assert nominal.number > 1.0 > viscous.number  # another state of the verdict, too
 
 
-def test_dry_friction_is_no_linear_claim_saturation_leaves_it_undecided_and_a_load_does_not() -> None:
-    linear, practical = "mean-square stability", "practical stability"
+def test_dry_friction_is_no_linear_claim_saturation_has_a_region_and_a_load_leaves_the_claim() -> None:
+    linear, practical, regional = "mean-square stability", "practical stability", "stability in a region"
     for change, state, kind in (
         ("plant.friction.viscous_v_s_per_rad=0.001", "certified", linear),
         ("plant.friction.coulomb_v=0.001", "certified", practical),
         ("plant.encoder.step_rad=1e-6", "certified", practical),
-        ("plant.driver.saturation_v=12.0", "undecided", linear),
+        ("plant.driver.saturation_v=12.0", "certified", regional), ("plant.driver.saturation_v=0.1", "undecided", regional),
         ("plant.load.torque_v=0.1", "certified", linear),
     ):
         verdict = composed("dc-motor-h2", change).verdict

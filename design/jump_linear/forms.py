@@ -1,0 +1,85 @@
+r"""Forms of any degree in the state: what the mean of a power of a signal is, as a function of where the state begins.
+
+    V(x) = sum_alpha c_alpha x^alpha,  |alpha| = degree;    V(A x) = sum_alpha c_alpha (A x)^alpha
+
+With z(x) the monomials x^alpha, z(A x) = A^[degree] z(x), so that c of V(A x) is A^[degree]' c. By recursion over the degree,
+
+    (A x)^alpha = (a_i x) (A x)^(alpha - e_i),    i the first variable in alpha.
+
+Reference: R. W. Brockett, Lie algebras and Lie groups in control theory, 1973 (A^[p]).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import combinations_with_replacement
+from math import comb
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from design.jump_linear.second_moment import Array
+
+Index = npt.NDArray[np.intp]
+
+
+class Degree(NamedTuple):
+    """Monomials of one degree: the first variable of each, the monomial without it, and by variable where x_v times those lie."""
+
+    first: Index
+    parent: Index
+    times: Index
+
+
+def count(variables: int, degree: int) -> int:
+    """Return how many monomials there are.
+
+    >>> count(2, 4)
+    5
+    """
+    return comb(variables + degree - 1, degree)
+
+
+@lru_cache(maxsize=16)
+def monomials(variables: int, degree: int) -> tuple[Degree, ...]:
+    """Return the monomials of degree 1, 2, ..., in so many variables, each built on those of the degree before."""
+    found: list[Degree] = []
+    before: dict[tuple[int, ...], int] = {(): 0}
+    for k in range(1, degree + 1):
+        words = list(combinations_with_replacement(range(variables), k))
+        place = {word: i for i, word in enumerate(words)}
+        times = [[place[tuple(sorted((*word, v)))] for word in before] for v in range(variables)]
+        first, parent = [word[0] for word in words], [before[word[1:]] for word in words]
+        found.append(Degree(np.array(first), np.array(parent), np.array(times)))
+        before = place
+    return tuple(found)
+
+
+def power(A: Array, degree: int) -> Array:
+    """Return A^[degree] with z(A y) = A^[degree] z(y), (count(n, degree), count(k, degree)).
+
+    Args:
+        A: (n, k).
+        degree: of the monomials, at least 1.
+
+    >>> power(np.array([[2.0]]), 3).tolist()
+    [[8.0]]
+    """
+    R = np.ones((1, 1))
+    for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
+        grown = np.zeros((len(rows.first), len(columns.first)))
+        for v in range(A.shape[1]):
+            grown[:, columns.times[v]] += A[rows.first, v][:, None] * R[rows.parent]
+        R = grown
+    return R
+
+
+def power_of_row(row: Array, degree: int) -> Array:
+    """Return the coefficients of (row x)^degree, (count(n, degree),)."""
+    return np.asarray(power(row[None], degree)[0])
+
+
+def at(vector: Array, degree: int) -> Array:
+    """Return the monomials of a vector, (count(n, degree),)."""
+    return np.asarray(power(vector[:, None], degree)[:, 0])

@@ -1,0 +1,187 @@
+r"""From which states a signal of a jump-linear system stays within its limits, and with what probability.
+
+    x(k+1) = A_i x(k) + sum_q E_i^q e_q(k),    u(k) = U_i x(k) + (what adds to it, at most D),    |e_q(k)| <= 1
+
+whatever e(k) knows of the modes and states up to slot k. Let M_0 = (U^l x)^d, d even, and
+
+    M_{t+1, i}(x) = sum_j p_ij M_{t, j}(A_i x)
+
+By Minkowski's inequality in the mean of the power d
+
+    (E |u_l(k)|^d)^(1/d) <= f(k) + b,    f(k)^d = max_i M_{k, i}(x(0))
+    b = D_l + sum_q sum_{t < k} max_i (sum_j p_ij M_{t, j}(E_i^q))^(1/d)
+
+and by Markov's, P(|u_l(k)| > limit_l for a k < K) <= sum_k ((f(k) + b) / limit_l)^d. Where nothing pushes, what comes after K
+slots is at most the rest of the sum of second moments, so that the bound holds for ever. While no signal leaves, the loop is
+the linear one: the bound is one of the loop with limits, too. A larger d gives a larger region, as far as moments of that degree
+stay finite; as d grows, b becomes what pushes can do at most.
+
+f is a norm of x(0), so that {x(0): bound <= p} is convex and symmetric for every d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from design.errors import NotStable
+from design.jump_linear.forms import at, count, power, power_of_row
+from design.jump_linear.second_moment import Array, backward, cost_once
+
+DEGREES = (2, 4, 6, 8)
+MOST_PRODUCTS = 2_500_000
+"""Multiplications of a slot, up to which a degree is looked at: a second or two for 1000 slots."""
+SLOTS = 1000
+"""Slots that are looked at one by one; where the loop is pushed, those over which the bound holds."""
+ROUNDING = 1e-12
+"""Share of the sizes of a form's terms that their sum may be wrong by."""
+ALL = 1e-9
+"""Share by which every direction of the state counts in that sum: a sum that is positive then shows that the loop is stable."""
+ENDED = 1e-12
+"""Share of the sum of all second moments, after which no slot is looked at on its own."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Leaving:
+    """What bounds the probability that u leaves its limits, by where the loop begins: x(0) = S y for one S of several.
+
+    Args:
+        degrees: d of every row below.
+        free: by degree, coefficients of (E (u_l(k) / limit_l)^d) in the monomials of y, (K, m, s N, count(k, d)).
+        pushed: by degree, b as a share of the limits, (m,).
+        rest: second moments of u / limit after the last slot, (s N, k, k); zero where the loop is pushed.
+        slots: over which the bound holds; None: for ever.
+        later: slot up to which more may be added to the state.
+    """
+
+    degrees: tuple[int, ...]
+    free: tuple[Array, ...]
+    pushed: tuple[Array, ...]
+    rest: Array
+    slots: int | None
+    later: int
+
+    def probability(self, *starts: tuple[int, Array], degree: int | None = None, left: float = 1.0) -> float:
+        """Return the bound of the probability of leaving, at most 1.
+
+        Args:
+            starts: slot, at most `later`, and y of what is added to the state there, whatever the mode; their responses add.
+            degree: the one that is used; default: the best one in every slot.
+            left: share of the limits that something else leaves, above 0.
+        """
+        bounds = []
+        for d, free, pushed in zip(self.degrees, self.free, self.pushed):
+            if degree in (None, d):
+                size = np.zeros(free.shape[:2])
+                for k, y in starts:
+                    size[k:] += (_value(free, at(y, d)).max(axis=2) ** (1.0 / d))[: len(free) - k]
+                bounds.append((((size + pushed) / left) ** d).sum(axis=1))
+        tail = sum(float(np.sqrt(max((y @ self.rest @ y).max(), 0.0))) for _, y in starts) ** 2
+        return float(min(np.min(bounds, axis=0).sum() + tail / left**2, 1.0))
+
+    def needed(self, probability: float) -> float:
+        """Return the factor by which all limits must grow for a start at rest to be inside; 0 where nothing pushes.
+
+        Args:
+            probability: of leaving, at most.
+        """
+        each = zip(self.degrees, self.free, self.pushed)
+        return float(min((len(free) * (b**d).sum() / probability) ** (1.0 / d) for d, free, b in each))
+
+    def radii(self, probability: float) -> tuple[int, Array]:
+        """Return the degree with the largest region, and how far y may be along every axis alone, (k,); 0 where nothing is.
+
+        What lies between these points is inside, too: sum_i |y_i| / radius_i <= 1.
+
+        Args:
+            probability: of leaving, at most.
+        """
+        found = [(d, self._along_axes(probability, d)) for d in self.degrees]
+        return max(found, key=lambda each: float(np.prod(each[1])))
+
+    def _along_axes(self, probability: float, degree: int) -> Array:
+        size = self.rest.shape[-1]
+        found = np.zeros(size)
+        if self.probability((0, np.zeros(size)), degree=degree) > probability:
+            return found
+        for i, axis in enumerate(np.eye(size)):
+            low, high = 0.0, 1.0
+            while high < 1e12 and self.probability((0, high * axis), degree=degree) <= probability:
+                low, high = high, 4.0 * high
+            for _ in range(40):
+                middle = 0.5 * (low + high)
+                inside = self.probability((0, middle * axis), degree=degree) <= probability
+                low, high = (middle, high) if inside else (low, middle)
+            found[i] = low
+        return found
+
+
+def leaving(
+    A: Array, transition: Array, U: Array, S: Array, *, limits: Array, pushes: Array, adds: Array,
+    degrees: Sequence[int] = DEGREES, slots: int = SLOTS, later: int = 0,
+) -> Leaving:  # fmt: skip
+    """Return what bounds the probability that u(k) = U_i x(k) leaves its limits.
+
+    Args:
+        A: (N, n, n) mode matrices of a mean-square stable system.
+        transition: (N, N) transition probabilities, or upper bounds of them.
+        U: (N, m, n), the signals.
+        S: (s, n, k), where the loop begins: x(0) = S y with one of them.
+        limits: (m,) above 0.
+        pushes: (N, n, q), what signals of size 1 push in a slot; no column: nothing pushes.
+        adds: (m,) what adds to u besides, at most.
+        degrees: even ones, the lowest 2.
+        slots: looked at one by one, at most.
+        later: slot up to which more may be added to the state, below `slots`.
+
+    Raises:
+        NotStable: so near the edge that the sum of second moments was not found.
+    """
+    N, n, _ = A.shape
+    scaled = U / limits[:, None]
+    still = not pushes.any()
+    weight = scaled.transpose(0, 2, 1) @ scaled
+    total = cost_once(A, transition, weight + ALL * float(np.abs(weight).max()) * np.eye(n))  # below it only where it is stable
+    if not np.isfinite(total).all() or not float(np.linalg.eigvalsh(total).min()) > 0.0:
+        raise NotStable("no region was found: the loop is too near to one that is not mean-square stable")
+    begun = np.repeat(S, N, axis=0)
+
+    def seen(family: Array) -> Array:
+        return np.asarray(begun.transpose(0, 2, 1) @ np.tile(family, (len(S), 1, 1)) @ begun)
+
+    rest, first = total, max(float(np.abs(seen(total)).max()), 1e-300)
+    if still:  # as many slots as matter
+        for last in range(slots):
+            if float(np.abs(seen(rest)).max()) <= ENDED * first:
+                slots = last + later
+                break
+            rest = backward(A, transition, rest)
+    kept = tuple(d for d in degrees if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2)
+    found = [_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1)) for d in kept]
+    ended = seen(rest) if still else 0.0 * seen(rest)
+    return Leaving(
+        degrees=kept, free=tuple(free for free, _ in found), pushed=tuple(b + adds / limits for _, b in found),
+        rest=ended, slots=None if still else slots, later=later,
+    )  # fmt: skip
+
+
+def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, degree: int, slots: int) -> tuple[Array, Array]:
+    """(E u_l(k)^d) in the monomials of y, (K, m, s N, count), and what all pushes add up to, (m,)."""
+    raised, start = np.array([power(a, degree) for a in A]), np.array([power(each, degree) for each in S])
+    M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(1, 0, 2)  # (m, N, count)
+    of_pushes = [np.array([at(e, degree) for e in column]) for column in pushes.transpose(2, 0, 1)]
+    free, total = np.empty((slots, len(M), len(S) * len(A), start.shape[2])), np.zeros(len(M))
+    for k in range(slots):
+        free[k] = np.concatenate([M @ each for each in start], axis=1)
+        mean = transition @ M
+        for z in of_pushes:
+            total += _value(mean, z).max(axis=1) ** (1.0 / degree)
+        M = (mean[:, :, None] @ raised)[:, :, 0]
+    return free, total
+
+
+def _value(forms: Array, z: Array) -> Array:
+    """Values of forms (..., count) at monomials, rounding on the safe side, never below 0."""
+    return np.asarray(np.maximum((forms * z).sum(axis=-1), 0.0) + ROUNDING * (np.abs(forms) * np.abs(z)).sum(axis=-1))

@@ -1,0 +1,192 @@
+"""A loop whose bounds hold up to a command, as under saturation: from where it stays there, with what probability.
+
+Linear it is mean-square stable; while no command leaves its limits it is the linear loop, which goes to rest, or ends where the
+bounded departures let it. `design.jump_linear.leaving` bounds the probability that a command ever leaves.
+
+A run begins where its plant does, and with every step of the reference and every disturbance again. Where that probability is
+at most `RISK` for all of them, the run is certified; elsewhere the region is stated, and the loop is undecided.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from design.controllers import GainTable, packet_samples
+from design.errors import DesignError
+from design.verdict import Verdict
+from hil.certify.certifier import CertificationProblem
+from hil.certify.motion_test import SEED
+from hil.plugins.protocols import HasOwnInputs, HasSensorNoise
+from hil.plugins.user_modules import is_ours
+
+Array = NDArray[np.float64]
+RISK = 0.01
+"""Largest probability of leaving at which a run is certified."""
+RISKS = (RISK, 0.1)
+"""Probabilities whose regions are stated."""
+
+
+class ClosedLoop(NamedTuple):
+    """The closed loop of a plant, with the plant's state first.
+
+    Attributes:
+        matrices: (N, size, size).
+        chances: (N, N) transition probabilities, or upper bounds of them.
+        inputs: (N, m, size) with u(k) = U_i x(k).
+        standing: (size, n), its state where the plant has stood at x and nothing is under way.
+    """
+
+    matrices: Array
+    chances: Array
+    inputs: Array
+    standing: Array
+
+
+def inside(
+    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, named: str
+) -> Verdict:
+    """Return a verdict on a loop within limits as one on the loop that may leave them.
+
+    Args:
+        loop: the loop.
+        verdict: on the loop whose commands stay within the limits; certified.
+        closed: that loop.
+        limits: largest command, (m,); inf where there is none.
+        pushes: (N, size, q), what signals of size 1 push it by in a slot.
+        adds: what departures add to each command at once, at most, (m,).
+        named: what departs, as phrases.
+    """
+    from design.jump_linear.leaving import leaving
+
+    unknown = _not_judged(loop)
+    if unknown:
+        return _outside(verdict, named, f"not decided {unknown} ({verdict.reason})", {})
+    try:
+        starts, steady, why = _begins(loop)
+        which = np.flatnonzero(np.isfinite(limits))
+        room = limits[which] - steady[which]
+        if (room <= adds[which]).any():
+            return _outside(verdict, named, "not decided: the reference or the departures alone take the whole command", {})
+        fresh = np.eye(*closed.standing.shape)  # at the first slot no sample is under way, at a step of the reference all are
+        found = leaving(
+            closed.matrices, closed.chances, closed.inputs[:, which], np.stack([closed.standing, fresh]),
+            limits=room, pushes=pushes[:, :, pushes.any(axis=(0, 1))], adds=adds[which],
+            later=max((slot for slot, _ in starts), default=0),
+        )  # fmt: skip
+    except (DesignError, np.linalg.LinAlgError) as error:
+        return _outside(verdict, named, f"not decided: {error}", {})
+    names = [(str(s.name), str(s.unit)) for s in loop.plant.states]
+    regions = []
+    for risk in RISKS:
+        degree, radii = found.radii(risk)
+        regions.append({
+            "probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree,
+        })  # fmt: skip
+    # a disturbance may act before a limit or behind it
+    left = 1.0 - max((float((np.abs(np.array(w))[which] / room).max()) for _, _, w in loop.pulses), default=0.0)
+    if starts and left <= 0.0:
+        starts, why = [], "a disturbance takes the whole command"
+    own = found.probability(*starts, left=left) if starts else None
+    lasts = "for ever" if found.slots is None else f"for {found.slots} slots"
+    details = {"region": {
+        "of": [name for name, _ in names], "within": regions, "slots": found.slots, "own_probability": own,
+        "limits_times": found.needed(RISK),
+        "pushed_share": [float(min(b[i] for b in found.pushed)) for i in range(len(which))],
+    }}  # fmt: skip
+    radii = np.array(list(regions[0]["states"].values()))  # type: ignore[attr-defined]
+    if not radii.any():
+        share = 100.0 * max(float(min(b[i] for b in found.pushed)) for i in range(len(which)))
+        return _outside(verdict, named, (
+            f"not decided: what departs may take {share:.3g} % of the command, in the root mean square: no "
+            f"start keeps it within its limits {lasts} with probability {1.0 - RISK:g}, for which they must be "
+            f"{found.needed(RISK):.3g} times as large"
+        ), details)  # fmt: skip
+    place = ", ".join(f"|{name}| < {r:.4g} {unit}" for (name, unit), r in zip(names, radii))
+    together = " (one alone, or shares of them that add up to 1)" if len(names) > 1 else ""
+    region = (
+        f"from inside {place}{together} no command leaves its limits {lasts} with probability {1.0 - RISK:g}; "
+        f"{verdict.reason}"
+    )
+    if own is None or own > RISK:
+        why = why or f"leaving it has a probability of up to {own:.3g}"
+        return _outside(verdict, named, f"not decided from where this run begins ({why}); {region}", details)
+    return replace(
+        verdict, kind="stability in a region", number=own, limit=RISK, quantity="bound of the probability of leaving the region",
+        reason=f"this run begins inside, leaving has a probability of at most {own:.3g}: {region}",
+        details={**verdict.details, **details},
+        assumptions=(*verdict.assumptions, "start, reference and disturbances are the experiment's"),
+        method=f"{verdict.method}; even moments of the command, Markov's inequality",
+    )  # fmt: skip
+
+
+def _outside(verdict: Verdict, named: str, reason: str, details: Mapping[str, object]) -> Verdict:
+    return replace(
+        verdict, kind="stability in a region" if details else "mean-square stability", state="undecided",
+        reason=f"certified while commands stay within their limits ({named}); {reason}",
+        details={**verdict.details, **details, "stable": False},
+    )  # fmt: skip
+
+
+def _not_judged(loop: CertificationProblem) -> str:
+    """Return what acts on a loop that no bound is known of, as a phrase; empty: nothing."""
+    plant = loop.plant
+    if isinstance(plant, HasOwnInputs) and plant.own_inputs():
+        return f"with {', '.join(plant.own_inputs())}"
+    if isinstance(plant, HasSensorNoise) and np.any(plant.sensor_noise()):
+        return "with noise on what is measured"
+    return "" if is_ours(loop.controller) else "with a controller of your own, which may add to its rows"
+
+
+def _first_rows(loop: CertificationProblem) -> str:
+    """Return why the first rows of a run are others than the loop's; empty: they are the same, from no sample and no packet."""
+    controller = loop.controller
+    if packet_samples(controller) > 1:
+        return "its first packets repeat their sample"
+    rule = controller.selection if isinstance(controller, GainTable) else "constant"
+    same = rule in ("constant", "applied") or (rule in ("generated", "both") and loop.model.d_max <= 1)
+    return "" if same else "its first rows are picked before any delay is known"
+
+
+def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array, str]:
+    """Return slots and what the state is moved by there; the largest steady command, (m,).
+
+    Empty, with the reason, where the experiment's own start is not judged.
+    """
+    from design.jump_linear.leaving import SLOTS
+    from design.networked_loop.steady_state import check_held, steady_state
+
+    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    m = B.shape[1]
+    states = [np.array(loop.plant.start(np.random.default_rng(seed)).state) for seed in (SEED, SEED + 1)]
+    references = [np.array(value) for _, value in sorted(loop.steps)]
+    points, steady = [np.zeros(len(A))], np.zeros(m)
+    if any(r.any() for r in references):
+        star = steady_state(A, B, C)
+        for r in references:
+            check_held(A, B, C, star, r[None])
+            points.append(star.state @ r)
+            steady = np.maximum(steady, np.abs(star.input @ r))
+    else:
+        points += [np.zeros(len(A))] * len(references)
+    pushes = [(slot + i + 1, B @ np.array(w)) for slot, length, w in loop.pulses for i in range(length)]
+    if len(states[0]) != len(A) or not np.array_equal(states[0], states[1]):
+        return [], steady, "its first state is not known"
+    if steady.max(initial=0.0) > 1e-9:
+        return [], steady, "its reference needs a steady command"
+    if max(*(slot for slot, _ in loop.steps), *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
+        return [], steady, f"its reference steps, or a disturbance comes, after slot {SLOTS}"
+    unlike = _first_rows(loop)
+    if unlike and (states[0] - points[0]).any():
+        return [], steady, unlike
+    slots = [0, *(slot for slot, _ in sorted(loop.steps))]
+    jumps = [states[0] - points[0], *(before - after for before, after in pairwise(points))]
+    begun: dict[int, Array] = {}
+    for slot, jump in [*zip(slots, jumps), *pushes]:
+        begun[slot] = begun.get(slot, np.zeros(len(A))) + jump
+    return list(begun.items()), steady, ""

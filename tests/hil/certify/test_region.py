@@ -1,0 +1,149 @@
+"""Motors whose supply saturates: where the region ends, beside runs from its edge and from beyond it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.verdict import Verdict
+from hil.api.experiment_source import load_experiment
+from hil.certify.region import RISK
+from hil.compose.loop import Loop, compose
+from hil.runtime.simulated import simulate
+from plants import DCMotor, Departure, Driver, LinearPlant
+
+SUPPLY = 0.058
+ENCODER: dict[str, Any] = {"plant.encoder": {"step_rad": 0.0038}}
+DYNAMIC: dict[str, Any] = {"controller": {"kind": "output-feedback", "A": [[0.5]], "B": [[0.1]], "C": [[-0.01]], "D": [[-0.05]]}}
+TWO_SAMPLES: dict[str, Any] = {
+    "controller": {"kind": "send-all", "selection": "constant", "samples": 2, "gains": [[[[-0.15, 0.1]]]] * 3},
+}
+
+
+def composed(name: str = "dc-motor-h2", **changes: Any) -> Loop:
+    calm = {"reference": [], "disturbance": [], "duration": 4, "allow_uncertified": True}
+    return compose(load_experiment(name, **calm | {"plant.driver": {"saturation_v": SUPPLY}} | changes))
+
+
+def verdict_of(loop: Loop) -> Verdict:
+    assert loop.verdict is not None
+    return loop.verdict
+
+
+def edge_of(loop: Loop) -> dict[str, float]:
+    region: Any = verdict_of(loop).details["region"]
+    assert region["within"][0]["probability"] == RISK
+    found: dict[str, float] = region["within"][0]["states"]
+    return found
+
+
+def leaving_share(loop: Loop, runs: int) -> float:
+    asked = [simulate(loop, seed, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"] for seed in range(runs)]
+    return float(np.mean([np.abs(u).max() > SUPPLY for u in asked]))
+
+
+@pytest.mark.parametrize(("changes", "state"), [({}, "angle"), ({}, "speed"), (ENCODER, "angle"), (DYNAMIC, "angle")])
+def test_runs_from_the_edge_stay_and_from_four_times_as_far_they_leave(changes: dict[str, Any], state: str) -> None:
+    """60 runs: 6 that leave at 0.01 have probability 2e-5, and with 0.3, 1 - 1e-4; from 4 times as far most leave."""
+    start = f"plant.initial_{state}_" + {"angle": "rad", "speed": "rad_s"}[state]
+    edge = edge_of(composed(**changes))[state]
+    assert edge > 0.0
+    inside = composed(**changes | {start: 0.999 * edge})
+    verdict = verdict_of(inside)
+    assert verdict.certified and verdict.kind == "stability in a region" and verdict.limit == RISK
+    assert verdict.number is not None and 0.001 < verdict.number <= RISK
+    assert leaving_share(inside, 60) < 0.1
+    outside = verdict_of(composed(**changes | {start: 1.2 * edge}))
+    assert outside.state == "undecided" and "from where this run begins" in outside.reason
+    assert leaving_share(composed(**changes | {start: 4.0 * edge}), 20) > 0.5
+
+
+def test_steps_of_the_reference_and_disturbances_count_and_a_load_is_not_judged() -> None:
+    edge = edge_of(composed())["angle"]
+    assert verdict_of(composed(reference=[{"at": "1 s", "value": [0.99 * edge]}])).certified
+    there_and_back = [{"at": "1 s", "value": [0.8 * edge]}, {"at": "1.1 s", "value": [-0.8 * edge]}]
+    assert verdict_of(composed(reference=there_and_back)).state == "undecided"
+    pushed = [verdict_of(composed(disturbance=[{"at": "1 s", "samples": 2, "value": [w]}])) for w in (0.002, 0.05)]
+    assert pushed[0].certified and pushed[0].number is not None and pushed[0].number > 0.0 and pushed[1].state == "undecided"
+    assert verdict_of(composed(disturbance=[{"at": "100 s", "samples": 2, "value": [0.001]}])).state == "undecided"
+    two = verdict_of(composed(**TWO_SAMPLES | {"plant.initial_angle_rad": 0.01}))
+    assert two.state == "undecided" and "its first packets repeat their sample" in two.reason
+    assert verdict_of(composed(**TWO_SAMPLES | {"reference": [{"at": "1 s", "value": [0.05]}]})).certified
+    loaded = verdict_of(composed(**{"plant.load": {"torque_v": 0.001}}))
+    assert loaded.state == "undecided" and "a load torque" in loaded.reason and "region" not in loaded.details
+
+
+def test_an_edge_scales_with_the_supply_and_departures_make_it_smaller() -> None:
+    one, two = (edge_of(composed(**{"plant.driver": {"saturation_v": s}})) for s in (SUPPLY, 2.0 * SUPPLY))
+    assert two["angle"] == pytest.approx(2.0 * one["angle"], rel=1e-6)
+    counts = {"plant.driver": {"saturation_v": SUPPLY, "pwm_step_v": 0.0005}}
+    assert edge_of(composed(**counts))["angle"] < 0.95 * one["angle"]
+
+
+def test_the_realistic_motor_is_told_how_much_supply_its_friction_asks_for() -> None:
+    shipped = verdict_of(compose(load_experiment("dc-motor-h2-friction")))
+    region: Any = shipped.details["region"]
+    assert shipped.state == "undecided" and set(region["within"][0]["states"].values()) == {0.0}
+    assert 0.4 < region["pushed_share"][0] < 0.6 and f"{region['limits_times']:.3g} times as large" in shipped.reason
+    enough = {"plant.driver.saturation_v": 1.05 * SUPPLY * region["limits_times"], "reference": [], "disturbance": []}
+    larger = verdict_of(compose(load_experiment("dc-motor-h2-friction", **enough)))
+    assert larger.certified and "ends, in the root mean square" in larger.reason
+
+
+def test_a_state_space_plant_with_limits_has_a_region_and_with_noise_none() -> None:
+    matrices: Any = {"A": ((0.0, 1.0), (0.0, -3.5287)), "B": ((0.0,), (172.38,)), "C": ((1.0, 0.0),), "saturation": (SUPPLY,)}
+    plain = edge_of(of_plant(LinearPlant(**matrices)))
+    assert plain["x1"] == pytest.approx(edge_of(composed())["angle"], rel=1e-6)
+    for noise in ({"measurement_noise": (0.001,)}, {"process_noise": (0.0, 0.001)}):
+        noisy = verdict_of(of_plant(LinearPlant(**matrices, **noise)))
+        assert noisy.state == "undecided" and "noise" in noisy.reason and "region" not in noisy.details
+
+
+def of_plant(plant: LinearPlant | DCMotor) -> Loop:
+    changes: Any = {"reference": [], "disturbance": [], "limits.state": {}, "allow_uncertified": True}
+    return compose(load_experiment("dc-motor-h2", plant=plant, **changes))
+
+
+class Boaster(DCMotor):
+    """Says that it saturates at twice the command at which it does."""
+
+    def departures(self) -> tuple[Departure, ...]:
+        return tuple(each._replace(within=tuple(2.0 * limit for limit in each.within)) for each in DCMotor.departures(self))
+
+
+def test_a_plant_that_leaves_its_limits_earlier_than_it_says_is_refused() -> None:
+    verdict = of_plant(Boaster(driver=Driver(saturation_v=SUPPLY))).verdict
+    assert verdict is not None and verdict.state == "refused" and "departures() says at most" in verdict.reason
+
+
+@pytest.mark.parametrize("changes", [{}, TWO_SAMPLES, DYNAMIC])
+def test_the_start_of_a_loop_and_its_steps_are_those_of_its_emulator(
+    changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Over constant ages the command of every slot follows from where the certifier says that the loop begins."""
+    import hil.certify.bounded_departures as departures
+
+    kept: list[Any] = []
+
+    def keep(loop: Any, verdict: Verdict, closed: Any, **rest: Any) -> Verdict:
+        kept.append(closed)
+        return verdict
+
+    monkeypatch.setattr(departures, "inside", keep)
+    ages = {f"network.{link}.law": {"kind": "constant", "age": age} for link, age in (("sc", 2), ("ca", 1))}
+    step = [{"at": "1 s", "value": [0.2]}]
+    for moved, slot in (({"plant.initial_angle_rad": -0.2}, 0), ({"reference": step}, 20)):
+        if changes is TWO_SAMPLES and slot == 0:
+            continue  # its first packets repeat their sample
+        loop = composed(**changes | ages | moved)
+        closed = kept.pop()
+        u = simulate(loop, 0, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"][slot : slot + 20]
+        start = closed.standing if slot else np.eye(*closed.standing.shape)
+        x, foretold = start @ [-0.2, 0.0], []
+        for _ in u:
+            foretold.append((closed.inputs[0] @ x).item())
+            x = closed.matrices[0] @ x
+        assert np.abs(u[6:]).min() > 0.0
+        np.testing.assert_allclose(u, foretold, rtol=1e-5, atol=1e-9)  # a command travels as a float of 32 bits
