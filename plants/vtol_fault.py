@@ -1,4 +1,4 @@
-"""The VTOL of Chapter 4: an actuator loses effect, and a fault detection process says so late, or wrongly."""
+"""The VTOL of Chapter 4: an actuator or sensors lose effect, and a fault detection process says so late, or wrongly."""
 
 from __future__ import annotations
 
@@ -29,11 +29,16 @@ _DETECTION = (
 )
 
 
+_ALL = (1.0, 1.0, 1.0, 1.0)
+"""Sensors that show their states."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultyVTOL:
-    """VTOL with a failing actuator: x' = A x + B_eta (u + w) + E omega; measured: x and the detected mode r.
+    """VTOL that fails: x' = A x + B_eta (u + w) + E omega; measured: S_eta x and the detected mode r.
 
-    eta = 1 is the sound helicopter, eta = 2 has lost part of the effect of the first input on the vertical velocity.
+    eta = 1 is the sound helicopter, eta = 2 has lost part of the effect of the first input on the vertical velocity, or part of
+    what its sensors show, or both.
     r follows eta through rates that depend on it. The controller sees r only, and measures its own sojourn time; the log
     has both.
 
@@ -42,6 +47,7 @@ class FaultyVTOL:
         initial_fault: eta at time 0, 1 or 2.
         initial_detected: r at time 0, 1 or 2.
         fault_effectiveness: b21 of mode 2 over b21 of mode 1; 0.5 is the example.
+        sensor_effectiveness: factors on the four measured states in mode 2; 0 is a sensor that is lost, 1 is the example.
         failure: rates of eta.
         detection: rates of r, one for every eta.
         failure_restarts_detection_clock: whether a jump of eta sets the sojourn clock of r to 0; the thesis does not say.
@@ -51,13 +57,14 @@ class FaultyVTOL:
     Raises:
         ValueError: where a parameter is out of range.
 
-    Reference: thesis sec. 4.4, (4.28).
+    Reference: thesis sec. 4.4, (4.28), Remark 4.1.
     """
 
     initial_state: tuple[float, ...] = (0.1, 1.0, -0.2, -0.5)
     initial_fault: int = 1
     initial_detected: int = 1
     fault_effectiveness: float = 0.5
+    sensor_effectiveness: tuple[float, ...] = (1.0, 1.0, 1.0, 1.0)
     failure: TransitionRates = _FAILURE
     detection: tuple[TransitionRates, ...] = _DETECTION
     failure_restarts_detection_clock: bool = False
@@ -74,6 +81,7 @@ class FaultyVTOL:
         check_mode("initial_fault", self.initial_fault, 2)
         check_mode("initial_detected", self.initial_detected, 2)
         require_finite("fault_effectiveness", self.fault_effectiveness)
+        require_vector("sensor_effectiveness", self.sensor_effectiveness, 4)
         if self.failure.modes != 2:
             raise FieldError("failure.rates", f"{self.failure.modes} modes, expected 2")
         if len(self.detection) != 2:
@@ -95,7 +103,7 @@ class FaultyVTOL:
         """Return the models of both fault modes; the output's last entry, the detected mode, has a row of zeros."""
         C = np.eye(5, 4)
         first, second = (self.matrices(fault) for fault in (1, 2))
-        return StateSpace(A=first[0], B=first[1], C=C), StateSpace(A=second[0], B=second[1], C=C)
+        return StateSpace(A=first[0], B=first[1], C=C), StateSpace(A=second[0], B=second[1], C=C * self.sensor_effectiveness)
 
     def model(self) -> StateSpace:
         """Return the model of the sound helicopter."""
@@ -104,7 +112,9 @@ class FaultyVTOL:
     def jump_system(self) -> JumpModel:
         """Return both fault modes; w is omega, z the vertical velocity."""
         A, B, E = zip(*(self.matrices(fault) for fault in (1, 2)))
-        return JumpModel(A=A, B=B, E=E, C=(((0.0, 1.0, 0.0, 0.0),),) * 2)
+        shown = tuple(self.sensor_effectiveness)
+        S = tuple(tuple(tuple(f if i == j else 0.0 for j in range(4)) for i, f in enumerate(each)) for each in (_ALL, shown))
+        return JumpModel(A=A, B=B, E=E, C=(((0.0, 1.0, 0.0, 0.0),),) * 2, S=() if shown == _ALL else S)
 
     def jump_process(self) -> JumpRates:
         """Return the rates of the fault, and those of the detected mode, which alone is measured."""
@@ -144,7 +154,9 @@ class _Failure:
 class FaultyVTOLRun:
     """The running helicopter. See `FaultyVTOL` for the equations."""
 
-    __slots__ = ("_applied", "_detected", "_failure", "_flows", "_noise", "_now_ns", "_recurring", "_sources", "_v", "_x")
+    __slots__ = (
+        "_applied", "_detected", "_failure", "_flows", "_noise", "_now_ns", "_recurring", "_shown", "_sources", "_v", "_x",
+    )  # fmt: skip
 
     def __init__(self, plant: FaultyVTOL, rng: np.random.Generator) -> None:
         failures, detections, noise = rng.spawn(3)
@@ -158,6 +170,7 @@ class FaultyVTOLRun:
         for fault in (1, 2):
             A, B, E = plant.matrices(fault)
             self._flows.append(Flow(A, [(*b, *e) for b, e in zip(B, E)]))
+        self._shown = tuple(float(factor) for factor in plant.sensor_effectiveness)
         self._x = [float(x) for x in plant.initial_state]
         self._applied: tuple[float, ...] = (0.0, 0.0)
         self._v: tuple[float, ...] = (0.0, 0.0)
@@ -187,8 +200,10 @@ class FaultyVTOLRun:
         self._x = move(self._x, (*self._v, *self._noise.values), span_ns)
 
     def measure(self) -> tuple[float, ...]:
-        """Return x and the detected mode r (1 or 2)."""
-        return (*self._x, float(self._detected.mode))
+        """Return what the sensors show of x, and the detected mode r (1 or 2)."""
+        if self._failure.mode == 1:
+            return (*self._x, float(self._detected.mode))
+        return (*(x * factor for x, factor in zip(self._x, self._shown)), float(self._detected.mode))
 
     @property
     def state(self) -> tuple[float, ...]:

@@ -130,6 +130,8 @@ class RobustScheduled:
         system, process = task.jump_system, task.jump_process
         if system is None or process is None:
             raise FieldError("kind", "needs a plant that jumps (a JumpPlant: jump_system() and jump_process())")
+        if isinstance(system, JumpSystem) and system.sensors is not None and isinstance(process, SemiMarkov):
+            raise FieldError("kind", "no design covers sensors that fail in a mode that is seen; 'scheduled' takes gains")
         starts = self._starts(process.detection[0] if isinstance(process, FaultDetection) else process)
         bound, asked = self.gain_bound, self.method
         if isinstance(system, JumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "robust"):

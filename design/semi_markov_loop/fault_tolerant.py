@@ -6,6 +6,9 @@ printed gains (4.30) diverge. Here:
 1. start: X shared by all (i, a) that the controller cannot tell apart, so that K = R X^-1 depends on what it sees alone;
 2. alternate: with K known the conditions are linear in P; with P known they are linear in K and its norm bound.
 
+Where sensors fail, K S_i takes the place of K. The start knows sound sensors alone; they then fail by and by, with a step of K
+after each part, as long as the loop stays certified.
+
 Both steps lower gamma, neither can raise it. ``measured``: ("r",) (default), () for one blind gain, ("eta", "r") if the
 fault is known. Without a gain bound the infimum of gamma is 0, so a bound is required.
 
@@ -15,6 +18,7 @@ References: thesis (4.21), (4.26); ERRATA 11, 12 and 13.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -48,6 +52,15 @@ from design.semi_markov_loop.sojourn_grid import pair_cells
 from design.semi_markov_loop.system import JumpSystem
 
 Measured = tuple[str, ...]
+FAILING = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)
+"""Shares of what the sensors lose, one after the other."""
+
+
+def _failed(system: JumpSystem, share: float) -> JumpSystem:
+    """The system whose sensors have lost a share of what they lose."""
+    if system.sensors is None or share == 1.0:
+        return system
+    return replace(system, sensors=np.eye(system.states) + share * (system.sensors - np.eye(system.states)))
 
 
 def _seen(measured: Measured, i: int, k: int, detections: int) -> int:
@@ -229,7 +242,11 @@ def fault_tolerant_feedback(
     modes = {(): 1, ("r",): detections, ("eta", "r"): system.modes * detections}[measured]
     rows = [parts[mode % detections] for mode in range(modes)]
     gain = _start_gain(found, modes, rows, measured, gain_bound)
-    best = analyse_fault_tolerant(system, gain, process, eta_nodes=eta, performance=performance)
+    for share in (1.0,) if system.sensors is None or performance is not None else FAILING:
+        failing = _failed(system, share)
+        best = analyse_fault_tolerant(failing, gain, process, eta_nodes=eta, performance=performance)
+        if best.certified and share < 1.0:
+            gain = _gain_step(failing, process, best, eta, gain_bound)
     if not best.certified:
         raise Infeasible(f"{what}: gains found, but their own check failed: {best.reason}")
     if performance is not None:

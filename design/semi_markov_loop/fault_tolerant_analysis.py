@@ -1,6 +1,6 @@
 """Stability and performance of a loop with a failure process eta and a detection process r, each with its own clock (Chapter 4).
 
-    dx = (A_i + B_i K) x + E_i w,   y = C_i x,   i = eta,   k = r,   K = K(k, h_r): what the controller sees
+    dx = (A_i + B_i K S_i) x + E_i w,   y = C_i x,   i = eta,   k = r,   K = K(k, h_r): what the controller sees, of S_i x
 
     [ A_ik'P + P A_ik + sum_j lambda_ij (P_jk - P) + sum_l pi^(i)_kl (P_il - P) + C_i'G11 C_i      *   ]
     [ E_i'P + G21 C_i                                                                             G22  ] < 0
@@ -145,7 +145,8 @@ def _bounded_real(
 ) -> Array:
     a, b, c, e = (lift(m[mode]) for m in (system.a, system.b, system.c, system.e) if m is not None)
     landing = rest[len(rest) - len(rates) :]
-    value = symmetric_part(p @ (a + b @ k)) + sum((rate * (q - p) for rate, q in zip(rates, landing)), 0 * p)
+    loop = a + b @ k if system.sensors is None else a + b @ k @ lift(system.sensors[mode])
+    value = symmetric_part(p @ loop) + sum((rate * (q - p) for rate, q in zip(rates, landing)), 0 * p)
     square = lift(scale) * lift(scale)
     if performance is None:
         g2 = rest[0]

@@ -207,7 +207,7 @@ def worst_growth(
         return None
     loops = np.array(
         [
-            [system.a[i] + system.b[i] @ gain.gain[gain_mode(gain, process, i, k), 0] for k in range(n_r)]
+            [system.a[i] + system.b[i] @ gain.gain[gain_mode(gain, process, i, k), 0] @ system.shown(i) for k in range(n_r)]
             for i in range(n_eta)
         ]
     )
@@ -256,7 +256,7 @@ def proved_decay(
     rates = []
     for cell in pair_cells(process, eta_nodes, r_nodes):
         mode = gain_mode(gain, process, cell.i, cell.k)
-        loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b])
+        loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b]) @ system.shown(cell.i)
         own = matrices[f"P[{cell.i},{cell.k},{cell.a},{cell.b}]"]
         after = 0 if process.failure_restarts_detection_clock else cell.b
         for failure, detection in cell.vertices:

@@ -80,6 +80,8 @@ def sampled_verdict(
             system = JumpSystem(a=system.a, b=system.b)
         if isinstance(process, FaultDetection):
             return _detection(system, process, gain, period_s, late[0], late[1])
+        if system.sensors is not None:
+            return _undecided("sensors that fail in a mode that is seen belong into the gains")
         return _renewal(system, process, gain, period_s, late[0], late[1], initial)
     except TooLarge as error:
         if isinstance(system, DelayedJumpSystem) or system.uncertainty is not None:
@@ -216,6 +218,7 @@ def _growing(
     for mode in modes:
         # a seen mode stays with its last gain; of a fault nothing is seen, and any gain of any detected mode may act
         held = gain.gain.reshape(-1, *gain.gain.shape[2:]) if isinstance(process, FaultDetection) else gain.gain[mode, -1:]
+        held = held @ system.shown(mode)
         growth = max(growth, growth_while_it_stays(loop, mode, list(held), float(real.bounds(mode, 0.0, math.inf)[1].sum())))
     if growth <= 1.0 + TOLERANCE:
         return None

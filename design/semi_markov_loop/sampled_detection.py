@@ -74,7 +74,8 @@ class DetectionLoop:
         eta = [i for i, _ in both]
         rows = [gain_mode(gain, process, i, k) for i, k in both]
         paired = JumpSystem(a=system.a[eta], b=system.b[eta])
-        table = replace(gain, gain=gain.gain[rows], starts_s=gain.starts_s[rows])
+        shown = np.array([system.shown(i) for i in eta])[:, None]  # of the instant of the sample, as r is
+        table = replace(gain, gain=gain.gain[rows] @ shown, starts_s=gain.starts_s[rows])
         if gain.schedule != "hold":
             raise FieldError("gain", "a linear schedule is not covered with two processes, hold it")
         loop = SampledLoop(system=paired, process=process.failure, gain=table, period_s=period_s, tau=tau, d=d)

@@ -187,6 +187,8 @@ def random_delay_verdict(
         return _undecided("a delay inside the plant together with random delays of the network is not decided")
     if isinstance(system, JumpSystem) and system.uncertainty is not None:
         return _undecided("uncertain matrices together with random delays of the network are not decided")
+    if isinstance(system, JumpSystem) and system.sensors is not None:
+        return _undecided("sensors that fail together with random delays of the network are not decided")
     if not np.array_equal(gain.gain, np.broadcast_to(gain.gain[:, :1], gain.gain.shape)):
         return _undecided("a gain that depends on the sojourn time is not decided over random delays")
     rows, seen, boxes = _modes(system.modes, process, gain)

@@ -123,6 +123,7 @@ class JumpSystem(_Sized):
         c: z = C_i x, shape (N, p, n), optional.
         e: disturbance, shape (N, n, q), optional.
         uncertainty: of A and B, optional.
+        sensors: the controller gets S_i x, shape (N, n, n); None: x in every mode.
 
     Raises:
         ValueError: a matrix has the wrong shape or an entry that is not finite (the message starts with the field).
@@ -133,6 +134,7 @@ class JumpSystem(_Sized):
     c: FloatArray | None = None
     e: FloatArray | None = None
     uncertainty: Uncertainty | None = None
+    sensors: FloatArray | None = None
 
     def __post_init__(self) -> None:
         a = _array("a", self.a, 3, {})
@@ -143,6 +145,8 @@ class JumpSystem(_Sized):
             object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
         if self.e is not None:
             object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
+        if self.sensors is not None:
+            object.__setattr__(self, "sensors", _array("sensors", self.sensors, 3, {0: modes, 1: n, 2: n}))
         uncertainty = self.uncertainty
         if isinstance(uncertainty, NormBounded):
             _array("uncertainty.e", uncertainty.e, 3, {0: modes, 1: n})
@@ -150,6 +154,10 @@ class JumpSystem(_Sized):
         elif isinstance(uncertainty, VertexUncertainty):
             _array("uncertainty.da", uncertainty.da, 4, {1: modes, 2: n})
             _array("uncertainty.db", uncertainty.db, 4, {3: self.b.shape[2]})
+
+    def shown(self, mode: int) -> FloatArray:
+        """What the controller gets of x in a mode, S_i, (n, n)."""
+        return np.eye(self.states) if self.sensors is None else self.sensors[mode]
 
     @property
     def vertices(self) -> list[int | None]:

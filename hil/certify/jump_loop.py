@@ -45,6 +45,8 @@ def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
     if plant.Ad:
         if plant.changes:
             raise ValueError("changes: no theory covers uncertain matrices together with an internal delay")
+        if plant.S:
+            raise ValueError("S: no theory covers sensors that fail together with an internal delay")
         return DelayedJumpSystem(
             a=a, ad=np.array(plant.Ad, dtype=float), b=b, delay_max_s=plant.max_delay_s,
             delay_slopes=np.array(plant.delay_slopes, dtype=float),
@@ -54,7 +56,8 @@ def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
     if plant.changes:
         dA, dB = (np.array([change[k] for change in plant.changes], dtype=float) for k in (0, 1))
         vertices = VertexUncertainty(da=dA, db=dB)
-    return JumpSystem(a=a, b=b, c=c, e=e, uncertainty=vertices)
+    sensors = np.array(plant.S, dtype=float) if plant.S else None
+    return JumpSystem(a=a, b=b, c=c, e=e, uncertainty=vertices, sensors=sensors)
 
 
 def process_of(rates: JumpRates) -> SemiMarkov | FaultDetection:
@@ -106,16 +109,31 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, KIND, f"gains by mode are judged over one node; network.nodes has several sensor nodes: {names}")
     if loop.sc is None or loop.ca is None:
         return undecided(loop, KIND, loop.no_chain())
+    from design.processes.semi_markov import FaultDetection
     from design.semi_markov_loop.sampled import sampled_verdict
 
     try:
         system = system_of(loop.said.once("jump system", plant.jump_system))
         process = process_of(loop.said.once("jump process", plant.jump_process))
         gain = loop.said.once("schedule", controller.schedule_of_modes)
+        system, gain = _with_seen_sensors(system, gain, hidden=isinstance(process, FaultDetection))
         found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
     return limited_to_model(loop.plant, _with_continuous_time(loop, found, system, gain, process), knows_jumps=True)
+
+
+def _with_seen_sensors(
+    system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain, *, hidden: bool
+) -> tuple[JumpSystem | DelayedJumpSystem, ScheduledGain]:
+    """Return K_i S_i in the place of the gains where the mode is seen: sample and mode are of the same instant."""
+    from design.semi_markov_loop.system import DelayedJumpSystem
+
+    if hidden or isinstance(system, DelayedJumpSystem) or system.sensors is None:
+        return system, gain
+    if gain.modes != system.modes or gain.gain.shape[3] != system.states:
+        raise ValueError(f"gains of {gain.modes} modes for {gain.gain.shape[3]} states, the plant has {system.modes}")
+    return replace(system, sensors=None), replace(gain, gain=gain.gain @ system.sensors[:, None])
 
 
 def in_continuous_time(
@@ -197,7 +215,7 @@ class JumpStep(Struct, frozen=True, kw_only=True):
 
 
 def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:
-    r"""Return what the record of a plant that jumps fulfils; None for one with a delay inside, whose record does not show it.
+    r"""Return what the record of a plant that jumps fulfils; None where it does not show the state: a delay, sensors that fail.
 
     What is uncertain lies within +-D_A, +-D_B. With M(A) for A with the absolute values beside its diagonal, the deviation e of
     the motion from that of the mode is bounded by the flow of
@@ -212,7 +230,7 @@ def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:
     from scipy.linalg import expm
 
     system, rates, T = plant.jump_system(), plant.jump_process(), model.period_s
-    if system.Ad:
+    if system.Ad or system.S:
         return None
     A, B = np.array(system.A, dtype=float), np.array(system.B, dtype=float)
     N, n, m = B.shape

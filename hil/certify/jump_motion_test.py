@@ -3,6 +3,7 @@
 Two runs of one seed, one with inputs and one without, go through the same modes. In the last part of every slot their difference
 must move by dx/dt = A_i dx + A_di dx(t - tau) + B_i u, within what the plant says is uncertain, entry by entry; and a third run,
 advanced by whole slots, must meet the first. The jumps that are seen are counted beside the integral of their rates.
+Where sensors fail by mode the motion is that of the stated state, and what is measured must be S_i x of one of the modes.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from design.verdict import State
 from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED, Array, random_inputs
-from hil.plugins.protocols import JumpPlant
+from hil.plugins.protocols import JumpPlant, PlantRun
 from plants.parts.events import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)
@@ -97,13 +98,16 @@ def _missed(
             for span_ns in (period_ns - part_ns, part_ns):
                 moved.advance(span_ns, u, still)
                 rest.advance(span_ns, still, still)
-                y, z = np.array(moved.measure()), np.array(rest.measure())
+                shown = np.array(moved.measure())
+                y, z = (_of_state(run, n, system) for run in (moved, rest))
+                if system.S and not _shows(shown, y, system):
+                    return f"in slot {k} what is measured is S_i x of no mode", compared, set()
                 if y[-1] != z[-1]:
                     return f"in slot {k} its mode depends on its inputs", compared, set()
                 before.append(y[:n] - z[:n])
                 seen.append(int(y[-1]) - 1)
             whole.advance(period_ns, u, still)
-            x, size_now = np.array(whole.measure()), float(np.abs(y).max()) + 1e-300
+            x, size_now = _of_state(whole, n, system), float(np.abs(y).max()) + 1e-300
             if not np.isfinite(y).all() or np.abs(before[-1]).max() > 1e12 * size:
                 break
             if np.abs(x - y).max() > 1e-6 * size_now:
@@ -122,6 +126,17 @@ def _missed(
     if missed > max(2, JUMPED * compared):
         return f"{told} ({missed} of {compared} slots)", compared, set()
     return "", compared, {mode for mode, count in met.items() if count}
+
+
+def _of_state(run: PlantRun, n: int, system: JumpModel) -> Array:
+    """The state and the mode seen: what is measured, or, where sensors fail, what the plant states."""
+    y = np.array(run.measure())
+    return np.append(run.state[:n], y[-1]) if system.S else y
+
+
+def _shows(y: Array, x: Array, system: JumpModel) -> bool:
+    size = float(np.abs(x).max()) + 1e-300
+    return any(np.abs(np.array(S) @ x[:-1] - y[:-1]).max() <= 1e-9 * size for S in system.S)
 
 
 def _gap(

@@ -140,13 +140,14 @@ def _check_weight(weight: NDArray[np.float64], size: int, where: str) -> None:
 
 def _check_jumps(system: JumpModel, name: str, *, inputs: int, outputs: int) -> None:
     modes, n = len(system.A), outputs - 1
-    expected = {"A": (n, n), "B": (n, inputs), "C": (None, n), "E": (n, None), "Ad": (n, n)}
+    expected = {"A": (n, n), "B": (n, inputs), "C": (None, n), "E": (n, None), "Ad": (n, n), "S": (n, n)}
     tables: dict[str, tuple[Rows, ...]] = {"A": system.A, "B": system.B, "C": system.C, "E": system.E, "Ad": system.Ad}
+    tables["S"] = system.S
     for k, (dA, dB) in enumerate(system.changes):
         tables |= {f"changes[{k}][0]": dA, f"changes[{k}][1]": dB}
         expected |= {f"changes[{k}][0]": (n, n), f"changes[{k}][1]": (n, inputs)}
     for what, matrices in tables.items():
-        optional = what in ("C", "E", "Ad")
+        optional = what in ("C", "E", "Ad", "S")
         _demand(len(matrices) == modes > 0 or (optional and not matrices), f"{name}.jump_system: {what} of {len(matrices)} modes")
         for matrix in matrices:
             shape = np.shape(matrix)

@@ -95,7 +95,7 @@ class HeldNoise:
 class JumpModel:
     """The matrices of a plant with N modes, mode by mode: what runs, with the parameters that the plant was given.
 
-    x' = (A_i + dA_i) x + Ad_i x(t - tau_i(t)) + (B_i + dB_i) u + E_i w,  z = C_i x; the measurement is x and the mode seen.
+    x' = (A_i + dA_i) x + Ad_i x(t - tau_i(t)) + (B_i + dB_i) u + E_i w,  z = C_i x; the measurement is S_i x and the mode seen.
 
     Args:
         A: N matrices, n x n.
@@ -107,8 +107,10 @@ class JumpModel:
         delay_slopes: N bounds of the growth of tau_i, in s per s.
         changes: V pairs (dA of every mode, dB of every mode); what is uncertain lies in their convex hull at every instant.
             Empty: nothing is uncertain.
+        S: N matrices, n x n, of the sensors; empty: every sensor shows its state in every mode. The first n entries of the
+            running plant's ``state`` then are x.
 
-    Reference: thesis (2.16), (3.1), (4.1).
+    Reference: thesis (2.16), (3.1), (4.1), Remark 4.1.
     """
 
     A: tuple[Rows, ...]
@@ -119,6 +121,7 @@ class JumpModel:
     max_delay_s: float = 0.0
     delay_slopes: tuple[float, ...] = ()
     changes: tuple[tuple[tuple[Rows, ...], tuple[Rows, ...]], ...] = ()
+    S: tuple[Rows, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

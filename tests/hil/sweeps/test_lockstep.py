@@ -33,7 +33,7 @@ ALONE = {
     "dc-motor-busy-can", "dc-motor-ours-busy-can", "multisensor-event", "omni-1khz", "omni-identify",
     "omni-materials", "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published",
     "smjls-robust-reference", "vtol-delayed", "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned",
-    "vtol-fault-published",
+    "vtol-fault-published", "vtol-sensor-fault",
 }  # fmt: skip
 SEMI_MARKOV = "kind='semi-markov',matrix=[[0,1],[1,0]],sojourn=[{law='uniform',low=1,high=3},{law='geometric',p=0.5}]"
 STRANGE_LAWS = (
