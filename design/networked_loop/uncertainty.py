@@ -94,6 +94,20 @@ def robust_norms(
     return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
 
 
+def guaranteed_h2(
+    structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike, alpha: Array,
+    multiplier: float,
+) -> float:  # fmt: skip
+    """H2 norm that holds for every |Delta(k)| <= 1 by one multiplier, inf where it proves none.
+
+    Args:
+        structure, gains, M, N1, N2: as `uncertainty_margin`.
+        alpha: (N,) distribution of the mode at the impulse.
+        multiplier: lambda above 0.
+    """
+    return float(np.sqrt(_h2_bound(_channel(structure, gains, M, N1, N2), alpha, multiplier)))
+
+
 def _channel(structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike) -> _Channel:
     K = check_gains(gains, structure.gain_shape)
     n, m = structure.plant_order, structure.B.shape[2]

@@ -206,6 +206,9 @@ class Designed:
         if sc is None or ca is None:
             raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
         filed = problem_of(read)
+        if read.document.get("robust"):
+            what = self.unfit(task) or "its loop"
+            raise FieldError("file", f"robust gains are for their own loop ({what}); design them with hil design --robust anew")
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
         return _covering(task, SendAll(
             gains=nested(np.asarray(design.gains)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]

@@ -62,6 +62,7 @@ class GainsOrWall(click.Command):
               help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
 @click.option("--uncertainty", multiple=True, metavar="NAME=WIDTH",
               help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.")
+@click.option("--robust", is_flag=True, help="--uncertainty: gains of least guaranteed H2 norm, not those for the nominal plant.")
 @click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
               help="Design for the plant without a network, by python-control, and judge it over the network.")
 @click.option("--noise", type=NUMBER, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
@@ -79,7 +80,7 @@ def command(
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
     path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
-    trade_off: bool,
+    trade_off: bool, robust: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -97,7 +98,7 @@ def command(
     from hil.cli.design_trade_off import SHAPES, show_trade_off
     from hil.cli.terminal import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
-    from hil.design_questions.plant_uncertainty import interval, judge_uncertain
+    from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
     from hil.files.outputs import check_output, write_output
     from hil.log.write.provenance import package_versions
 
@@ -139,11 +140,15 @@ def command(
     if noise is not None:
         raise HilError("--noise: belongs to --local")
     intervals = [interval(target.of, said) for said in uncertainty]
+    if robust and (not intervals or objective != "h2" or method != "direct"):
+        raise HilError("--robust: minimises the guaranteed H2 norm over --uncertainty; give one, with --objective h2")
     begun = time.perf_counter()
     try:
         with Working(f"{target.plant} {objective} {information}") as watch:
             problem = problem_for(target, objective=objective, hinf_bound=hinf_bound, method=method, **shape)
             design = solve_tracking(problem, progress=watch)
+            if robust:
+                design = robust_design(target, design, intervals, watch)
             wall_s = round(time.perf_counter() - begun, 3)
             document = to_document(
                 design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
@@ -153,6 +158,7 @@ def command(
                 document["network"] = over.document(design)
             if intervals:
                 document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
+                document["robust"] = robust
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:

@@ -27,7 +27,8 @@ from design.jump_linear.mjls import STABILITY_MARGIN
 from design.networked_loop.closed_loop import LoopStructure
 from design.networked_loop.polytope import MOST_UNKNOWNS, Growth, quadratic_growth
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
-from design.tracking.synthesis import Design
+from design.tracking.robust_synthesis import robust
+from design.tracking.synthesis import Design, Progress
 from design.verdict import State, Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.design_questions.design_problem import TrackingTarget, digest_of_design
@@ -147,6 +148,27 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
     """
     with one_blas_thread():
         return _judge(target, design, intervals)
+
+
+def robust_design(
+    target: TrackingTarget, design: Design, intervals: Sequence[Interval], progress: Progress | None = None
+) -> Design:
+    """Return the design with gains of least guaranteed H2 norm over all plants whose parameters lie in their intervals.
+
+    Args:
+        target, intervals: as `judge_uncertain` takes them.
+        design: of the nominal plant, where the search begins.
+        progress: of the search.
+
+    Raises:
+        HilError: see `plants_between`; a sojourn law whose tail is cut.
+        NotStable: the gains found have no certificate.
+    """
+    if design.problem.structure().between is not None:
+        raise HilError("--robust: guaranteed norms are not computed over a sojourn law whose tail is cut")
+    found = plants_between(target, intervals)
+    with threadpool_limits(1, user_api="blas"):
+        return robust(design, found.M, found.N1, found.N2, progress=progress)
 
 
 def _judge(target: TrackingTarget, design: Design, intervals: Sequence[Interval]) -> Verdict:

@@ -12,6 +12,7 @@ from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
 from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
+from hil.reproduce.chapter7.uncertain import UNCERTAIN, uncertain
 
 
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:
@@ -34,5 +35,6 @@ CHAPTER = Chapter(
         Stage("what the actuator knows", information, 25, INFORMED),
         Stage("gain bounds", gain_bounds, 10),
         Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
+        Stage("uncertain plants", uncertain, 9, UNCERTAIN),
     ),
 )

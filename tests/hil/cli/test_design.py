@@ -66,6 +66,8 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
         (("dc-motor", "--uncertainty", "mass=5%"), "--uncertainty: mass: .*gain.*pole"),
+        (("dc-motor", "--robust"), "--robust: minimises the guaranteed H2 norm over --uncertainty; give one"),
+        (("dc-motor", "--robust", "--uncertainty", "gain=5%", "--objective", "hinf"), "--robust: .*with --objective h2"),
         (("dc-motor", "--uncertainty", "gain=much"), "--uncertainty gain=much: expected NAME=PERCENT%"),
         (("dc-motor", "--uncertainty", "gain=-5%"), "--uncertainty gain=-5%: expected"),
         (("dc-motor", "--uncertainty", "initial_angle_rad=5%"), "initial_angle_rad: is 0"),
@@ -95,6 +97,19 @@ def test_local_design_has_its_norms_and_the_verdict_over_the_network():
     assert composed.verdict is not None and composed.verdict.number == pytest.approx(found["verdict"]["number"])
     assert np.asarray(found["law"]["A"]) == pytest.approx(np.asarray(composed.controller.A))
     assert "over the network" in run("dc-motor", "--local", "hinf").stdout
+
+
+def test_robust_gains_run_in_their_own_loop_and_are_not_solved_for_another(tmp_path):
+    asked = ("dc-motor-hinf", "--information", "constant", "--starts", "1", "--uncertainty", "gain=30%")
+    plain = json.loads(run(*asked, "--json").stdout)
+    path = tmp_path / "robust.json"
+    robust = json.loads(run(*asked, "--robust", "--json", "-o", str(path)).stdout)
+    assert robust["robust"] and not plain["robust"] and robust["uncertainty"]["state"] == "certified"
+    assert robust["uncertainty"]["margin"] > plain["uncertainty"]["margin"]
+    controller = f"controller={{kind='designed', file='{path}'}}"
+    assert compose(load_experiment("dc-motor-hinf", [controller])).controller.gains[0][0][0][0] == robust["gains"][0][0][0][0]
+    with pytest.raises(HilError, match=r"robust gains are for their own loop \(B of the plant"):
+        compose(load_experiment("dc-motor-hinf", [controller, "plant.gain=100"]))
 
 
 def test_uncertainty_is_borne_undecided_or_refused_by_its_size():

@@ -1,0 +1,95 @@
+"""Gains of least guaranteed cost for a plant that is known to a share only: (7.41) as a design.
+
+Over all |Delta| <= 1 in [dA dB] = M Delta [N1 N2] the H2 norm is at most sqrt(f(K, lambda)) for every multiplier lambda > 0 that
+has a bound (`design.networked_loop.uncertainty`). Gains and multiplier are descended together, from the gains without
+uncertainty; where those do not bear all of it, first the H-infinity norm of Delta's channel is lowered until they do.
+
+Slopes are central differences: each is a bounded-real equation, and there are as many as free gains.
+
+Reference: thesis (7.41), Remark 7.6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from design.errors import DesignError
+from design.networked_loop.uncertainty import guaranteed_h2, robust_norms, uncertainty_margin
+from design.processes.delay_chain import Array
+from design.tracking.bfgs import Objective, bfgs
+from design.tracking.synthesis import Design, Progress, certified
+
+STEP: Final = 1e-5
+"""Of a difference, relative to the size of the coordinates."""
+
+ENOUGH: Final = 1.02
+"""Margin with which the descent of the guaranteed cost begins."""
+
+
+def robust(
+    design: Design, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike, *, progress: Progress | None = None
+) -> Design:
+    """Return the design with gains of least guaranteed H2 norm; of the largest margin found, where none bear |Delta| <= 1.
+
+    Args:
+        design: gains for the nominal plant, of the problem whose information pattern and bounds are kept.
+        M, N1, N2: (n, a), (b, n), (b, m).
+        progress: called with the stage, 1, 1 and the value.
+
+    Raises:
+        NotStable: the gains found have no certificate.
+        ValueError: matrices that do not fit.
+    """
+    problem = design.problem
+    structure, space, report = problem.structure(), problem.space(), progress or (lambda stage, start, starts, value: None)
+    alpha, count = problem.alpha(structure), 0
+
+    def channel(v: Array) -> float:
+        nonlocal count
+        count += 1
+        try:
+            return 1.0 / uncertainty_margin(structure, space.gains(v), M, N1, N2)
+        except DesignError:  # not stable
+            return np.inf
+
+    def cost(x: Array) -> float:
+        nonlocal count
+        count += 1
+        return guaranteed_h2(structure, space.gains(x[:-1]), M, N1, N2, alpha, float(10.0 ** x[-1]))
+
+    v = space.coordinates(design.gains)
+    if channel(v) > 1.0 / ENOUGH:
+        found = bfgs(_with_slope(channel), v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH)
+        v = found.x
+        report("margin", 1, 1, 1.0 / found.value)
+    if channel(v) < 1.0:
+        begin = robust_norms(structure, space.gains(v), M, N1, N2, problem.initial)
+        x = np.append(v, np.log10(begin.h2_multiplier))
+        for _ in range(2):  # once more with a forgotten Hessian
+            x = bfgs(_with_slope(cost), x, value_tolerance=1e-9, iterations=200).x
+        report("guaranteed h2", 1, 1, cost(x))
+        v = x[:-1]
+    return certified(problem, space.gains(v), starts=design.starts, evaluations=design.evaluations + count)
+
+
+def _with_slope(value: Callable[[Array], float]) -> Objective:
+    """The value and its central differences; one-sided where a step leaves the domain."""
+
+    def both(v: Array) -> tuple[float, Array]:
+        here, slope = value(v), np.zeros_like(v)
+        if not np.isfinite(here):
+            return np.inf, slope
+        step = STEP * max(1.0, float(np.abs(v).max()))
+        for i in range(v.size):
+            ends = [(s * step, value(v + s * step * np.eye(v.size)[i])) for s in (-1.0, 1.0)]
+            known = [(at, found) for at, found in ends if np.isfinite(found)] or [(0.0, here)]
+            known = known if len(known) == 2 else [*known, (0.0, here)]
+            width = known[1][0] - known[0][0]
+            slope[i] = (known[1][1] - known[0][1]) / width if width else 0.0
+        return here, slope
+
+    return both

@@ -1,0 +1,13 @@
+"""Chapter 7's rows on uncertain plants."""
+
+from __future__ import annotations
+
+from hil.reproduce.chapter7.uncertain import UNCERTAIN, uncertain
+from hil.reproduce.statements import judge
+from tests.hil.reproduce.judging import assert_every_number_decides
+
+
+def test_gains_for_uncertain_plants_bear_more_and_the_rows_turn() -> None:
+    rows = judge(UNCERTAIN, uncertain(lambda text, done=0, total=0, /: None))
+    assert [row.verdict for row in rows] == ["reproduced", "reproduced"]
+    assert_every_number_decides(rows)
