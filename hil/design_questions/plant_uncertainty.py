@@ -167,7 +167,7 @@ def robust_design(
     if design.problem.structure().between is not None:
         raise HilError("--robust: guaranteed norms are not computed over a sojourn law whose tail is cut")
     found = plants_between(target, intervals)
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return robust(design, found.M, found.N1, found.N2, progress=progress)
 
 
