@@ -8,7 +8,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -28,7 +28,6 @@ from design.controllers import (
     row_count,
 )
 from design.errors import DesignError, FieldError
-from design.requests.tracking import DesignTask
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify as certified
@@ -55,6 +54,9 @@ from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError
 from transport.packets import MAX_OUTPUTS
+
+if TYPE_CHECKING:
+    from design.requests.tracking import DesignTask
 
 BOUNDED = (
     "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run, in a "
@@ -286,6 +288,8 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
 
 def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> DesignTask:
     """Return what a design has to solve: the loop with the plant's own matrices and rates."""
+    from design.requests.tracking import DesignTask  # loaded where gains are asked for
+
     plant, sc, ca, chainless = e.plant, chains.sc, chains.ca, chains.why_none
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
         sc, ca = without_held(sc), without_held(ca)

@@ -11,14 +11,13 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from design.controllers import Controller
-from design.requests.tracking import DesignTask
 from design.verdict import digest
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
@@ -26,6 +25,9 @@ from hil.experiment.load import parse_table
 from hil.experiment.table import plain
 from hil.files.regular import read_regular
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController
+
+if TYPE_CHECKING:
+    from design.requests.tracking import DesignTask
 
 FORMAT: Final = "hilrig-gains/1"
 LARGEST: Final = 16_000_000

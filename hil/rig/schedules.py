@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import lcm
+from typing import TYPE_CHECKING
 
 from msgspec import Struct
 
@@ -16,10 +17,12 @@ from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
-from transport.can_bus_model.planned_faults import BusFault
 from transport.medium.faulted import FaultInterval
 from transport.medium.medium import SampleClock
 from transport.medium.scheduled import Arbitration
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.planned_faults import BusFault
 
 
 class FaultSchedule(Struct, frozen=True, kw_only=True):
@@ -64,6 +67,8 @@ def bus_faults(e: Experiment, on_bus: Sequence[str], controller: str) -> list[Bu
         on_bus: names of the nodes on the bus, by number.
         controller: name of the one that sends the control packets.
     """
+    from transport.can_bus_model.planned_faults import BusFault  # loaded where there is a bus
+
     found = []
     for fault in e.fault:
         first, end = (k * e.period_ns for k in fault.slots(float(e.period)))

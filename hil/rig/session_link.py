@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from msgspec import Struct
 
 from hil.errors import ExperimentError
@@ -11,10 +13,12 @@ from hil.rig.can_bus import CONTROLLER, can_bus_of
 from hil.rig.can_frames import CONTROL, can_faults, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
 from hil.rig.spec import RigSpec
-from transport.can_bus_model.planned_faults import BusFault
 from transport.links.can_identifiers import Identifiers, said
 from transport.links.opening import is_foreign
 from transport.links.traits import LinkTraits, identifiers_on, traits_of, with_options
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.planned_faults import BusFault
 
 
 class SessionLink(Struct, frozen=True, kw_only=True):

@@ -5,10 +5,9 @@ A recorded CAN frame as a line of an experiment: ``12000000 123#1122``, nanoseco
 
 from __future__ import annotations
 
-import csv
 import re
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
@@ -18,8 +17,12 @@ from hil.experiment.table import Seconds
 from hil.experiment.tables import Experiment
 from hil.files.regular import open_regular
 from transport.can_bus_model.bits import CanFrame
-from transport.can_bus_model.traffic import Due
 from transport.wire.fields import frame_length
+
+if TYPE_CHECKING:
+    import csv
+
+    from transport.can_bus_model.traffic import Due
 
 LARGEST = 16_000_000
 _DURATIONS = ("period", "offset", "jitter")
@@ -74,6 +77,8 @@ def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
 
 
 def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
+    import csv  # loaded where there is such a file
+
     try:
         return _of_rows(path, csv.DictReader(text.splitlines()))
     except csv.Error as error:  # of the head, too
@@ -178,6 +183,8 @@ def due_of(line: str, node: int = 0) -> Due:
     found = _LINE.fullmatch(line)
     if found is None:
         raise ValueError(f"{line!r:.60}, expected nanoseconds and a frame, as in '12000000 123#1122'")
+    from transport.can_bus_model.traffic import Due  # loaded where there is a bus
+
     at, identifier, kind, dlc, flags, flexible, classic = found.groups()
     number, extended = int(identifier, 16), len(identifier) == 8
     if kind.startswith("#R"):

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
-from transport.laws.latency import LatencyTrace, latency
 from transport.laws.protocols import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
@@ -206,6 +205,8 @@ class _Packets:
 
 def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] | None) -> Iterator[Evidence]:
     """What is discarded is booked as lost: losses are more by the latencies beyond, and latencies are those within."""
+    from transport.laws.latency import LatencyTrace, latency  # loaded where packets have latencies
+
     recorded, losses = latency(law.latency), law.channel_losses()
     latest = np.inf
     if law.discard_older is not None and slot is not None:
