@@ -153,16 +153,17 @@ class PiecewiseLinearRate:
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]:
         # Ends of every cell that meets [start, stop), each seen from inside its cell (steps).
-        end = np.append(self._start[1:], np.inf)
-        hit = (self._start < stop) & (end > start)
-        if not hit.any():
-            hit = np.arange(end.size) == int(self._cell(np.asarray(start)))
-        first = np.maximum(self._start[hit], start)
-        last = np.where(self._slope[hit] == 0.0, first, np.minimum(end[hit], stop))
-        low = self._value[hit] + self._slope[hit] * (first - self._start[hit])
-        high = self._value[hit] + self._slope[hit] * (last - self._start[hit])
-        both = np.concatenate([low, high])
-        return float(both.min()), float(both.max())
+        first = max(int(np.searchsorted(self._start, start, side="right")) - 1, 0)
+        behind = max(int(np.searchsorted(self._start, stop, side="left")), first + 1)
+        low, high = math.inf, -math.inf
+        for cell in range(first, behind):
+            begin, value, slope = self._start[cell].item(), self._value[cell].item(), self._slope[cell].item()
+            ends = [max(begin, start)]
+            if slope != 0.0:
+                ends.append(min(self._start[cell + 1].item() if cell + 1 < self._start.size else math.inf, stop))
+            seen = [value + slope * (end - begin) for end in ends]
+            low, high = min(low, *seen), max(high, *seen)
+        return low, high
 
 
 def constant_rate(value: float) -> PiecewiseLinearRate:

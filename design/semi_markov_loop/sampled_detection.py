@@ -123,8 +123,8 @@ class DetectionLoop:
 
 def _variation(process: SemiMarkov, mode: int, period_s: float) -> FloatArray:
     ages = rates_by_age(process, mode, period_s)
-    boxes = [ages.over(c, c + 1) for c in range(ages.end + 1)]
-    return np.asarray(np.max([box.high - box.low for box in boxes], axis=0))
+    after = np.minimum(np.arange(ages.end + 1) + 1, ages.end)  # of two cells at a time
+    return np.asarray((np.maximum(ages.high, ages.high[after]) - np.minimum(ages.low, ages.low[after])).max(axis=0))
 
 
 def slowest_growth(loop: DetectionLoop) -> float:
