@@ -213,12 +213,12 @@ class SojournDependent(Protocol):
     """A controller whose gains depend on how long the measured delay has lasted."""
 
     sojourns: int | Sequence[int]
-    """How many lengths of stay it tells apart, in all or per delay 0, 1, ..."""
+    """How many lengths of stay it distinguishes, in all or per delay 0, 1, ..."""
 
 
 @runtime_checkable
 class TellsAges(Protocol):
-    """A table of gains that tells the ages of several sensor nodes apart."""
+    """A table of gains that distinguishes the ages of several sensor nodes."""
 
     ages: Sequence[int]
     """How many ages 0, 1, ... of each node have gains of their own; empty: gains by the oldest age."""

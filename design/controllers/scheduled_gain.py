@@ -63,7 +63,7 @@ class ScheduledGain:
 
     @property
     def modes(self) -> int:
-        """Number of modes that the controller tells apart."""
+        """Number of modes that the controller distinguishes."""
         return int(self.gain.shape[0])
 
     @property

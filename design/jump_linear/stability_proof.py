@@ -1,6 +1,6 @@
 """Mean-square stability proved by positive solutions: of loops that differ little, and of many modes with few successors.
 
-R > 0 with R - L R > 0 proves it. One equation solved to few digits gives such an R; a product tells whether it still fits the
+R > 0 with R - L R > 0 proves it. One equation solved to few digits gives such an R; a product shows whether it still fits the
 next loop. The operator L keeps the cone of positive semidefinite families, so s > radius(L) if and only if
 
     s X - L X = I    has a solution with every X_i > 0.

@@ -10,7 +10,7 @@ All three feed a state back, u = -F x, that a stationary Kalman filter estimates
     lqg    the same F; the filter weighs samples of noise |v| = ``noise`` against disturbances of |w| = 1
     hinf   F keeps the sum of |z|^2 below gamma^2 times that of |w|^2, gamma 5 % above the smallest (game Riccati equation)
 
-Nothing is claimed of the loop that runs: these designs know no delay. The door judges them over the network like any other.
+Nothing is claimed of the loop that runs: these designs know no delay. The certifiers judge them over the network like any other.
 
 Reference: B. Anderson, J. Moore, Optimal Control: Linear Quadratic Methods; T. Basar, P. Bernhard, H-infinity-Optimal Control.
 """

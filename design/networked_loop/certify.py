@@ -155,8 +155,8 @@ def informed_probability(sc: DelayChain, ca: DelayChain, mode: int) -> list[floa
     done, probabilities = 0.0, []
     for k in range(1, last + 1):
         weights = sc.matrix.T @ weights @ ca.matrix
-        hears = k - newest >= 1
-        weights[k, hears], weights[0, hears] = weights[0, hears], 0.0
+        receives = k - newest >= 1
+        weights[k, receives], weights[0, receives] = weights[0, receives], 0.0
         acts = (ticks >= 1) & (k - ca.delay >= ticks)
         done += float(weights.sum(axis=1)[acts].sum())
         weights = np.where(acts[:, None, :], 0.0, weights)

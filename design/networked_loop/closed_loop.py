@@ -71,7 +71,7 @@ class LoopStructure:
     `default_initial` (N,) and `initial_law`, the distribution of the mode at the H2 impulse and its name;
     `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
     `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
-    `used` (sc labels, rows) tells which gains can matter.
+    `used` (sc labels, rows) says which gains can matter.
     """
 
     base: Array

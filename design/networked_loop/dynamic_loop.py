@@ -2,7 +2,7 @@
 
     xi(k+1) = Ac xi(k) + Bc e(k),    v_j(k) = Cc_j xi(k) + Dc_j e(k),    e_l(k) = c_l x(k - tau_l),    u(k) = v_{j}(k - d_k)
 
-In deviations from the ideal plant response. The matrices are those of the ages that the controller tells apart; the row j is
+In deviations from the ideal plant response. The matrices are those of the ages that the controller distinguishes; the row j is
 picked as the information pattern says, see `design.networked_loop.closed_loop`. State: x, then the stored outputs, xi, then the
 rows under way, newest first; then, where a receiver may have nothing new (`DelayChain.held`), the samples that the controller
 used last, and the input that was applied last. A table of gains is a law without a state.

@@ -96,7 +96,7 @@ class Designed:
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
         samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
-        sojourns: over semi-Markov delays: how many lengths of stay at the measured delay the gain tells apart, in slots; 1: none.
+        sojourns: over semi-Markov delays: lengths of stay at the measured delay that the gain distinguishes, in slots; 1: none.
         node_ages: several sensor nodes: the gain depends on the age of ``each`` node's newest sample, or on the ``oldest`` age.
         file: a design saved by ``hil design -o``, relative to the experiment: its gains run, and the problem beside them is
             the request, in the place of all the fields above; where it is another than the loop's, it is solved again.

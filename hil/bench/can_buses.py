@@ -138,14 +138,14 @@ def _echo(bus: can.BusABC) -> None:
     """Answer questions, and count frames."""
     count = 0
     while True:
-        heard = bus.recv(1.0)
-        if heard is None or heard.is_error_frame:
+        frame = bus.recv(1.0)
+        if frame is None or frame.is_error_frame:
             continue
-        if heard.arbitration_id == _FRAME:
+        if frame.arbitration_id == _FRAME:
             count += 1
-        elif heard.arbitration_id == _QUESTION:
-            _send(bus, _ANSWER, bytes(heard.data))
-        elif heard.arbitration_id == _END:
+        elif frame.arbitration_id == _QUESTION:
+            _send(bus, _ANSWER, bytes(frame.data))
+        elif frame.arbitration_id == _END:
             _send(bus, _COUNT, count.to_bytes(4, "little"))
 
 
@@ -156,9 +156,9 @@ def _send(bus: can.BusABC, identifier: int, data: bytes) -> None:
 def _answer(bus: can.BusABC, identifier: int, patience_s: float = _PATIENCE_S) -> can.Message | None:
     end = monotonic_ns() + round(patience_s * 1e9)
     while (left := end - monotonic_ns()) > 0:
-        heard = bus.recv(left / 1e9)
-        if heard is not None and heard.arbitration_id == identifier and not heard.is_error_frame:
-            return heard
+        frame = bus.recv(left / 1e9)
+        if frame is not None and frame.arbitration_id == identifier and not frame.is_error_frame:
+            return frame
     return None
 
 
@@ -169,9 +169,9 @@ def _flood(bus: can.BusABC, count: int) -> list[int]:
         _send(bus, _FRAME, _DATA)
     for _ in range(_TRIES):  # a bus that loses frames may lose this one
         _send(bus, _END, b"")
-        told = _answer(bus, _COUNT, _PATIENCE_S / _TRIES)
-        if told is not None:
-            return [int.from_bytes(told.data, "little"), monotonic_ns() - begin]
+        reply = _answer(bus, _COUNT, _PATIENCE_S / _TRIES)
+        if reply is not None:
+            return [int.from_bytes(reply.data, "little"), monotonic_ns() - begin]
     return [0, monotonic_ns() - begin]
 
 
@@ -181,10 +181,10 @@ def _trips(bus: can.BusABC, count: int, *, timed: bool) -> list[int]:
     for n in range(count):
         begin = monotonic_ns()
         _send(bus, _QUESTION, n.to_bytes(8, "little"))
-        told = _answer(bus, _ANSWER)
-        taken.append(-1 if told is None else monotonic_ns() - begin)
-        if timed and told is not None:
-            late.append(round((time() - told.timestamp) * 1e9))
+        reply = _answer(bus, _ANSWER)
+        taken.append(-1 if reply is None else monotonic_ns() - begin)
+        if timed and reply is not None:
+            late.append(round((time() - reply.timestamp) * 1e9))
     return taken + late
 
 

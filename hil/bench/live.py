@@ -51,7 +51,7 @@ def bench_live(
         link: URI.
         experiment: name or path.
         readers: how many, in turns.
-        progress: told what is running.
+        progress: called with what is running.
 
     Raises:
         HilError: a session failed.

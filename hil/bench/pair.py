@@ -1,4 +1,4 @@
-"""Two processes that measure something between them: one answers, one drives and is told what to do."""
+"""Two processes that measure something between them: one answers, one drives and is commanded."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ GRACE_S: Final = 0.4
 
 
 class Pair:
-    """An answering process and a driving one that is told how many round trips to make."""
+    """An answering process and a driving one that is given the number of round trips."""
 
     def __init__(self, echo: Sequence[str], drive: Sequence[str]) -> None:
         self._children: list[subprocess.Popen[str]] = []

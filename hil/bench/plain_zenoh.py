@@ -31,12 +31,12 @@ class PlainZenoh(Closing):
         self.uri, self.counters = uri, LinkCounters()
         self._queue: SimpleQueue[bytes] = SimpleQueue()
         self._session = zenoh.open(config(role, address_of(uri), {}))
-        says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
+        sends, receives = ("sensor", "control") if role == "rig" else ("control", "sensor")
         publisher = self._session.declare_publisher(
-            f"hil/plain/{says}", express=True, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP
+            f"hil/plain/{sends}", express=True, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP
         )
         self._put = publisher.put
-        self._session.declare_subscriber(f"hil/plain/{hears}", zenoh.handlers.Callback(self._take, indirect=False))
+        self._session.declare_subscriber(f"hil/plain/{receives}", zenoh.handlers.Callback(self._take, indirect=False))
 
     def _take(self, sample: zenoh.Sample) -> None:
         self._queue.put(sample.payload.to_bytes())

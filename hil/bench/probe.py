@@ -47,7 +47,7 @@ class Trip:
 
 
 def own_boot() -> int:
-    """Return a number that tells this boot of this machine from others, 1 to 2^64 - 1."""
+    """Return a number that distinguishes this boot of this machine from others, 1 to 2^64 - 1."""
     try:
         said = Path("/proc/sys/kernel/random/boot_id").read_bytes()
     except OSError:

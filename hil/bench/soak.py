@@ -307,7 +307,7 @@ def _short(folder: Path, groups: list[int], progress: Callable[[str], None], how
             for number, process in enumerate(running):
                 status = str(process.wait(SHORT_S + GRACE_S * (1 + group / 4)))
                 statuses[status] = statuses.get(status, 0) + 1
-                with suppress(ValueError):  # one without a summary has told so by its status
+                with suppress(ValueError):  # one without a summary says so by its status
                     dropped += json.loads((folder / f"{1 + number}.json").read_text())["log"]["dropped"]
         finally:
             for process in running:

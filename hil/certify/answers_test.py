@@ -61,7 +61,7 @@ class Answer(Struct, frozen=True, kw_only=True):
 def question(
     model: LoopModel, *, width: int, slots: int = SLOTS, longest: int = 1, far: bool = False, aims: float = 1.0
 ) -> Question:
-    """Return random samples with ages that change and last: every age comes, and lasts longer than any gain tells apart.
+    """Return random samples with ages that change and last: every age comes, and lasts longer than any gain distinguishes.
 
     Args:
         model: the loop.
@@ -168,13 +168,13 @@ def compared(
     rest, still = at_rest
     found = []
     for size in sizes:
-        moved, told = answers(own(), asked, size, nodes) - rest, answers(stated(), asked, size, nodes) - still
-        if moved.shape != told.shape:
+        moved, expected = answers(own(), asked, size, nodes) - rest, answers(stated(), asked, size, nodes) - still
+        if moved.shape != expected.shape:
             found.append(Answer(size=size, share=np.inf))
             continue
-        scale = np.maximum.accumulate(np.abs(told).max(axis=(1, 2), keepdims=True)) + 1e-9 * np.abs(told).max() + 1e-300
+        scale = np.maximum.accumulate(np.abs(expected).max(axis=(1, 2), keepdims=True)) + 1e-9 * np.abs(expected).max() + 1e-300
         lost = 1e-12 * (np.abs(rest).max(axis=(1, 2), keepdims=True) + np.abs(still).max(axis=(1, 2), keepdims=True))
-        apart = np.nan_to_num(np.abs(moved - told) - lost, nan=np.inf) / scale
+        apart = np.nan_to_num(np.abs(moved - expected) - lost, nan=np.inf) / scale
         if not (apart > EQUAL).any():
             found.append(Answer(size=size, share=max(float(apart.max()), 0.0)))
             continue
@@ -183,7 +183,7 @@ def compared(
         found.append(
             Answer(
                 size=size, share=float(apart.max()), slot=asked.slots[at], age=int(asked.ages[at].max()), row=int(row),
-                found=float(moved[at, row, j]), foretold=float(told[at, row, j]),
+                found=float(moved[at, row, j]), foretold=float(expected[at, row, j]),
             )
         )  # fmt: skip
     return found

@@ -1,4 +1,4 @@
-"""The seam of the door: the loop that a certifier is handed, and what a certifier answers.
+"""The protocol of certifiers: the loop that a certifier is given, and what a certifier answers.
 
 What a plant and a controller say of themselves, asked once: who judges and who tests leans on the same answer.
 """
@@ -103,7 +103,7 @@ class CertificationProblem:
 
 
 class Certifier(Protocol):
-    """Says what can be claimed of one kind of loop. The door asks them in order; the first that knows the kind answers."""
+    """Says what can be claimed of one kind of loop. They are asked in order; the first that knows the kind answers."""
 
     def __call__(self, loop: CertificationProblem) -> Verdict | None:
         """Return the verdict on a loop, None if loops of this kind are another certifier's."""

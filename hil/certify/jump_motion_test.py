@@ -79,7 +79,7 @@ def _missed(
     part_ns = max(1, min(period_ns // PART, round(1e9 * SHORTEST / fastest)))
     past = deque[Array](maxlen=2 * math.ceil(1e9 * system.max_delay_s / period_ns) + 4)
     compared, missed, met = 0, 0, dict.fromkeys(range(modes), 0)
-    told, still = "", (0.0,) * m
+    first, still = "", (0.0,) * m
     for turn in range(RUNS):
         wanted = min(met, key=lambda mode: met[mode])
         if turn and met[wanted] >= SEEN:
@@ -121,10 +121,10 @@ def _missed(
                 if min(gaps) > CLOSE:
                     missed += 1
                     where = f"inputs up to {size:g} in mode {seen[1] + 1}"
-                    told = told or f"{where}: its speed in slot {k} misses the model's by {min(gaps):.2g} of it"
+                    first = first or f"{where}: its speed in slot {k} misses the model's by {min(gaps):.2g} of it"
             past.extend(before)
     if missed > max(2, JUMPED * compared):
-        return f"{told} ({missed} of {compared} slots)", compared, set()
+        return f"{first} ({missed} of {compared} slots)", compared, set()
     return "", compared, {mode for mode, count in met.items() if count}
 
 

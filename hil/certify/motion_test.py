@@ -135,13 +135,13 @@ def departure(
     pairs = [(driven.outputs, free.outputs, x @ model.C.T, [tuple(s) for s in plant.outputs])]
     if driven.states.shape[1] == x.shape[1]:
         pairs.append((driven.states, free.states, x, [tuple(s) for s in plant.states]))
-    told = driven.applied
-    put_out = np.abs(told - inputs[: len(told)]) > EQUAL * size * unit
+    applied = driven.applied
+    put_out = np.abs(applied - inputs[: len(applied)]) > EQUAL * size * unit
     if put_out.any():
         at, j = divmod(int(put_out.argmax()), put_out.shape[1])
         what, name = (str(each) for each in plant.inputs[j])
         return Departure(
-            size=size, share=np.inf, slot=at, signal=(f"applied {what}", name), found=float(told[at, j]),
+            size=size, share=np.inf, slot=at, signal=(f"applied {what}", name), found=float(applied[at, j]),
             foretold=float(inputs[at, j]), slots=len(x) - 1,
         )  # fmt: skip
     worst = Departure(size=size, share=0.0, slot=0, signal=("", ""), found=0.0, foretold=0.0, slots=len(x) - 1)

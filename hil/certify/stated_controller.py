@@ -68,11 +68,13 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     twin, asked = stated
     if isinstance(controller, GainTable) and not np.array_equal(table_of(loop, controller), controller.table(model)):
         return "refused", f"{NAME}: table() returns other gains when it is asked again"
-    running, told = controller.start(model), twin.start(model)
-    if running.selection != told.selection or loop.selection not in ("", running.selection):
-        return "refused", f"{NAME}: it answers by the rule {running.selection!r} and states {told.selection!r}"
-    if looks_back(running) != looks_back(told):
-        return "undecided", f"the controller {handed(running)}, what it states {handed(told)}: in the run they cannot be compared"
+    running, by_table = controller.start(model), twin.start(model)
+    if running.selection != by_table.selection or loop.selection not in ("", running.selection):
+        return "refused", f"{NAME}: it answers by the rule {running.selection!r} and states {by_table.selection!r}"
+    if looks_back(running) != looks_back(by_table):
+        return "undecided", (
+            f"the controller {handed(running)}, what it states {handed(by_table)}: in the run they cannot be compared"
+        )
 
     def own() -> object:
         return controller.start(model)
@@ -98,7 +100,7 @@ def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     if shared:
         return "undecided", (
             "two controllers of its class share memory: on samples of zero one answers otherwise while the other is asked beside "
-            "it, so its feedforward cannot be told from feedback; keep what it remembers in what start() returns"
+            "it, so its feedforward cannot be distinguished from feedback; keep what it remembers in what start() returns"
         )
     if grown is not None:
         k, late, early = grown
@@ -122,12 +124,12 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         samples, integral, stays, ages = (
             packet_samples(controller), integrates(controller), sojourns_told(controller), ages_told(controller),
         )  # fmt: skip
-        told = (stays,) if isinstance(stays, int) else tuple(stays)
+        lengths = (stays,) if isinstance(stays, int) else tuple(stays)
         table = SendAll(
             gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
-            sojourns=() if isinstance(stays, int) else told, ages=ages,
+            sojourns=() if isinstance(stays, int) else lengths, ages=ages,
         )  # fmt: skip
-        return table, question(model, width=p * samples, longest=max(told, default=1), far=True)
+        return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):
         law = loop.said.once("law", lambda: controller.linear_law(model))
         rows = [tuple(tuple(map(float, row)) for row in np.asarray(M)) for M in (law.A, law.B, law.C, law.D)]
@@ -193,16 +195,16 @@ def _departed(found: list[Answer]) -> tuple[State, str] | None:
     if not far:
         return None
     w = far[0]
-    told = (
+    difference = (
         f"on samples up to {w.size:g} of age {w.age} its row {w.row} changes by {w.found:.4g} in slot {w.slot}, "
         f"its table says {w.foretold:.4g}"
         if np.isfinite(w.share) else "its packet has other rows than it states, or they are not finite"
     )  # fmt: skip
     if found[0].share <= EQUAL:
-        return "undecided", f"non-linear: the controller answers as its table says on small samples, but {told}"
+        return "undecided", f"non-linear: the controller answers as its table says on small samples, but {difference}"
     if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
-        return "undecided", f"non-linear: the controller answers as its table says on large samples, but {told}"
-    return "refused", f"{NAME}: {told}"
+        return "undecided", f"non-linear: the controller answers as its table says on large samples, but {difference}"
+    return "refused", f"{NAME}: {difference}"
 
 
 def _wall(
@@ -212,10 +214,10 @@ def _wall(
     from hil.certify.answers_test import answers
 
     for size in (1e-4, 1e-2):
-        own, told = (answers(start(), asked, size, loop.model.nodes) for start in starts)
-        scale = float(np.abs(told).max()) + 1e-300
-        if own.shape != told.shape or not float(np.abs(own - told).max()) <= EQUAL * scale:
-            k = 0 if own.shape != told.shape else int(np.abs(own - told).max(axis=(1, 2)).argmax())
+        own, expected = (answers(start(), asked, size, loop.model.nodes) for start in starts)
+        scale = float(np.abs(expected).max()) + 1e-300
+        if own.shape != expected.shape or not float(np.abs(own - expected).max()) <= EQUAL * scale:
+            k = 0 if own.shape != expected.shape else int(np.abs(own - expected).max(axis=(1, 2)).argmax())
             return "refused", (
                 f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {asked.slots[k]}"
             )

@@ -1,4 +1,4 @@
-"""The test at the door: what plant and controller do, beside what they say of themselves.
+"""The test before a run: what plant and controller do, beside what they say of themselves.
 
 A certificate is a proof about matrices. That the plant moves by them, and that the controller answers by them, no proof shows:
 both are driven with random inputs and compared. Different at small inputs is another system, and refused; different at large
@@ -6,7 +6,7 @@ ones alone is no linear system, and undecided; equal is an assumption that says 
 
 What a run is compared with while it runs: the model of its plant, slot by slot, and the table of its controller.
 
-The test at the door ends after some slots; who lies later, beyond the tested inputs or at some state is seen here alone.
+The test ends after some slots; who lies later, beyond the tested inputs or at some state is seen here alone.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
         return None
     worst = far[0]
 
-    def told(each: Departure) -> str:
+    def described(each: Departure) -> str:
         size = f"{each.size * float(unit.max()):.3g} {unit_name}"
         which, u = each.signal
         amount = (
@@ -159,12 +159,12 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
         return f"inputs up to {size} move its {which} by {amount} in slot {each.slot} ({share})"
 
     if found[0].share <= EQUAL:
-        return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {told(worst)}"
+        return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {described(worst)}"
     if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
-        return "undecided", f"non-linear: the plant moves as its model says under large inputs, but {told(worst)}"
+        return "undecided", f"non-linear: the plant moves as its model says under large inputs, but {described(worst)}"
     if found[0].share <= ALIKE:
-        return "undecided", f"the plant is near its model() under small inputs, but not equal to it: {told(worst)}"
-    return "refused", f"{name}: {told(worst)}"
+        return "undecided", f"the plant is near its model() under small inputs, but not equal to it: {described(worst)}"
+    return "refused", f"{name}: {described(worst)}"
 
 
 def _percent(share: float) -> str:

@@ -73,7 +73,7 @@ class LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        if cmd_name != "doctor":  # which tells of it
+        if cmd_name != "doctor":  # which reports it
             refuse_shadowed_packages()
         command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
         if cmd_name != "run":  # whose own modules come when it is called

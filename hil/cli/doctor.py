@@ -108,7 +108,7 @@ def _own_vcan() -> Check:
 
 
 def _ours(what: str, found: Callable[[], tuple[bool, str, str]]) -> Check:
-    """Return a check that imports more of ours: where a foreign package has its name, "package ownership" tells of it."""
+    """Return a check that imports more of ours: where a foreign package has its name, "package ownership" reports it."""
     try:
         return what, *found()
     except ImportError as e:

@@ -75,8 +75,8 @@ class Guard:
         """
         if self._page is None or os.getpid() != self._pid:
             return
-        heard = self._at_first.files[2] == ProcessState.now().files[2]
-        changes = [] if status and heard else self._at_first.changes()  # what went wrong is said already
+        unchanged = self._at_first.files[2] == ProcessState.now().files[2]
+        changes = [] if status and unchanged else self._at_first.changes()  # what went wrong is said already
         self._at_first.restore()
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:

@@ -52,15 +52,15 @@ def command(
     rig = rig_of(checked)
     networks = {sensor.name: (sensor.law, sensor.law_kind) for sensor in rig.sensors}
 
-    def told(law: NetworkLaw, kind: str) -> dict[str, Any]:
+    def analysed(law: NetworkLaw, kind: str) -> dict[str, Any]:
         matrix = mode_transitions(law)
         found: dict[str, Any] = _json(asdict(analyse_law(law, period_s, deadline_s, kind)))
         return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
     if as_json:
         shared = checked.network.sc.law
-        laws = {"sc": told(shared, checked.kinds.get("network.sc.law", "?")), "ca": told(rig.ca_law, rig.ca_kind)}
-        nodes = {name: laws["sc"] if law is shared else told(law, kind) for name, (law, kind) in networks.items()}
+        laws = {"sc": analysed(shared, checked.kinds.get("network.sc.law", "?")), "ca": analysed(rig.ca_law, rig.ca_kind)}
+        nodes = {name: laws["sc"] if law is shared else analysed(law, kind) for name, (law, kind) in networks.items()}
         said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
         print_json(said)
         return

@@ -63,15 +63,15 @@ def command(
         from hil.log.read.run import read_run
 
         if len(experiments) > 1 or script is not None or foxglove is not None:
-            told = "hil live EXPERIMENT --script LOG.mcap runs it again; Foxglove opens a log itself"
-            raise HilError(f"a log is shown alone, and takes no script and no --foxglove; {told}")
+            remedy = "hil live EXPERIMENT --script LOG.mcap runs it again; Foxglove opens a log itself"
+            raise HilError(f"a log is shown alone, and takes no script and no --foxglove; {remedy}")
         show_log(read_run(Path(experiments[0])), experiments[0], port=port, folder=folder, opened=opened)
         return
     if len(experiments) > 2:
         raise HilError(f"{len(experiments)} experiments; one, or two side by side, are shown")
     if len(experiments) == 2 and (clock == "real" or output is not None or script is not None or foxglove is not None):
-        told = "in virtual time, with logs below runs/, and without --script, --foxglove or -o"
-        raise HilError(f"two experiments run side by side {told}")
+        remedy = "in virtual time, with logs below runs/, and without --script, --foxglove or -o"
+        raise HilError(f"two experiments run side by side {remedy}")
     if clock == "virtual" and link is not None:
         raise HilError("--link needs --clock real: virtual time runs in one process, without a link")
 

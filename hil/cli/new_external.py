@@ -23,7 +23,7 @@ HERE: Final = {"can": "can:hil:rig0", "zenoh": "zenoh:tcp/127.0.0.1:7447"}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExternalController:
-    """What a program of somebody else needs to know of a loop.
+    """What a foreign program needs to know of a loop.
 
     Args:
         loop: composed.

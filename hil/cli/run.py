@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 LONGEST_WAIT_S = 1e8
 """What `hil rig` waits, s: until Ctrl-C."""
 
-PRIVATE = 0o600  # a log tells what a plant did: its user's alone, unless asked otherwise
+PRIVATE = 0o600  # a log says what a plant did: its user's alone, unless asked otherwise
 
 
 def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) -> Path:

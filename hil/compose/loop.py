@@ -75,7 +75,7 @@ class Loop:
         model: what the controller knows of the plant, and the bounds of both delays.
         controller: controller parameters, with any design already solved.
         rig: what the experiment says of its rig, laws tabulated: no process that keeps time computes their distributions.
-        chains: the delay chains of its network, with the labels that the controller tells apart.
+        chains: the delay chains of its network, with the labels that the controller distinguishes.
         rows: rows in one send-all packet.
         selection: how the actuator picks one of them.
         samples: samples that the controller takes from a node: the newest, and so many less one before it.

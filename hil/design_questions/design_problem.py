@@ -103,7 +103,7 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
 
 
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
-    """Return what the door says of a design over the network that it was made for."""
+    """Return the verdict on a design over the network that it was made for."""
     sc, ca = design.problem.chains
     verdict = judge_gains(
         model_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,

@@ -29,7 +29,7 @@ def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[
     """Make a test authority, a certificate for each end, and the key of the frames, in a new folder of mode 0700.
 
     Every private key is a file of mode 0600. The certificates are called *rig* and *controller*, by which the access-control
-    list of a zenoh link tells them apart; both are good for ``localhost`` and 127.0.0.1 besides the hosts that are named.
+    list of a zenoh link distinguishes them; both are good for ``localhost`` and 127.0.0.1 besides the hosts that are named.
 
     Args:
         folder: does not exist, or is empty and its owner's alone.

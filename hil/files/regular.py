@@ -1,4 +1,4 @@
-"""The one door through which a file of the user's is read: regular, of bounded size, never waited for."""
+"""The one place in which a file of the user's is opened: regular, of bounded size, never waited for."""
 
 from __future__ import annotations
 

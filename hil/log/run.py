@@ -34,7 +34,7 @@ class InPieces(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Run:
-    """What a log tells.
+    """What a log says.
 
     Args:
         arrays: topic to records in the order of the log; field ``t_ns`` (nominal session time) first, then the fields of the

@@ -52,7 +52,7 @@ class Quantity:
 
 @runtime_checkable
 class Measure(Protocol):
-    """Numbers of a run; `check_measure` tells an author whether his class is one.
+    """Numbers of a run; `check_measure` says to an author whether his class is one.
 
     The class is named by an entry point of the group `hil.measures`, made without arguments, and chosen by an experiment:
     `[report] measures = ["tracking", "mine"]`.

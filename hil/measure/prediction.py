@@ -82,8 +82,8 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
     That is: a controller that is no table of gains, a network law without a chain, a packet law under which the controller may
-    hear nothing for longer than its chain tells ages apart (then it answers zeros, not by its gains), a plant that jumps or has
-    delayed states, faults on the time line, or a reference that no input holds.
+    receive nothing for longer than its chain distinguishes ages (then it answers zeros, not by its gains), a plant that jumps or
+    has delayed states, faults on the time line, or a reference that no input holds.
 
     Args:
         loop: the composed experiment.

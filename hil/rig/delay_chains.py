@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class Chains(Struct, frozen=True, kw_only=True):
-    """The delay chains of a rig, with the labels that its controller tells apart.
+    """The delay chains of a rig, with the labels that its controller distinguishes.
 
     Args:
         arriving: the law of each sensor node, by number, as the controller meets it.
@@ -57,12 +57,12 @@ class Chains(Struct, frozen=True, kw_only=True):
 
 
 def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...]]:
-    """Return which lengths of stay and which ages a controller tells apart."""
+    """Return which lengths of stay and which ages a controller distinguishes."""
     return sojourns_told(controller), ages_told(controller)
 
 
 def chains_for(rig: RigSpec, controller: object) -> Chains:
-    """Return the delay chains of a rig, with the labels that a controller tells apart.
+    """Return the delay chains of a rig, with the labels that a controller distinguishes.
 
     Raises:
         ValueError: the controller asks for more than it can measure over this law.

@@ -1,4 +1,4 @@
-"""The frames of a rig in words for others: their DBC, and what a rig tells whoever asks."""
+"""The frames of a rig in words for others: their DBC, and what a rig answers to who asks."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
 
 
 def about_rig(rig: RigSpec) -> dict[str, object]:
-    """Return what a rig tells whoever asks: experiment, period, nodes, and the DBC, which is the layout of its frames."""
+    """Return what a rig answers to who asks: experiment, period, nodes, and the DBC, which is the layout of its frames."""
     try:
         dbc = rig_dbc(rig)
     except (TransportError, ExperimentError):

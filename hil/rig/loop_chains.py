@@ -116,7 +116,7 @@ def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 
 def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:
-    """How many ages a controller tells apart, of the oldest sample or of every node's."""
+    """How many ages a controller distinguishes, of the oldest sample or of every node's."""
     if isinstance(controller, AgedFeedback):
         return OLDEST_TOLD
     if not isinstance(controller, GainTable):

@@ -88,7 +88,7 @@ class Received(Struct, frozen=True, kw_only=True):
         )
 
     def silent(self, slots: int = 0) -> float:
-        """Return the probability that nothing has come in so many slots, nor while the chain tells ages apart."""
+        """Return the probability that nothing has come in so many slots, nor while the chain distinguishes ages."""
         chain = self.ages
         if not isinstance(chain, AgeChain):
             return 0.0

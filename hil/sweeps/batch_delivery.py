@@ -1,4 +1,4 @@
-"""What a controller hears of its sensor nodes in many runs: known before a plant moves, as no node waits for an event.
+"""What a controller receives of its sensor nodes in many runs: known before a plant moves, as no node waits for an event.
 
 Where every node has a channel of its own and only the newest packet counts, it is computed for all runs at once. Where nodes
 share a medium, have clocks, or every packet counts, the medium of a session is asked run by run, with packets that carry nothing.
@@ -162,7 +162,7 @@ def channels_of_their_own(loop: Loop) -> bool:
 
 
 def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delivered:
-    """Return what the controller hears in the runs of some seeds.
+    """Return what the controller receives in the runs of some seeds.
 
     Args:
         loop: whose nodes wait for no event.

@@ -79,7 +79,7 @@ class ParameterSweep(ShownResult):
         return difference_interval(a[both], b[both])
 
     def answer(self, quantity: str) -> str:
-        """Return in words which point is best, and from how many others a paired difference tells it."""
+        """Return in words which point is best, and from how many others a paired difference distinguishes it."""
         best, asked_for = self.best(quantity), asked(self.quantities, quantity)
         if best is None:
             return f"{quantity}: no measure states which value is better"

@@ -174,7 +174,7 @@ class CanNode:
     Args:
         buffer: how its frames wait.
         recovers: whether it comes back by itself from bus-off.
-        rates: bit rates that are not the bus's: it hears no frame, and destroys every one while it is error active.
+        rates: bit rates that are not the bus's: it receives no frame, and destroys every one while it is error active.
     """
 
     buffer: BufferKind = "priority"

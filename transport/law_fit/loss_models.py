@@ -26,7 +26,7 @@ STARTS = ((0.25, 0.7, 1.0), (0.2, 0.8, 0.6), (0.4, 0.6, 0.5))
 """Where the search begins, as the likelihood has several tops: loss in the good mode as a share of all, in the bad one, and how
 much longer than they look the stays are."""
 SEARCHED = 1e-3
-"""A mode that loses nothing, or all, is taken where the likelihood is no smaller there, as far as the search tells."""
+"""A mode that loses nothing, or all, is taken where the likelihood is no smaller there, as far as the search shows."""
 
 IMPOSSIBLE = 1e300
 AT_ONCE = 1 << 14

@@ -101,7 +101,7 @@ def _initial(law: object, matrix: Matrix, slots: NDArray[np.int64]) -> Matrix:
 def _measured(
     matrix: Matrix, low: Matrix, high: Matrix, ages: NDArray[np.int64]
 ) -> tuple[Matrix, Matrix, Matrix, NDArray[np.int64], NDArray[np.int64]]:
-    """States (drawn state, measured age), and which drawn state each is; states that nothing tells apart are one."""
+    """States (drawn state, measured age), and which drawn state each is; states that nothing distinguishes are one."""
     same: dict[tuple[bytes, bytes, bytes], int] = {}
     kind = [same.setdefault((matrix[i].tobytes(), low[i].tobytes(), high[i].tobytes()), i) for i in range(len(ages))]
     states = [(i, int(age)) for i, age in enumerate(ages)]

@@ -10,7 +10,7 @@ frame of its sender, so that no code is good for another direction, slot or sess
 frames a second for a year succeeds once with probability 2e-6.
 
 What has no code, a wrong one, or a counter that has been seen is refused and counted. A controller takes another session only
-when it has heard nothing of its own for `SILENCE_S`: who replays an old question cannot take it away from a rig that runs.
+when it has received nothing of its own for `SILENCE_S`: who replays an old question cannot take it away from a rig that runs.
 
 Reference: NIST SP 800-38B (CMAC); AUTOSAR, Specification of Secure Onboard Communication.
 """

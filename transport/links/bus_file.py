@@ -1,4 +1,4 @@
-"""The state of a bus in a file that processes hold in turns; who is stopped or killed with it in hand stops nobody else.
+"""The state of a bus in a file that processes hold in turns; who is stopped or killed with it in hand stops no other process.
 
 The lock goes with its process: who is killed lets go of it. Who is stopped (SIGSTOP, a debugger) does not. After `HELD_S` the
 next one goes on in a file of the next number, ``bus.1`` behind ``bus.0``, with the state that was last written down; only one

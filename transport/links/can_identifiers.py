@@ -121,7 +121,7 @@ def read_range(text: str) -> range:
     return range(first, last + 1)
 
 
-def filters(heard: Sequence[range]) -> list[dict[str, int | bool]]:
+def filters(accepted: Sequence[range]) -> list[dict[str, int | bool]]:
     """Return the fewest acceptance filters (identifier, mask) that let these identifiers through and no other.
 
     >>> [(hex(f["can_id"]), hex(f["can_mask"])) for f in filters(derived(nodes=3).sensors)]
@@ -129,14 +129,14 @@ def filters(heard: Sequence[range]) -> list[dict[str, int | bool]]:
     """
     return [
         {"can_id": first, "can_mask": LARGEST & -size, "extended": False}
-        for own in _merged(heard)
+        for own in _merged(accepted)
         for first, size in _aligned(own)
     ]
 
 
-def _merged(heard: Iterable[range]) -> list[range]:
+def _merged(accepted: Iterable[range]) -> list[range]:
     found: list[range] = []
-    for own in sorted(heard, key=lambda own: own.start):
+    for own in sorted(accepted, key=lambda own: own.start):
         if found and found[-1].stop == own.start:
             found[-1] = range(found[-1].start, own.stop)
         else:

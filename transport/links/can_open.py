@@ -65,9 +65,9 @@ def open_can(uri: str, role: Role) -> CanLink:
     logger.addHandler(_SILENCE)
     logger.propagate = False
     _check_options(uri, interface, options)
-    heard = identifiers.of("controller" if role == "rig" else "rig")
+    accepted = identifiers.of("controller" if role == "rig" else "rig")
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
-    arguments["can_filters"] = filters(heard)
+    arguments["can_filters"] = filters(accepted)
     if interface == "virtual":
         arguments["protocol"] = can.CanProtocol.CAN_FD if flexible else can.CanProtocol.CAN_20
     elif flexible or interface in ("hil", "udp_multicast"):
@@ -85,7 +85,7 @@ def open_can(uri: str, role: Role) -> CanLink:
         _check_interface(uri, channel, flexible)
     with ExitStack() as held:  # until the link holds them
         at, choose = ("can", interface, str(_world(interface)), channel), "another channel or base"
-        claims = [held.enter_context(Claim(uri, role, *at, own[0], choose=choose)) for own in heard]
+        claims = [held.enter_context(Claim(uri, role, *at, own[0], choose=choose)) for own in accepted]
         try:
             link = CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
         except Exception as error:  # a back end without its driver raises anything, a NameError for instance

@@ -81,7 +81,7 @@ _REMEDY: Final = "`hil keys renew DIR` makes new ones"
 def check_certificate(ca: str, cert: str, name: str, now: datetime | None = None) -> datetime:
     """Refuse a certificate that the other end would refuse; return when it ends.
 
-    zenoh tells neither end why: the one that connects tries for ever.
+    zenoh reports to neither end why: the one that connects tries for ever.
 
     Args:
         ca: file of the authority's certificates, PEM.

@@ -48,13 +48,13 @@ def expect(link: Link, packet: bytes) -> None:
 def meet(rig: Link, controller: Link) -> None:
     """Wait until both ends hear each other: a link over a network may take a moment to connect."""
     end = monotonic() + _PATIENCE_S
-    heard = [False, False]
-    while not all(heard) and monotonic() < end:
+    received = [False, False]
+    while not all(received) and monotonic() < end:
         rig.send(sensor(0))
         controller.send(control(0))
-        heard[0] |= rig.receive(0.02) is not None
-        heard[1] |= controller.receive(0.02) is not None
-    assert all(heard), f"{rig.uri}: the two ends do not receive each other's packets within {_PATIENCE_S:g} s"
+        received[0] |= rig.receive(0.02) is not None
+        received[1] |= controller.receive(0.02) is not None
+    assert all(received), f"{rig.uri}: the two ends do not receive each other's packets within {_PATIENCE_S:g} s"
     while rig.receive(0.05) or controller.receive(0.05):
         pass
 
@@ -196,5 +196,5 @@ def check_clause(check: Callable[[Link, Link], None], open_pair: Callable[[], Pa
             raise AssertionError(f"{check.__name__.replace('_', ' ')}: {error}") from error
         except Exception as error:  # a link never raises
             last = extract_tb(error.__traceback__)[-1]
-            told = f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
-            raise AssertionError(f"{check.__name__.replace('_', ' ')}: {told}") from error
+            fault = f"{type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+            raise AssertionError(f"{check.__name__.replace('_', ' ')}: {fault}") from error

@@ -56,7 +56,7 @@ class LinkCounters:
 
 @runtime_checkable
 class Link(Protocol):
-    """One end of a link. The rig hears control packets only, the controller sensor packets only.
+    """One end of a link. The rig receives control packets only, the controller sensor packets only.
 
     Attributes:
         uri: the URI it was opened with.

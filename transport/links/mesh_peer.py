@@ -60,9 +60,9 @@ class Peer:
         if not self.missed:
             self._send(datagram, MSG_NOSIGNAL)
             return
-        told = min(self.missed, 0xFFFF)
-        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], told) + datagram[HEAD_BYTES:], MSG_NOSIGNAL)
-        self.missed -= told
+        reported = min(self.missed, 0xFFFF)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], reported) + datagram[HEAD_BYTES:], MSG_NOSIGNAL)
+        self.missed -= reported
 
     def arrival_ns(self) -> int:
         """Return when the kernel took the datagram that waits here, ns; -1 where nothing says so: it is read at once."""

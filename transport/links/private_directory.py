@@ -140,7 +140,7 @@ class Claim(Closing):
     Args:
         uri: of the link, for messages.
         role: what is claimed there.
-        where: what tells the place from others, any values with a text.
+        where: what distinguishes the place from others, any values with a text.
         choose: what else the user may choose, for the message.
 
     Raises:

@@ -120,7 +120,7 @@ class SharedBus:
         return self._seeing(lambda held: self._seen(held, self._pass(held)))
 
     def restart(self) -> Seen:
-        """Come back from bus-off after 128 times 11 recessive bits from now on, as a driver does that is told to restart."""
+        """Come back from bus-off after 128 times 11 recessive bits from now on, as a driver does on a request to restart."""
 
         def change(held: HeldBus) -> Seen:
             now = self._pass(held)

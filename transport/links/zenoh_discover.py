@@ -32,7 +32,7 @@ def endpoint_of(uri: str) -> str:
 
 
 def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
-    """Return who is there at an endpoint: name, endpoint, who is alive, and what the rig tells (None if nothing).
+    """Return who is there at an endpoint: name, endpoint, who is alive, and what the rig answers (None if nothing).
 
     Args:
         endpoint: of a rig.
@@ -56,17 +56,17 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
                 _, name, role, *_ = str(reply.ok.key_expr).split("/")
                 if role != "hears":
                     alive.setdefault(name, set()).add(role)
-        told: dict[str, Any] = {}
+        infos: dict[str, Any] = {}
         for reply in session.get("hil/*/info", timeout=wait_s):
             if reply.ok is not None:
                 name, info = str(reply.ok.key_expr).split("/")[1], _json_object(reply.ok.payload.to_bytes())
                 if info is not None:
-                    told[name] = info
+                    infos[name] = info
     finally:
         session.close()  # type: ignore[no-untyped-call]
     return [
-        {"name": name, "endpoint": endpoint, "alive": sorted(alive.get(name, ())), "info": told.get(name)}
-        for name in sorted(alive.keys() | told.keys())
+        {"name": name, "endpoint": endpoint, "alive": sorted(alive.get(name, ())), "info": infos.get(name)}
+        for name in sorted(alive.keys() | infos.keys())
     ]
 
 

@@ -49,8 +49,8 @@ class SignalPublisher(Closing):
         except zenoh.ZError as error:
             raise TransportError(f"signals {uri!r}: {error}; is another session there?") from error
         base = f"hil/{name}/signals"
-        told = json.dumps({topic: {"schema": of, "text": text} for topic, (of, text) in schemas.items()})
-        answer = zenoh.handlers.Callback(partial(_answer, f"{base}/schemas", told), indirect=False)
+        described = json.dumps({topic: {"schema": of, "text": text} for topic, (of, text) in schemas.items()})
+        answer = zenoh.handlers.Callback(partial(_answer, f"{base}/schemas", described), indirect=False)
         self._session.declare_queryable(f"{base}/schemas", answer)
         self._publishers = {
             topic: self._session.declare_publisher(

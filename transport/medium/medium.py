@@ -28,7 +28,7 @@ class Medium(Protocol):
     """
 
     def may_send(self, node: int, k: int) -> bool:
-        """Return whether slot k is the node's to send in, as its own clock tells it; asked before `offer`, slots in order."""
+        """Return whether slot k is the node's to send in, by its own clock; asked before `offer`, slots in order."""
         ...
 
     def offer(self, node: int, k: int, packet: object) -> None:

@@ -123,7 +123,7 @@ class NewestSample:
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:
-        """Keep a packet unless a newer one is here; see `Heard.take`."""
+        """Keep a packet unless a newer one is here; see `ControllerInput.take`."""
         node, y, sample_ns = packet.node, packet.y, packet.sample_ns
         if packet.nodes != len(self._lengths) or len(y) != self._lengths[node]:
             return False
@@ -141,7 +141,7 @@ class NewestSample:
         return tuple(known)
 
     def rows(self, k: int) -> Rows:
-        """Return what the control law says; see `Heard.rows`."""
+        """Return what the control law says; see `ControllerInput.rows`."""
         sampled = self._sampled_ns
         oldest = sampled[0] if len(sampled) == 1 else self._oldest()
         if oldest < 0:
@@ -173,7 +173,7 @@ class EverySample:
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:
-        """Keep the samples of a packet; see `Heard.take`."""
+        """Keep the samples of a packet; see `ControllerInput.take`."""
         slot, rest = divmod(packet.sample_ns, self._period_ns)
         if rest or slot < 0 or not self._assembly.fits(packet.node, packet.nodes, packet.samples, len(packet.y)):
             return False
@@ -182,7 +182,7 @@ class EverySample:
         return True
 
     def rows(self, k: int) -> Rows:
-        """Return what the control law says; see `Heard.rows`."""
+        """Return what the control law says; see `ControllerInput.rows`."""
         return self._rows(k, Known(self._assembly.known(k), self._reference(k)))
 
     def aim(self, loop: Loop) -> None:

@@ -1,6 +1,6 @@
 """Changes of a run in real time, on their way from the process that watches it to those that keep time.
 
-They are asked for `LEAD_S` before their slot, so that each has come when its slot begins; nobody waits for any of them.
+They are asked for `LEAD_S` before their slot, so that each has come when its slot begins; no process waits for them.
 """
 
 from __future__ import annotations

@@ -122,12 +122,12 @@ class Recorded:
 
     Args:
         loop: the composed experiment.
-        heard: the control packets that arrived in time.
+        received: the control packets that arrived in time.
         foreign: an external controller answered; ours is not asked.
     """
 
-    def __init__(self, loop: Loop, heard: RecordedAnswers, foreign: bool) -> None:
-        self.node, self._heard, self._foreign = ControlNode(loop), heard, foreign
+    def __init__(self, loop: Loop, received: RecordedAnswers, foreign: bool) -> None:
+        self.node, self._received, self._foreign = ControlNode(loop), received, foreign
         self._period_ns = loop.experiment.period_ns
         self._answer: bytes | None = None
         self.difference: tuple[int, str] | None = None  # of bits
@@ -141,7 +141,7 @@ class Recorded:
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Hand over what was recorded, and compare."""
         k = t_ns // self._period_ns
-        recorded = self._heard.get(k)
+        recorded = self._received.get(k)
         if recorded is None:
             return
         on_frame(recorded)
@@ -173,7 +173,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
         raise HilError(f"{source}: the log holds no slots")
     ended = any(event["kind"] == "outcome" for event in run.events)
     slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
-    heard = RecordedAnswers(run)
+    received = RecordedAnswers(run)
     channels = channels_of(loop)
     compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
     again = Comparison(run, channels, compared, slots)
@@ -182,7 +182,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     rig = Rig(
         loop, int(run.metadata["seed"]), again.sink, channels, lambda: None, recorded_wire(run), woken=began, changing=bool(asked)
     )  # fmt: skip
-    recorded = Recorded(loop, heard, foreign)
+    recorded = Recorded(loop, received, foreign)
     changes = list(composed(loop, asked, certify=False))
     slot = Slot(rig, recorded, stopped=lambda: recorded.far is not None)
     for k in range(slots):
@@ -201,7 +201,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     _, text = min(far or exact, default=(slots, None))
     alike = min(far, default=(slots, ""))[0]
     return Verdict(
-        likeness=likeness, answers=0 if foreign else heard.answered(alike), states=min(alike, slots), difference=text
+        likeness=likeness, answers=0 if foreign else received.answered(alike), states=min(alike, slots), difference=text
     )
 
 
@@ -312,7 +312,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
             found.append((clock.now() - at) / 1e3)
             links[role].send(data)
             while links["controller" if role == "rig" else "rig"].receive(0) is not None:
-                pass  # our own other end hears what we play; keep its queue short
+                pass  # our own other end receives what we play; keep its queue short
             if i % 50 == 0:
                 progress(i, count)
             if len(found) == BATCH:

@@ -75,7 +75,7 @@ class Reached:
         mean, low, high: of the objective, with its 95 % interval; None where it did not run.
         runs: how many seeds, from 0.
         stopped: runs that safety stopped; their objective is no number of the problem.
-        verdict: what the door says of the loop.
+        verdict: the verdict on the loop.
         said: why it did not run, empty where it did.
     """
 
