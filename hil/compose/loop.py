@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import sys
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
@@ -15,12 +14,9 @@ from msgspec.structs import replace
 
 from design.blas_threads import one_blas_thread
 from design.controllers import (
-    AgedFeedback,
     Controller,
-    GainTable,
     HistoryGains,
     IntegralAction,
-    LinearFeedback,
     LoopModel,
     MultiSampleController,
     RunningController,
@@ -29,26 +25,23 @@ from design.controllers import (
 )
 from design.errors import DesignError, FieldError
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem
-from hil.certify.certify import certify as certified
-from hil.certify.certify import digest_of, of_external, own_laws
+from hil.certify.certify import digest_of
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
-from hil.certify.jump_loop import JumpStep, jump_step, process_of, system_of
-from hil.certify.stated_controller import stated_by
-from hil.certify.word_and_deed import OneStep, Watched, one_step
+from hil.certify.jump_loop import process_of, system_of
+from hil.certify.word_and_deed import Watched
 from hil.compose.fit import changed_meanwhile, check_own, check_references
+from hil.compose.judged import judge
 from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
-from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController, Plant
+from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
-from hil.rig.loop_chains import loop_chains
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
@@ -57,13 +50,6 @@ from transport.packets import MAX_OUTPUTS
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
-
-BOUNDED = (
-    "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run, in a "
-    "second instance that shares no memory with the first"
-)
-NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
-DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -258,19 +244,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
             raise ExperimentError(experiment.name, unknown)
     verdict, watched = None, None
     if certify:
-        judged = _judged(experiment, rig, chains, controller, model, running.selection)
-        verdict = certified(judged)
-        watched = _watched(judged, verdict, external)
-        if watched is not None and watched.claimed:
-            drawn, assumed = own_laws(rig)
-            watched = replace(watched, laws=drawn)
-            assumed += (_not_compared(judged.plant),) if watched.plant is None else ()
-            assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
-            verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
-    if verdict is not None and external:
-        verdict = of_external(verdict, experiment.kinds.get("controller", ""))
-    elif verdict is not None:
-        _allow(experiment, verdict)
+        verdict, watched = judge(experiment, rig, chains, controller, model, running.selection, external=external)
     return Loop(
         experiment=experiment,
         model=model,
@@ -309,61 +283,3 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
         model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
         chainless=chainless, **jumps,
     )  # fmt: skip
-
-
-def _not_compared(plant: Plant) -> str:
-    """Return the assumption on a plant that is not compared in its run, with the cause where it is a delay inside."""
-    return DELAYED if isinstance(plant, JumpPlant) and plant.jump_system().Ad else NOT_COMPARED
-
-
-def _step_of(plant: Plant, model: LoopModel) -> OneStep | JumpStep | None:
-    return jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
-
-
-def _watched(judged: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
-    """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
-
-    A controller that states itself, word for word, is not compared with itself.
-    """
-    if not verdict.certified and not external:
-        return None
-    stated = None if external else stated_by(judged)
-    twin = None if stated is None else stated[0]
-    if twin is not None and type(twin) is type(judged.controller):
-        twin = None
-    return Watched(plant=_step_of(judged.plant, judged.motion), controller=twin, claimed=not external)
-
-
-def _judged(
-    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
-) -> CertificationProblem:
-    """Return the loop of the controller that is named, as it is judged."""
-    found = loop_chains(rig, chains, controller, model)
-    sc, ca, chainless = found.sc, found.ca, found.chainless
-    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):
-        sc, ca = without_held(sc), without_held(ca)
-        chainless = chainless or chains.why_none or "the theory of this controller has no packet laws"
-    known = sc is not None and ca is not None
-    return CertificationProblem(
-        plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
-        digest=digest_of(e, controller, model),
-        damped=rig.passivity, faults=len(e.fault),
-        input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        slack=found.slack, shares=found.shares, unmet=found.unmet,
-        chainless="" if known else chainless, neglects=chains.neglects() if known else "",
-        steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
-        pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
-    )  # fmt: skip
-
-
-def _allow(e: Experiment, verdict: Verdict) -> None:
-    """Refuse to run a loop without a certificate, unless the experiment allows it."""
-    if verdict.certified or e.allow_uncertified:
-        return
-    raise ExperimentError(
-        e.name,
-        [
-            f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
-            "set allow_uncertified = true to run it all the same"
-        ],
-    )

@@ -4,36 +4,30 @@ from __future__ import annotations
 
 import hashlib
 import os
-import signal
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
-from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from hil.compose.loop import Loop, compose
-from hil.errors import DiskFull, HilError
+from hil.errors import DiskFull
 from hil.experiment import Experiment
-from hil.log.events import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
-from hil.log.records import Channel
+from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, RecordObservers, Sink, TeeSink, published, together
+from hil.log.write.sinks import PayloadWriter, RecordObservers, TeeSink, published, together
 from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed
-from hil.runtime.changes import Changes
-from hil.runtime.nodes.failures import failure_of
-from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals
+from hil.rig.session_link import link_of, no_link, refuse_undisturbed
 from hil.runtime.real.machine import machine
 from hil.runtime.simulated import rehearsal, simulate_as_logged
-from hil.runtime.time.clock import Clock, monotonic_ns, wall_clock
-from hil.runtime.virtual import run_virtual
+from hil.runtime.time.clock import monotonic_ns, wall_clock
+from hil.session.both_clocks import Onlooker, run_in_real_time, run_in_virtual_time
 from hil.session.finished import Session
 from hil.session.outcome import (
     LEFT,
@@ -51,39 +45,11 @@ from transport.draws import REASONS
 from transport.packets import SELECTIONS
 
 ClockName = Literal["virtual", "real"]
-FORCE_S = 0.5
-"""A run in virtual time whose slot does not end for so long after a signal is ended in it: everything stops within a second."""
-
 CARRIED = (
     "the link, a plug-in of the user's own, carries every frame as it was sent: answers are compared before it, the plant behind "
     "it; with auth=KEY an altered frame is refused"
 )
 """What a certificate assumes of a link that is not ours."""
-
-
-class Onlooker(Protocol):
-    """Who looks at a run while it goes on, changes it, and in virtual time paces it."""
-
-    @property
-    def clock(self) -> Clock | None:
-        """The clock of the run; None for one that does not wait."""
-        ...
-
-    def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
-        """Take the loop that will run, and the table of its log; return what takes its records, by topic."""
-        ...
-
-    @property
-    def changes(self) -> Changes | None:
-        """Asked for what changes in every slot, once: in virtual time as it begins, in real time some slots ahead.
-
-        None for a run that takes no change.
-        """
-        ...
-
-    def end(self) -> None:
-        """The run is to end: wait for nothing more. A signal handler may call it."""
-        ...
 
 
 def simulated_session(loop: Loop, seed: int) -> Session:
@@ -173,9 +139,10 @@ def run_session(
     ):
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = _run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
+            outcome = run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
         else:
-            outcome = _run_real(loop, on, sink, external, wait_s, observers, None if onlooker is None else onlooker.changes)
+            changes = None if onlooker is None else onlooker.changes
+            outcome = run_in_real_time(loop, on, sink, external, wait_s, observers, changes)
         sink.commit()
         outcome |= unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
@@ -222,93 +189,5 @@ def _sha256(descriptor: int) -> str:
     with open(descriptor, "rb", closefd=False) as file:
         file.seek(0)
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def _run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlooker | None) -> dict[str, Any]:
-    stops: list[Callable[[], None]] = [] if onlooker is None else [onlooker.end]
-
-    def stop(number: int) -> None:
-        for each in stops:
-            each()
-
-    log.failed = lambda: stop(0)  # nothing that the log cannot hold is computed
-    out: dict[str, Any] = {}
-
-    def failed(error: BaseException) -> bool:
-        """Keep what a plant, a controller or a law of the user's own raised in mid-run: the log is closed with it."""
-        failure = failure_of(loop, error)
-        if failure is not None:
-            out[failure[0]] = failure[1]
-        return bool(out) or isinstance(error, Forced)
-
-    with StopSignals(stop, FORCE_S) as signals:
-        rig = run_virtual(
-            loop, loop.experiment.seed, sink, stoppable=stops.append, failed=failed,
-            clock=None if onlooker is None else onlooker.clock, changes=None if onlooker is None else onlooker.changes,
-        )  # fmt: skip
-    end_ns = max(rig.k, 0) * loop.experiment.period_ns
-    for kind, text in out.items():
-        sink.event(end_ns, kind, text, severity="error")
-    out = {kind.replace(" ", "_"): text for kind, text in out.items()}
-    if signals.seen is not None:
-        out |= _interrupted(signals.seen, sink, end_ns)
-    sink.event(end_ns, "outcome", "rig ended", **rig.outcome())
-    return out
-
-
-def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
-    name = signal.Signals(number).name
-    sink.event(t_ns, "interrupted", f"stopped by {name}", severity="warning")
-    return {"interrupted": name}
-
-
-def _run_real(
-    loop: Loop, link: SessionLink, sink: McapSink, external: bool, wait_s: float | None,
-    taps: Mapping[str, PayloadWriter] | None, changes: Changes | None,
-) -> dict[str, Any]:
-    from hil.runtime.real.supervisor import run_real
-
-    try:
-        real = run_real(
-            loop, loop.experiment.seed, link, sink, external=external, hello_timeout_s=wait_s, taps=taps, changes=changes
-        )
-    except HilError:  # nothing ran: nothing is left behind
-        sink.discard()
-        raise
-    except OSError as error:
-        if error.errno not in (EMFILE, ENFILE) or sink.messages:
-            raise
-        sink.discard()
-        raise HilError("no free file descriptor to start rig and controller; raise the limit: ulimit -n 64") from error
-    sink.drop(real.pump.dropped)
-    out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
-    if real.controller_failed is not None:
-        sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller_failed, severity="error")
-    elif real.controller_lost:
-        out["controller_lost"] = real.controller_lost
-        sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
-    counts: dict[str, Any] = dict(real.controller_counts)
-    if counts:
-        sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
-    if real.controller_departed is not None:
-        k, by = real.controller_departed
-        message = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
-        sink.event(real.pump.last_ns, WITHDRAWN, message, tick=k, severity="error")
-    unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)
-    if unwanted:
-        out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"
-    if real.interrupted is not None:
-        out |= _interrupted(real.interrupted, sink, real.pump.last_ns)
-    elif real.rig_silent is not None:
-        out["rig_lost"] = real.rig_silent
-        sink.event(real.pump.last_ns, "rig lost", real.rig_silent, severity="error")
-    elif real.rig_status not in (ENDED, FAILED):
-        out["rig_lost"] = (
-            f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
-            if real.rig_status is not None and real.rig_status < 0
-            else f"the rig process ended with status {real.rig_status}"
-        )
-        sink.event(real.pump.last_ns, "rig lost", out["rig_lost"], severity="error")
-    return out
 
 

@@ -11,7 +11,8 @@ import pytest
 
 from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import JumpStep
-from hil.compose.loop import DELAYED, NOT_COMPARED, compose
+from hil.compose.judged import DELAYED, NOT_COMPARED
+from hil.compose.loop import compose
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.session import simulated_session
 from plants import SwitchedExample

@@ -1,0 +1,110 @@
+"""What is claimed of a composed loop, and what its run is compared with."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from msgspec.structs import replace
+
+from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel
+from design.verdict import Verdict
+from hil.certify.certifier import CertificationProblem
+from hil.certify.certify import certify, digest_of, of_external, own_laws
+from hil.certify.jump_loop import JumpStep, jump_step
+from hil.certify.stated_controller import stated_by
+from hil.certify.word_and_deed import OneStep, Watched, one_step
+from hil.errors import ExperimentError
+from hil.experiment import Experiment
+from hil.plugins.protocols import JumpPlant, Plant
+from hil.rig.delay_chains import Chains, without_held
+from hil.rig.loop_chains import loop_chains
+from hil.rig.spec import RigSpec
+
+BOUNDED = (
+    "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run, in a "
+    "second instance that shares no memory with the first"
+)
+NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
+DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
+
+
+def judge(
+    experiment: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, *,
+    external: bool,
+) -> tuple[Verdict, Watched | None]:  # fmt: skip
+    """Return the verdict on a loop, and what its run is compared with; None where no claim rests on it.
+
+    Raises:
+        ExperimentError: the loop has no certificate, and ``allow_uncertified`` is not set.
+    """
+    problem = _problem(experiment, rig, chains, controller, model, selection)
+    verdict = certify(problem)
+    watched = _watched(problem, verdict, external)
+    if watched is not None and watched.claimed:
+        drawn, assumed = own_laws(rig)
+        watched = replace(watched, laws=drawn)
+        assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
+        assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
+        verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
+    if external:
+        return of_external(verdict, experiment.kinds.get("controller", "")), watched
+    _allow(experiment, verdict)
+    return verdict, watched
+
+
+def _not_compared(plant: Plant) -> str:
+    """Return the assumption on a plant that is not compared in its run, with the cause where it is a delay inside."""
+    return DELAYED if isinstance(plant, JumpPlant) and plant.jump_system().Ad else NOT_COMPARED
+
+
+def _step_of(plant: Plant, model: LoopModel) -> OneStep | JumpStep | None:
+    return jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
+
+
+def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
+    """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
+
+    A controller that states itself, word for word, is not compared with itself.
+    """
+    if not verdict.certified and not external:
+        return None
+    stated = None if external else stated_by(problem)
+    twin = None if stated is None else stated[0]
+    if twin is not None and type(twin) is type(problem.controller):
+        twin = None
+    return Watched(plant=_step_of(problem.plant, problem.motion), controller=twin, claimed=not external)
+
+
+def _problem(
+    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
+) -> CertificationProblem:
+    """Return the loop of the controller that is named, as it is judged."""
+    found = loop_chains(rig, chains, controller, model)
+    sc, ca, chainless = found.sc, found.ca, found.chainless
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):
+        sc, ca = without_held(sc), without_held(ca)
+        chainless = chainless or chains.why_none or "the theory of this controller has no packet laws"
+    known = sc is not None and ca is not None
+    return CertificationProblem(
+        plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
+        digest=digest_of(e, controller, model),
+        damped=rig.passivity, faults=len(e.fault),
+        input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
+        slack=found.slack, shares=found.shares, unmet=found.unmet,
+        chainless="" if known else chainless, neglects=chains.neglects() if known else "",
+        steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
+        pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
+    )  # fmt: skip
+
+
+def _allow(e: Experiment, verdict: Verdict) -> None:
+    """Refuse to run a loop without a certificate, unless the experiment allows it."""
+    if verdict.certified or e.allow_uncertified:
+        return
+    raise ExperimentError(
+        e.name,
+        [
+            f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
+            "set allow_uncertified = true to run it all the same"
+        ],
+    )
