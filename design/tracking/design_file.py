@@ -6,6 +6,8 @@ Solved designs, kept between runs: the same problem is solved once per machine.
 
 Only the gains are taken from the cache. Their certificate is computed again, so that a damaged or forged entry can at
 worst cost the time of solving.
+
+Whether the gains of a file are for a loop is compared number by number, with the problem that stands beside them.
 """
 
 from __future__ import annotations

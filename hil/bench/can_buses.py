@@ -25,7 +25,7 @@ import numpy as np
 from hil.bench.pair import Pair, open_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.runtime.real.child import python_module
-from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.real.machine import die_with_parent, go_real_time
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.python_can import can
 

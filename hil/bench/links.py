@@ -23,7 +23,7 @@ from hil.bench import plain_socket, plain_zenoh
 from hil.bench.pair import Pair, open_pair
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.child import python_module
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time
+from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 from transport.links.traits import LinkTraits, scheme_of, traits_of, without_options

@@ -26,7 +26,7 @@ from hil.log.topics.topic import Logged
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.runtime.real.child import python_module
-from hil.runtime.real.scheduling import die_with_parent
+from hil.runtime.real.machine import die_with_parent
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock
 from transport import ControlPacket, Link, SensorPacket, TransportError, decode, encode_control, encode_sensor, open_link
 

@@ -1,6 +1,8 @@
 """The protocol of certifiers: the loop that a certifier is given, and what a certifier answers.
 
 What a plant and a controller say of themselves, asked once: who judges and who tests leans on the same answer.
+
+Why no certificate covers a controller or a plant is said here: which part, what it lacks, and what would be judged.
 """
 
 from __future__ import annotations

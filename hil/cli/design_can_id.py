@@ -44,7 +44,7 @@ def show_can_id(subject: str, path: Path | None, force: bool, as_json: bool) -> 
             judged.append(_judge(place))
     free, best = recommended(judged, free=True), recommended(judged, free=False)
     if path is not None:
-        from hil.pages.can_priority import can_priority_page
+        from hil.pages.designs import can_priority_page
 
         write_output(path, can_priority_page(experiment.name, judged, free or best), replace=force)
     if as_json:

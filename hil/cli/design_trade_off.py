@@ -44,7 +44,7 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     if path is not None:
-        from hil.pages.norm_trade_off import norm_trade_off_page
+        from hil.pages.designs import norm_trade_off_page
 
         write_output(path, norm_trade_off_page(target.plant, found), replace=force)
     if as_json:

@@ -2,6 +2,8 @@
 
 A run is a function of its experiment and of its list of changes. A change is a slot, the path of a field, and a value. The plant,
 its nodes, its limits and its link stay what they are, so that the state of the run carries over.
+
+Which changes a run in real time takes is written here alone: page, script and guide ask it.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from hil.errors import HilError
 from hil.live.side import Side
 from hil.plugins.user_plugins import words
 from hil.runtime.changes import END, Change
-from hil.runtime.real.scheduling import die_with_parent
+from hil.runtime.real.machine import die_with_parent
 
 
 class Composer:

@@ -237,3 +237,9 @@ def safety_of(run: Run) -> str | None:
 def _ticks(run: Run) -> int:
     ticks = run.arrays[APPLIED]["tick"]  # a slot that was cut off by a signal was measured, and nothing was applied
     return int(ticks[-1]) + 1 if len(ticks) else 0
+
+
+def page_summary(view: RunView) -> dict[str, Any]:
+    """Return the summary of a run, with what its log says of itself and of problems."""
+    said: dict[str, Any] = {name: view.run.summary[name] for name in ("problems", "log") if name in view.run.summary}
+    return {**summarise(view), **said}

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from hil.measure.signals import with_unit
+from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, Table, Tile
 from hil.pages.html.page import render_page
-from hil.pages.run.page_summary import page_summary
 from hil.pages.run.run_page import verdicts
 from hil.pages.run.time_panels import output_panels
 

@@ -19,7 +19,7 @@ from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import PayloadWriter, Record
 from hil.runtime.real.child import python_module
-from hil.runtime.real.scheduling import die_with_parent, go_real_time
+from hil.runtime.real.machine import die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.virtual import run_virtual
 

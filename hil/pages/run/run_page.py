@@ -7,11 +7,11 @@ from typing import Any
 
 from hil.log.run import Run
 from hil.measure.measure import Quantity, quantities_of, run_measures
+from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, State, Tile
 from hil.pages.html.numbers import text_of
 from hil.pages.html.page import render_page
-from hil.pages.run.page_summary import page_summary
 from hil.pages.run.sections import sections_of
 
 

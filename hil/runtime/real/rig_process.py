@@ -27,7 +27,7 @@ from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
-from hil.runtime.real.scheduling import cpu_for, die_with_parent, go_real_time, leave_real_time
+from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns

@@ -34,7 +34,7 @@ from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.change_line import Ahead, Dump, Lines
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
-from hil.runtime.real.scheduling import go_ahead_of_others, leave_to_loop
+from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
 

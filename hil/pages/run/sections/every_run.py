@@ -15,9 +15,9 @@ import json
 
 from hil.log.events import plain
 from hil.measure.network_paths import network_paths
+from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Cell, Figure, Section, Table, Text
-from hil.pages.run.page_summary import page_summary
 from hil.pages.run.statistics import network_blocks, network_table, timing_blocks
 from hil.pages.run.time_panels import (
     delay_panels,

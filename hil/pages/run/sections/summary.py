@@ -8,10 +8,10 @@ from typing import Any
 from hil.log.run import Run
 from hil.measure.measure import Quantity, run_measures
 from hil.measure.signals import with_unit
+from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Cell, Lines, Section, Table
 from hil.pages.html.numbers import text_of
-from hil.pages.run.page_summary import page_summary
 
 MOST_EVENTS = 300
 _UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}
