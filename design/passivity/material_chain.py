@@ -12,6 +12,8 @@ References: Chapter 6, (6.3), Remark 6.1; Santalo, Integral Geometry and Geometr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -79,6 +81,51 @@ def material_chain(pattern: Pattern, materials: int, step_m: float) -> Array:
             "step_m", f"{step_m!r} m in a sample leaves a material with probability {leaving.max():.6g}, expected 0 to 1"
         )
     return np.asarray(rates + np.diag(1.0 - leaving))
+
+
+def paced_chain(
+    pattern: Pattern, materials: int, steps_m: Sequence[float], stays: Sequence[Sequence[float]]
+) -> tuple[Array, list[int]]:
+    r"""Return the chain of (speed, how long it has lasted, material) of a hand whose speed is a semi-Markov process.
+
+    In a sample at speed s the material follows Lambda(nu_s T). A stay ends after n samples with the hazard of its law; every
+    other speed is as likely to follow.
+
+    Args:
+        pattern: the cell.
+        materials: N.
+        steps_m: nu_s T of each of S speeds, in m; two or more.
+        stays: per speed the probabilities of a stay of 1, 2, ... samples, each summing to 1.
+
+    Returns:
+        The row-stochastic matrix (M, M), and the material of each of the M modes.
+
+    Raises:
+        ValueError: as of `material_chain`; or the stays are no probability laws.
+
+    Reference: Chapter 6, 6.6.
+    """
+    for i, law in enumerate(stays):
+        if not len(law) or min(law) < 0.0 or abs(sum(law) - 1.0) > 1e-9 or not law[-1] > 0.0:
+            raise FieldError(f"stays[{i}]", f"{list(law)}, expected probabilities that sum to 1, the last one above 0")
+    if len(steps_m) != len(stays) or len(stays) < 2:
+        raise FieldError("stays", f"{len(stays)} laws and {len(steps_m)} speeds, expected as many of each, at least 2")
+    first = np.cumsum([0, *map(len, stays)])
+    speed = np.zeros((first[-1], first[-1]))
+    step = []
+    for s, law in enumerate(stays):
+        for n, chance in enumerate(law):
+            left, mode = sum(law[n:]), int(first[s]) + n
+            ends = chance / left if left > 0.0 and n + 1 < len(law) else 1.0
+            if ends < 1.0:
+                speed[mode, mode + 1] = 1.0 - ends
+            for other in range(len(stays)):
+                if other != s:
+                    speed[mode, first[other]] = ends / (len(stays) - 1)
+            step.append(s)
+    law_at = [material_chain(pattern, materials, nu) for nu in steps_m]
+    whole = np.block([[speed[i, j] * law_at[step[i]] for j in range(len(step))] for i in range(len(step))])
+    return whole, [m for _ in step for m in range(materials)]
 
 
 def true_chain(pattern: Pattern, materials: int, step_m: float, *, directions: int = 64, points: int = 200) -> Array:

@@ -54,6 +54,31 @@ class Push:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Pace:
+    """A speed of the hand along the wall, and how long it lasts: uniformly between two times, so that speed is semi-Markov.
+
+    Args:
+        speed_m_s: speed in m/s, at least 0.
+        least_s, most_s: shortest and longest stay at this speed in s, above 0.
+
+    Raises:
+        FieldError: where a value is out of range.
+
+    Reference: Chapter 6, 6.6: a sliding speed that varies as a semi-Markov process.
+    """
+
+    speed_m_s: float
+    least_s: float
+    most_s: float
+
+    def __post_init__(self) -> None:
+        require_not_negative("speed_m_s", self.speed_m_s)
+        require_step("least_s", self.least_s)
+        if not (math.isfinite(self.most_s) and self.most_s >= self.least_s):
+            raise FieldError("most_s", f"{self.most_s!r}, expected a finite number, at least least_s ({self.least_s!r})")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Slide:
     """The way of the hand along the wall, in the plane of y and z.
 
@@ -68,6 +93,8 @@ class Slide:
         width_m, height_m: extent of a Lissajous figure in m.
         y_hz, z_hz: its frequencies along y and z in Hz.
         turn_s: time between two turns in s (``wander``).
+        paces: speeds that follow each other at random, the first one first, each other one as likely as the rest (``straight``);
+            they stand for ``speed_m_s``.
 
     Raises:
         FieldError: where a value is out of range.
@@ -83,8 +110,11 @@ class Slide:
     y_hz: float = 0.2
     z_hz: float = 0.3
     turn_s: float = 0.05
+    paces: tuple[Pace, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.paces and (len(self.paces) < 2 or self.way != "straight" or self.speed_m_s):
+            raise FieldError("paces", f"{len(self.paces)}, expected two or more, with way = \"straight\" and without speed_m_s")
         if self.way not in get_args(Way):
             raise FieldError("way", f"{self.way!r}, expected one of {', '.join(get_args(Way))}")
         for name, value in (("y_m", self.y_m), ("z_m", self.z_m), ("heading_rad", self.heading_rad)):
@@ -196,13 +226,16 @@ class PathRun:
 class SlideRun:
     """The place along the wall over time."""
 
-    __slots__ = ("_direction", "_extent", "_rng", "_since_ns", "_slide", "_start", "at", "next_ns")
+    __slots__ = ("_direction", "_extent", "_pace", "_rng", "_since_ns", "_slide", "_speed_m_s", "_start", "at", "next_ns")
 
     def __init__(self, slide: Slide, rng: np.random.Generator) -> None:
         self._slide, self._rng, self._since_ns = slide, rng, 0
         self._start = (slide.y_m, slide.z_m)
         self._extent = (0.5 * slide.width_m, 0.5 * slide.height_m, slide.y_hz, slide.z_hz)
         self._direction, self.next_ns = _direction(slide.heading_rad / TURN), NEVER_NS
+        self._pace, self._speed_m_s = 0, slide.speed_m_s
+        if slide.paces:
+            self.next_ns, self._speed_m_s = self._stay_ns(), slide.paces[0].speed_m_s
         if slide.way == "wander":
             self._direction, self.next_ns = self._turned(), round(slide.turn_s * NS_PER_S)
         figures: dict[Way, Callable[[int], tuple[float, float]]] = {
@@ -213,14 +246,24 @@ class SlideRun:
     def _turned(self) -> tuple[float, float]:
         return _direction(float(self._rng.random()))
 
+    def _stay_ns(self) -> int:
+        pace = self._slide.paces[self._pace]
+        return max(round((pace.least_s + (pace.most_s - pace.least_s) * float(self._rng.random())) * NS_PER_S), 1)
+
     def fire(self) -> None:
-        """Turn."""
+        """Turn, or go on at another pace."""
         self._start, self._since_ns = self.at(self.next_ns), self.next_ns
+        paces = self._slide.paces
+        if paces:
+            self._pace = (self._pace + 1 + int(float(self._rng.random()) * (len(paces) - 1))) % len(paces)
+            self._speed_m_s = paces[self._pace].speed_m_s
+            self.next_ns += self._stay_ns()
+            return
         self._direction = self._turned()
         self.next_ns += max(round(self._slide.turn_s * NS_PER_S), 1)
 
     def _line(self, now_ns: int) -> tuple[float, float]:
-        way = self._slide.speed_m_s * ((now_ns - self._since_ns) / NS_PER_S)
+        way = self._speed_m_s * ((now_ns - self._since_ns) / NS_PER_S)
         return self._start[0] + way * self._direction[0], self._start[1] + way * self._direction[1]
 
     def _figure(self, now_ns: int) -> tuple[float, float]:

@@ -58,7 +58,7 @@ def test_equalised_delays_are_one_delay_whatever_the_network_does() -> None:
     assert not np.array_equal(plain["position"], constant["position"])
 
 
-@pytest.mark.parametrize("name", ["omni-push", "omni-slide", "omni-1khz", "omni-materials", "omni-wifi"])
+@pytest.mark.parametrize("name", ["omni-push", "omni-slide", "omni-1khz", "omni-materials", "omni-paces", "omni-wifi"])
 def test_the_shipped_walls_are_certified_and_give_no_energy_away(name: str) -> None:
     e = load_experiment(name, duration="1 s" if "khz" in name else "8 s")
     loop = compose(e)

@@ -7,7 +7,7 @@ import pytest
 
 from plants.omni import Omni
 from plants.parts.check import check_plant
-from plants.parts.hand import Hand, Push, Slide
+from plants.parts.hand import Hand, Pace, Push, Slide
 
 
 def test_a_torque_step_has_its_closed_form():
@@ -32,6 +32,8 @@ HELD = Hand(
     slide=Slide(way="wander", speed_m_s=0.1, turn_s=0.07),
 )  # fmt: skip
 
+PACES = (Pace(speed_m_s=0.2, least_s=0.1, most_s=0.3), Pace(speed_m_s=0.05, least_s=0.2, most_s=0.2))
+
 
 @pytest.mark.parametrize(
     "omni",
@@ -40,9 +42,10 @@ HELD = Hand(
         Omni(encoder_noise_rad=1e-3),
         Omni(hand=Hand()),
         Omni(hand=HELD),
+        Omni(hand=Hand(slide=Slide(heading_rad=0.3, paces=PACES))),
         Omni(hand=Hand(slide=Slide(way="lissajous")), coulomb_n=0.002, lever_m=0.135, encoder_step_m=1e-5, force_limit_n=0.005),
     ],
-    ids=["bare", "noisy", "free", "held", "imperfect"],
+    ids=["bare", "noisy", "free", "held", "paced", "imperfect"],
 )
 def test_every_form_keeps_to_the_contract(omni):
     check_plant(omni)
@@ -126,3 +129,27 @@ def test_encoder_limit_and_friction_do_what_they_say():
 def test_a_hand_out_of_range_is_refused_by_name(make, message):
     with pytest.raises(ValueError, match=f"^{message}"):
         make()
+
+
+def test_a_hand_that_changes_its_pace_stays_as_long_as_it_is_told():
+    """Stays of 0.1 to 0.3 s at 0.2 m/s and of 0.2 s at 0.05 m/s: the mean speed follows, within 5 standard errors."""
+    run = Omni(hand=Hand(slide=Slide(paces=PACES))).start(np.random.default_rng(1))
+    y = [0.0]
+    for _ in range(40_000):
+        run.advance(10_000_000, (0.0,))
+        y.append(run.state[2])
+    speeds = np.diff(y) / 0.01
+    slow, fast = np.isclose(speeds, 0.05), np.isclose(speeds, 0.2)
+    assert (slow | fast).mean() > 0.85 and speeds.min() > 0.05 - 1e-9 and speeds.max() < 0.2 + 1e-9
+    change = np.flatnonzero(np.diff(fast.astype(int)))
+    stays = np.diff(change) * 0.01
+    assert stays.max() < 0.33 and stays.min() > 0.07
+    assert y[-1] / 400.0 == pytest.approx((0.2 * 0.2 + 0.05 * 0.2) / 0.4, abs=5 * 0.15 * 0.058 / 0.4 / np.sqrt(1000))
+
+
+def test_paces_are_checked_by_name():
+    for change in ({"paces": PACES[:1]}, {"paces": PACES, "way": "wander"}, {"paces": PACES, "speed_m_s": 0.1}):
+        with pytest.raises(ValueError, match=r"^paces: "):
+            Slide(**change)
+    with pytest.raises(ValueError, match=r"^most_s: 0\.1, expected a finite number, at least least_s"):
+        Pace(speed_m_s=0.1, least_s=0.2, most_s=0.1)

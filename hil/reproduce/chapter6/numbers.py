@@ -25,6 +25,7 @@ from design.passivity.transparency import distortion, distortion_bound
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, Stage
 from hil.reproduce.chapter6.equation_rows import EQUATIONS, WALL, equations, wall
+from hil.reproduce.chapter6.material_rows import LATER, OWN, materials
 from hil.reproduce.chapter6.statement_rows import IDENTIFICATION, SLIDE, STATEMENTS, identification, slide, statements
 from hil.reproduce.statements import Statement, above, below, exactly, says
 from plants.omni import Omni
@@ -205,6 +206,7 @@ CHAPTER = Chapter(
         Stage("mixed wall", lambda report: wall(), 2, WALL),
         Stage("passivity", lambda report: passivity(published_device()), 1, PASSIVITY),
         Stage("transparency", lambda report: transparency(published_device()), 1, TRANSPARENCY),
+        Stage("materials", lambda report: materials(published_device()), 2, (*OWN, *LATER)),
         Stage("push", lambda report: push(published_device()), 1, PUSH),
         Stage("slide", lambda report: slide(), 1, SLIDE),
     ),

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
-from design.passivity.material_chain import boundaries, material_chain, memory_statistic, true_chain
+from design.passivity.material_chain import boundaries, material_chain, memory_statistic, paced_chain, true_chain
 from tests.design.passivity.published import LAMBDA
 
 
@@ -73,3 +73,33 @@ def test_too_long_a_step_and_a_missing_material_are_refused():
         material_chain(square_rows(0.02), 4, 0.001)
     with pytest.raises(ValueError, match=r"patches\[2\]\.material: 2, but the wall has 2"):
         material_chain(square_rows(0.02), 2, 0.001)
+
+
+def test_a_speed_that_varies_as_a_semi_markov_process_has_the_stays_that_it_was_given():
+    """The share of time at a speed is its mean stay; at one speed for every pace the material is the chain of that speed."""
+    pattern, step = square_rows(0.02), 0.003
+    stays = [[0.0, 0.5, 0.5], [1.0], [0.2, 0.0, 0.0, 0.8]]
+    chain, material = paced_chain(pattern, 3, [step, step, step], stays)
+    assert chain.shape == (24, 24) and chain.sum(axis=1) == pytest.approx(np.ones(24))
+    law = np.linalg.matrix_power(chain, 4096)[0]
+    lengths, means = [3, 1, 4], [2.5, 1.0, 3.4]
+    at = np.repeat(range(3), [3 * n for n in lengths])
+    assert [law[at == s].sum() for s in range(3)] == pytest.approx(np.array(means) / sum(means), rel=1e-9)
+    merged = np.array([[chain[i, np.array(material) == j].sum() for j in range(3)] for i in range(24)])
+    assert merged == pytest.approx(material_chain(pattern, 3, step)[material], abs=1e-12)
+    two, _ = paced_chain(pattern, 3, [step, 0.0], [[0.0, 1.0], [1.0]])
+    assert two[0, 3] == material_chain(pattern, 3, step)[0, 0] and two[3, 6:].sum() == pytest.approx(1.0)
+    assert two[6, :3].tolist() == [1.0, 0.0, 0.0], "at rest the material stays"
+
+
+@pytest.mark.parametrize(
+    ("steps", "stays", "message"),
+    [
+        ([0.1, 0.1], [[1.0], [0.5]], r"stays\[1\]: \[0.5\], expected probabilities"),
+        ([0.1], [[1.0]], "stays: 1 laws and 1 speeds"),
+        ([0.1, 0.1], [[1.0]], "stays: 1 laws and 2 speeds"),
+    ],
+)
+def test_stays_that_are_no_laws_are_refused(steps, stays, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        paced_chain(square_rows(0.02), 3, steps, stays)

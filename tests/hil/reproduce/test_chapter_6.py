@@ -17,6 +17,7 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HeldDevice
 from design.passivity.transparency import distortion
 from hil.reproduce import chapters, reproduce
+from hil.reproduce.chapter6.material_rows import LATER, OWN, materials
 from hil.reproduce.chapter6.numbers import PASSIVITY, PUSH, passivity, push
 from hil.reproduce.chapter6.statement_rows import STATEMENTS, statements
 from hil.reproduce.pages import chapter_page
@@ -69,6 +70,15 @@ def test_statements_with_the_number_that_decides_each():
     assert {v for item, v in verdicts.items() if item not in ("(6.7)", "6.4")} == {"reproduced"}
     assert rows["(6.7)"].witness[0].value == pytest.approx(0.478, abs=0.01)
     assert 0.5 < rows["(6.15), (6.16)"].checks[0].value < 1.0  # not by far: the bound is a close one
+
+
+def test_couplers_per_material_with_the_number_that_decides_each():
+    found = judge((*OWN, *LATER), materials(DEVICE))
+    assert_every_number_decides(found)
+    verdicts = {r.item: r.verdict for r in found}
+    false = {item for item, verdict in verdicts.items() if verdict == "claim false"}
+    assert {item.partition(":")[0] for item in false} == {"6.4", "(6.15)"} and len(false) == 2
+    assert {v for item, v in verdicts.items() if item not in false} == {"reproduced"}
 
 
 def test_the_printed_statements_and_their_counterexamples():

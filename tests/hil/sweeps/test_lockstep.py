@@ -31,7 +31,8 @@ SERVED = {
 }  # fmt: skip
 ALONE = {
     "dc-motor-busy-can", "dc-motor-ours-busy-can", "multisensor-event", "omni-1khz", "omni-identify",
-    "omni-materials", "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust", "smjls-robust-published",
+    "omni-materials", "omni-paces", "omni-push", "omni-slide", "omni-theorem61", "omni-wifi", "smjls-robust",
+    "smjls-robust-published",
     "smjls-robust-reference", "vtol-delayed", "vtol-delayed-published", "vtol-fault", "vtol-fault-partitioned",
     "vtol-fault-published", "vtol-sensor-fault",
 }  # fmt: skip
