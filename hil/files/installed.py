@@ -10,18 +10,16 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import reduce
 from importlib import import_module
 from importlib.machinery import PathFinder
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 PAGES: Final = ("METADATA", "PKG-INFO")
 """Where a wheel, and where an egg, states its name and version."""
 
 
-@dataclass(frozen=True, slots=True)
-class Point:
+class Point(NamedTuple):
     """One entry point of a package: ``name = module:attribute`` below ``[group]``."""
 
     group: str
@@ -47,8 +45,7 @@ class Package(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Folder:
+class Folder(NamedTuple):
     """A package by its folder ``NAME-VERSION.dist-info`` or ``NAME.egg-info``."""
 
     path: str
@@ -56,8 +53,8 @@ class Folder:
     def read_text(self, filename: str, /) -> str | None:
         """Return a file of the folder, None where it has none."""
         try:
-            with open(os.path.join(self.path, filename), encoding="utf-8", errors="replace") as file:
-                return file.read()
+            with open(os.path.join(self.path, filename), "rb", buffering=0) as file:  # every package's, at each start
+                return file.readall().decode(errors="replace")
         except OSError:
             return None
 
