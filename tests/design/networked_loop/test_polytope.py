@@ -6,6 +6,7 @@ import pytest
 from design.jump_linear.second_moment import mean_square_radius
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.polytope import quadratic_growth
+from plants import DCMotor
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF
 
 ONE = [[1.0]]
@@ -54,6 +55,29 @@ def test_no_order_of_plants_grows_faster_than_the_family_and_wide_sets_have_none
         assert found is not None and worst <= found.factor * (1.0 + 1e-9)
         grown[width] = found.factor
     assert grown[0.1] < 1.0 < grown[0.6]
+
+
+def test_441_motors_grow_no_faster_than_the_family_constant_or_in_any_order():
+    """Gain within 10 % and pole within 0.5 1/s: a family found at 4 corners, judged on 13 x 13 plants, holds on 21 x 21."""
+
+    def motors(points, gain=0.1, pole=0.5):
+        nominal, found = DCMotor(), []
+        for g in np.linspace(1.0 - gain, 1.0 + gain, points):
+            for p in np.linspace(nominal.pole - pole, nominal.pole + pole, points):
+                discrete = DCMotor(gain=float(g) * nominal.gain, pole=float(p)).model().discretise(0.05)
+                found.append(np.hstack([discrete.A, discrete.B]))
+        return np.array(found)
+
+    (nominal,) = motors(1, 0.0, 0.0)
+    own = loop_structure(nominal[:, :2], nominal[:, 2:], MOTOR[2], LAMBDA, PI, "generated")
+    found = quadratic_growth(own, PRINTED_HINF, motors(13) - nominal, motors(2) - nominal)
+    assert found is not None and found.factor < 1.0
+    loops = [loop_structure(m[:, :2], m[:, 2:], MOTOR[2], LAMBDA, PI, "generated") for m in motors(21)]
+    assert len(loops) == 441
+    grown = [mean_square_radius(loop.matrices(PRINTED_HINF), loop.transition) for loop in loops]
+    assert 0.9 < max(grown) <= found.factor
+    rng = np.random.default_rng(3)
+    assert max(words(loops, PRINTED_HINF, rng, int(rng.integers(2, 6))) for _ in range(40)) <= found.factor
 
 
 def test_random_loops_are_never_promised_less_than_they_grow():

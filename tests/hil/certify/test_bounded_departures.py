@@ -13,10 +13,11 @@ from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import Loop, compose
 from hil.runtime.simulated import simulate
-from plants import DCMotor, Departure
+from plants import DCMotor, Departure, LinearPlant
 
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
 AGES = {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]], [[[-0.04, -0.006]]]]}
+AT_ONCE = {"kind": "constant", "age": 0}
 BAND = {"kind": "dead-band", "threshold": 0.05}
 LOSSY_BUS = {"kind": "round-robin", "nodes": ["angle", "speed"], "loss": 0.1}
 DRY = {"coulomb_v": 0.0017, "static_v": 0.0026}
@@ -70,6 +71,29 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
 def test_what_has_no_bound_stays_undecided(name: str, changes: dict[str, Any]) -> None:
     loop = composed(name, **changes)
     assert loop.verdict is not None and loop.verdict.state == "undecided"
+
+
+@pytest.mark.parametrize(("kind", "a", "gain"), [("error", 1.0, -0.05), ("magnitude", 1.25, -1.25)])
+def test_a_stable_loop_goes_far_from_rest_under_a_trigger_that_looks_at_no_sample_sent(kind: str, a: float, gain: float) -> None:
+    """Why both stay undecided: x(k+1) = a x + u drifts by less than the threshold a slot, for ever, or jumps to 0, where silence
+    begins, and grows by 1.25 in every second slot, until 24 bits of a command in a frame show. A dead band keeps its bound.
+    """
+    rate = float(np.log(a))
+    plant = LinearPlant(A=((rate,),), B=((rate / (a - 1.0) if rate else 1.0,),), C=((1.0,),), initial_state=(1.0,))
+    reached = {}
+    for trigger in (kind, "dead-band"):
+        node = {"outputs": ["y1"], "law": AT_ONCE, "trigger": {"kind": trigger, "threshold": 0.2}}
+        loop = compose(load_experiment(
+            "dc-motor-h2", plant=plant, reference=[], disturbance=[], allow_uncertified=True, period="1 s", duration=200,
+            controller={"kind": "local", "gain": [[gain]]},
+            network={"sc": {"law": AT_ONCE}, "ca": {"law": AT_ONCE}, "nodes": {"all": node}},
+            limits={"input": [1e12]},
+        ))  # fmt: skip
+        assert loop.verdict is not None
+        run = np.abs(simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"])
+        reached[trigger] = loop.verdict.state, float(run.max()), float(run[-20:].max())
+    assert reached[kind][0] == "undecided" and reached[kind][1] > (5.0 if kind == "error" else 1e4)
+    assert reached["dead-band"][0] == "certified" and reached["dead-band"][2] < 0.5
 
 
 class Flatterer(DCMotor):

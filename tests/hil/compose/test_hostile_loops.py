@@ -1,7 +1,7 @@
 """No false ``certified``: random loops of every kind, each judged beside exact second moments that share no code with the door.
 
 Covered: tables of gains over Markov and semi-Markov networks, gains by mode, by sojourn time and by the detected mode, uncertain
-plants, random delays over plants that jump, delays inside the plant.
+plants, random delays over plants that jump, delays inside the plant, actuators that saturate.
 Gains are made for one plant and network and run over another, so that about half of the loops are not stable. A false
 certificate is one over a loop whose second moments grow by more than `EDGE` per period. The study has power: with the
 certifier's state replaced by "certified" it finds dozens (`test_the_study_finds_a_door_that_believes_everything`).
@@ -13,45 +13,21 @@ import numpy as np
 import pytest
 
 from hil.certify.certify import judge
-from tests.hil.compose.random_delayed_loops import delayed_case
-from tests.hil.compose.random_jump_loops import (
-    fault_case,
-    jump_case,
-    network_case,
-    sampled_radius,
-    sectioned_case,
-    uncertain_case,
-)
+from tests.hil.compose.random_jump_loops import sampled_radius, sectioned_case
 from tests.hil.compose.random_loops import flow
-from tests.hil.compose.random_table_loops import send_all_case, sojourn_case
-
-EDGE = 1e-6
-
-CASES = {
-    "send-all": (send_all_case, 110), "jump": (jump_case, 80), "uncertain": (uncertain_case, 50), "fault": (fault_case, 60),
-    "sojourns": (sojourn_case, 40), "network": (network_case, 40), "sectioned": (sectioned_case, 40),
-    "delayed": (delayed_case, 40),
-}  # fmt: skip
+from tests.hil.compose.study import CASES, EDGE, studied, undecided_in_the_guide
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("kind", CASES)
 def test_no_random_loop_is_falsely_certified(kind: str) -> None:
-    case, count = CASES[kind]
-    false, found = [], {"certified": 0, "refused": 0, "undecided": 0}
-    stable = 0
-    for seed in range(count):
-        loop, growth = case(np.random.default_rng([list(CASES).index(kind), seed]))
-        verdict = judge(loop)
-        found[verdict.state] += 1
-        stable += growth < 1.0
-        if (verdict.state == "certified" and growth > 1.0 + EDGE) or (verdict.state == "refused" and growth < 1.0 - EDGE):
-            false.append((seed, verdict.state, growth, verdict.number))
-    print(kind, found, f"{stable} of {count} stable")
-    assert not false
-    assert count // 5 <= stable <= count - count // 5, "the draw is one-sided: the study has no power"
-    assert found["certified"] >= stable // 3, "a door that decides nothing is never wrong"
+    found, said = studied(kind), undecided_in_the_guide()
+    assert not found.false
+    assert found.loops // 5 <= found.stable <= found.loops - found.loops // 5, "the draw is one-sided: the study has no power"
+    assert found.certified >= found.stable // 3, "a door that decides nothing is never wrong"
+    # one may stand so near the edge that another CPU's rounding moves it
+    assert found.undecided <= said[kind] + 1, "more is undecided than the guide says: python -m tests.hil.compose.study"
 
 
 def test_the_study_finds_a_door_that_believes_everything() -> None:
