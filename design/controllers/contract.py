@@ -180,6 +180,15 @@ class ModeSchedule(Protocol):
 
 
 @runtime_checkable
+class StatesConstraint(Protocol):
+    """A state feedback that is to meet a stochastic integral quadratic constraint (4.6); its certificate says whether it does."""
+
+    def constraint_of_modes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return Gamma_11 (p, p), Gamma_12 (p, q) and Gamma_22 (q, q); None without one."""
+        ...
+
+
+@runtime_checkable
 class HistoryGains(Protocol):
     """Gains over what scheduled nodes have sent: u(k) = sum_j K[i, j] y(k - j); certified where the state is measured."""
 

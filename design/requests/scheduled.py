@@ -23,8 +23,47 @@ from design.errors import FieldError
 from design.requests.tracking import DesignTask
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from design.processes.partitions import Partition
     from design.processes.semi_markov import SemiMarkov
+    from design.semi_markov_loop.fault_tolerant_analysis import Siqc
+    from design.semi_markov_loop.system import JumpSystem
+
+
+Matrix = tuple[tuple[float, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QuadraticConstraint:
+    """E int [y; w]' [g11 g12; g12' g22] [y; w] dt < 0 of the plant's output y and disturbance w, from x(0) = 0.
+
+    Args:
+        g11: positive definite, p x p.
+        g12: p x q.
+        g22: negative definite, q x q.
+
+    Reference: thesis (4.6), Remark 4.4: I, 0 and -gamma^2 I are the H-infinity norm.
+    """
+
+    g11: Matrix
+    g12: Matrix
+    g22: Matrix
+
+    def __post_init__(self) -> None:
+        self.siqc()
+
+    def siqc(self) -> Siqc:
+        """Return it for the conditions of Chapter 4."""
+        from design.semi_markov_loop.fault_tolerant_analysis import Siqc
+
+        tables = {}
+        for name in ("g11", "g12", "g22"):
+            try:
+                tables[name] = np.array(getattr(self, name), dtype=float)
+            except ValueError:
+                raise FieldError(name, "expected rows of equal lengths") from None
+        return Siqc(**tables)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +75,8 @@ class Scheduled:
         starts_s: nested tuple [mode][section]. Sojourn time at which each section begins (``hold``) or at which each node lies
             (``linear``), s; the first is 0.
         schedule: ``hold`` or ``linear``.
+        constraint: what the loop shall meet beside stability (4.6), over a plant that shows the detected mode; the certificate
+            says whether it does.
     """
 
     kind: ClassVar[str] = "scheduled"
@@ -43,9 +84,17 @@ class Scheduled:
     gain: tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
     starts_s: tuple[tuple[float, ...], ...]
     schedule: Literal["hold", "linear"] = "hold"
+    constraint: QuadraticConstraint | None = None
 
     def __post_init__(self) -> None:
         self._gain()
+
+    def constraint_of_modes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+        """Return the matrices of the constraint."""
+        if self.constraint is None:
+            return None
+        found = self.constraint.siqc()
+        return found.g11, found.g12, found.g22
 
     def schedule_of_modes(self) -> ScheduledGain:
         """Return K(mode, h)."""
@@ -99,6 +148,7 @@ class RobustScheduled:
         decay: ``robust`` only: demanded decay rate of E|x|^2, 1/s.
         sections: into how many sections the sojourn axis of every mode is cut, with equal probability.
         starts_s: nested tuple [mode][section], s. The sections themselves, the first of every mode at 0, instead of ``sections``.
+        constraint: ``fault-tolerant`` only: quadratic constraint (4.6) that the gains shall meet, instead of the least gamma.
     """
 
     method: Method = "by-plant"
@@ -106,8 +156,11 @@ class RobustScheduled:
     decay: float = 0.0
     sections: int = 0
     starts_s: tuple[tuple[float, ...], ...] = ()
+    constraint: QuadraticConstraint | None = None
 
     def __post_init__(self) -> None:
+        if self.constraint is not None and self.method not in ("by-plant", "fault-tolerant"):
+            raise FieldError("constraint", f"the method {self.method!r} takes none, 'fault-tolerant' does")
         if not (math.isfinite(self.gain_bound) and self.gain_bound > 0):
             raise FieldError("gain_bound", f"{self.gain_bound!r}, expected a finite number above 0")
         if not (math.isfinite(self.decay) and self.decay >= 0):
@@ -121,7 +174,8 @@ class RobustScheduled:
         """Return the gains as the controller that runs: from the cache, where this was solved before."""
         from design.requests.gain_cache import cached_gain
 
-        return scheduled_of(cached_gain((self, task.jump_system, task.jump_process), lambda: self._solved(task)))
+        found = cached_gain((self, task.jump_system, task.jump_process), lambda: self._solved(task))
+        return scheduled_of(found, self.constraint)
 
     def _solved(self, task: DesignTask) -> ScheduledGain:
         from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -134,6 +188,8 @@ class RobustScheduled:
             raise FieldError("kind", "no design covers sensors that fail in a mode that is seen; 'scheduled' takes gains")
         starts = self._starts(process.detection[0] if isinstance(process, FaultDetection) else process)
         bound, asked = self.gain_bound, self.method
+        if self.constraint is not None and not isinstance(process, FaultDetection):
+            raise FieldError("constraint", "is for a plant that shows the detected mode (Chapter 4)")
         if isinstance(system, JumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "robust"):
             from design.semi_markov_loop.robust_feedback import robust_feedback
 
@@ -145,7 +201,8 @@ class RobustScheduled:
         elif isinstance(system, JumpSystem) and isinstance(process, FaultDetection) and asked in ("by-plant", "fault-tolerant"):
             from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 
-            found = fault_tolerant_feedback(system, process, gain_bound=bound, sections=starts)
+            wanted = None if self.constraint is None else self._fitting(system)
+            found = fault_tolerant_feedback(system, process, gain_bound=bound, sections=starts, performance=wanted)
         else:
             delay = "a delay" if isinstance(system, DelayedJumpSystem) else "no delay"
             shown = "detected" if isinstance(process, FaultDetection) else "true"
@@ -153,6 +210,14 @@ class RobustScheduled:
         if found.gain is None:
             raise FieldError("kind", "the design came back without gains")
         return found.gain
+
+    def _fitting(self, system: JumpSystem) -> Siqc:
+        assert self.constraint is not None
+        wanted = self.constraint.siqc()
+        p, q = (0 if matrix is None else matrix.shape[axis] for matrix, axis in ((system.c, 1), (system.e, 2)))
+        if wanted.g12.shape != (p, q):
+            raise FieldError("constraint.g12", f"shape {wanted.g12.shape}; the plant has {p} outputs y and {q} disturbances w")
+        return wanted
 
     def _starts(self, shown: SemiMarkov) -> Partition | None:
         from design.processes.partitions import check_partition, equal_probability
@@ -196,11 +261,12 @@ class PublishedScheduled:
         return scheduled_of(tables[self.gains]())
 
 
-def scheduled_of(gain: ScheduledGain) -> Scheduled:
-    """Return the controller that runs a :class:`ScheduledGain`."""
+def scheduled_of(gain: ScheduledGain, constraint: QuadraticConstraint | None = None) -> Scheduled:
+    """Return the controller that runs a :class:`ScheduledGain`, with the constraint that it is to meet."""
     nested: Any = tuple(
         tuple(tuple(tuple(map(float, row)) for row in section) for section in mode) for mode in gain.gain.tolist()
     )
     return Scheduled(
-        gain=nested, starts_s=tuple(tuple(map(float, row)) for row in gain.starts_s.tolist()), schedule=gain.schedule
-    )
+        gain=nested, starts_s=tuple(tuple(map(float, row)) for row in gain.starts_s.tolist()), schedule=gain.schedule,
+        constraint=constraint,
+    )  # fmt: skip

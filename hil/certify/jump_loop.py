@@ -16,6 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, ModeSchedule
+from design.controllers.contract import StatesConstraint
 from design.errors import DesignError
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
@@ -120,7 +121,39 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
         found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
-    return limited_to_model(loop.plant, _with_continuous_time(loop, found, system, gain, process), knows_jumps=True)
+    asked = controller.constraint_of_modes() if isinstance(controller, StatesConstraint) else None
+    found = _with_continuous_time(loop, found, system, gain, process)
+    if asked is not None:
+        found = _with_constraint(found, asked, system, gain, process)
+    return limited_to_model(loop.plant, found, knows_jumps=True)
+
+
+def _with_constraint(
+    found: Verdict,
+    asked: tuple[Array, Array, Array],
+    system: JumpSystem | DelayedJumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov | FaultDetection,
+) -> Verdict:
+    """Return the verdict with what the conditions of Chapter 4 say of a quadratic constraint (4.6)."""
+    from design.processes.semi_markov import FaultDetection
+    from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant
+    from design.semi_markov_loop.system import DelayedJumpSystem
+
+    try:
+        if isinstance(system, DelayedJumpSystem) or not isinstance(process, FaultDetection):
+            raise ValueError("the plant does not show a detected mode")
+        wanted = Siqc(g11=asked[0], g12=asked[1], g22=asked[2])
+        judged = analyse_fault_tolerant(system, gain, process, performance=wanted)
+        word, why = str(judged.verdict), judged.reason
+    except (ValueError, DesignError) as error:
+        word, why = "undecided", str(error)
+    said = {"certified": "holds", "refused": "has no proof of this form", "undecided": "is undecided"}[word]
+    details = {**found.details, "constraint": {"state": word, "reason": why}}
+    return replace(
+        found, details=details, reason=f"{found.reason}; the constraint (4.6) {said}",
+        assumptions=(*found.assumptions, "the constraint (4.6) is of the feedback that acts at every instant, without delays"),
+    )  # fmt: skip
 
 
 def _with_seen_sensors(
