@@ -6,6 +6,7 @@ from typing import Any
 
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter7.designs import DESIGNS, INFORMED, designs, gain_bounds, information
+from hil.reproduce.chapter7.estimated_delay import ESTIMATED, estimated_delay
 from hil.reproduce.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
@@ -33,6 +34,7 @@ CHAPTER = Chapter(
         Stage("Smith predictor", smith, 3, SMITH),
         Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, EXPERIMENT_ROWS),
         Stage("what the actuator knows", information, 25, INFORMED),
+        Stage("an estimate of d", estimated_delay, 5, ESTIMATED),
         Stage("gain bounds", gain_bounds, 10),
         Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
         Stage("uncertain plants", uncertain, 9, UNCERTAIN),
