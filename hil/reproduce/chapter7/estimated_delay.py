@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from design.processes.delay_chain import Index
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.designs import best
 from hil.reproduce.chapter7.emulated import stationary
@@ -54,7 +55,7 @@ def by_estimate(previous: Array) -> Array:
 
 
 def packet_by_packet(
-    plant: Plant, gains: Array, sc_mode: Array, ca_mode: Array, alpha: Array, runs: int = RUNS, seed: int = 0
+    plant: Plant, gains: Array, sc_mode: Index, ca_mode: Index, alpha: Array, runs: int = RUNS, seed: int = 0
 ) -> tuple[float, float]:
     """Return sum_k E |z(k)|^2 after an impulse at the input, and its standard error; one input, one command a packet.
 
