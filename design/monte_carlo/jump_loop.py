@@ -149,19 +149,6 @@ def _product(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(out)
 
 
-def held(gain: ScheduledGain, step_s: float, end_s: float) -> ScheduledGain:
-    """A gain that is linear between nodes, held at its mid values on steps of ``step_s`` up to ``end_s``.
-
-    The error of the flow is of the order step_s^2; a digital controller of that period does the same.
-    """
-    if not step_s > 0 or not end_s >= step_s:
-        raise FieldError("step_s", f"{step_s!r}, expected positive and at most end_s = {end_s!r}")
-    count = int(np.ceil(end_s / step_s)) + 1
-    starts = np.tile(np.arange(count) * step_s, (gain.modes, 1))
-    values = [[gain.at(mode, h + 0.5 * step_s) for h in starts[mode]] for mode in range(gain.modes)]
-    return ScheduledGain(gain=np.array(values), starts_s=starts, measured=gain.measured)
-
-
 class Segments(NamedTuple):
     """Stretches of constant matrix, those of one run in the order of time (not next to each other): shape (S,).
 

@@ -88,27 +88,6 @@ def _decide(coefficients: Sequence[Fraction]) -> bool:
     return _changes(chain, -1) == _changes(chain, 1)  # no root in (-1, 1), Sturm
 
 
-def minimum(coefficients: Sequence[float]) -> tuple[float, float]:
-    """Return the smallest value of a cosine polynomial and the angle in [0, pi] where it is taken, in floats.
-
-    For the reader: `is_nonnegative` decides.
-    """
-    a = np.asarray(coefficients, dtype=np.float64)
-    t = np.linspace(0.0, np.pi, 64 * a.size + 1)
-    j = np.arange(a.size)
-
-    def value(at: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return np.asarray(a @ np.cos(np.outer(j, at)))
-
-    for _ in range(3):
-        values = value(t)
-        best = int(values.argmin())
-        low, high = t[max(best - 1, 0)], t[min(best + 1, t.size - 1)]
-        found = float(values[best]), float(t[best])
-        t = np.linspace(low, high, 65)
-    return found
-
-
 def _from_chebyshev(a: Sequence[Fraction]) -> Integers:
     """Power coefficients of sum a_j T_j, multiplied by the common denominator."""
     common = math.lcm(*(c.denominator for c in a)) if a else 1

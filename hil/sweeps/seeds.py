@@ -158,17 +158,6 @@ def _row(run: Run, loop: Loop, names: Sequence[str], seed: int) -> dict[str, flo
     return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
 
 
-def sweep(
-    experiment: Experiment,
-    seeds: Sequence[int],
-    *,
-    jobs: int = -1,
-    progress: Callable[[int], None] = lambda done: None,
-) -> Mapping[str, NDArray[np.float64]]:
-    """Run an experiment for every seed on this machine; as `run_sweep`, but only its values."""
-    return run_sweep(experiment, seeds, workers=here(jobs), progress=progress).values
-
-
 def here(jobs: int) -> Workers:
     """So many processes on this machine, -1 for one per core.
 

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 
-WITHOUT_A_FORM: Final = ("memory", "local")
 """Schemes of ours whose address may be any text."""
 
 
@@ -60,19 +59,6 @@ def find_link(uri: str) -> EntryPoint:
     if scheme in FORMS:
         key_file(uri)
     return found[scheme]
-
-
-def check_uri(uri: str) -> None:
-    """Refuse a URI that names no link, as `find_link` does; what is installed is looked through for a foreign scheme alone.
-
-    Raises:
-        TransportError: no such scheme, or a URI of another form than the scheme's.
-    """
-    scheme = uri.partition(":")[0] if ":" in uri else ""
-    if scheme in FORMS:
-        key_file(uri)
-    elif scheme not in WITHOUT_A_FORM:
-        find_link(uri)
 
 
 def open_link(uri: str, role: Role) -> Link:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import os
 import stat
 from collections.abc import Callable, Mapping, Sequence
@@ -194,18 +193,6 @@ class McapSink:
         """Close the file and leave none behind; a device stays."""
         self.close()
         self._disk.discard()
-
-    def sha256(self) -> str:
-        """SHA-256 of the closed file in hexadecimal.
-
-        Raises:
-            HilError: if the file is gone or cannot be read.
-        """
-        try:
-            with open(self.path, "rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-        except OSError as error:
-            raise HilError(f"log {self.path}: cannot be read back: {error.strerror or error}") from error
 
     def reader(self) -> int:
         """Return a descriptor of the file for reading it back, whatever becomes of its name; the caller closes it.

@@ -35,11 +35,10 @@ DT_S = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Settling:
-    """Settling times (2.28) per run (s): of (2.27), of [1, 2], and of (2.27) from mode 2."""
+    """Settling times (2.28) per run (s): of (2.27), and of [1, 2]."""
 
     published: FloatArray
     reference: FloatArray
-    published_from_mode_2: FloatArray
 
 
 def _time(points: int) -> FloatArray:
@@ -184,7 +183,7 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
         report_progress(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
     report_progress("figures", len(asked), len(asked) + 1)
-    settled = Settling(published=times["ours"], reference=times["other"], published_from_mode_2=times["ours from mode 2"])
+    settled = Settling(published=times["ours"], reference=times["other"])
     return times_in_numbers(times) | {
         "figures": (
             one_run(loop_of(ours), loop_of(other)),

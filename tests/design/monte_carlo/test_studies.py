@@ -23,7 +23,7 @@ from design.as_printed.examples import (
 )
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.monte_carlo import studies as monte_carlo
-from design.monte_carlo.jump_loop import JumpLoop, held
+from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, settling_times, trajectories
 from design.processes.rates import clip_rate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -192,6 +192,17 @@ def test_detection_clock_restarts_as_it_was_told(restarts: bool) -> None:
             kept += int(failed.sum())
         before = visit
     assert kept > 100
+
+
+def held(gain: ScheduledGain, step_s: float, end_s: float) -> ScheduledGain:
+    """A gain that is linear between nodes, held at its mid values on steps of ``step_s`` up to ``end_s``.
+
+    The error of the flow is of the order step_s^2; a digital controller of that period does the same.
+    """
+    count = int(np.ceil(end_s / step_s)) + 1
+    starts = np.tile(np.arange(count) * step_s, (gain.modes, 1))
+    values = [[gain.at(mode, h + 0.5 * step_s) for h in starts[mode]] for mode in range(gain.modes)]
+    return ScheduledGain(gain=np.array(values), starts_s=starts, measured=gain.measured)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import subprocess
@@ -25,7 +26,7 @@ from hil.session import run_session
 from hil.session.replay import compare as replay_compare
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
-from hil.sweeps.seeds import sweep
+from hil.sweeps.seeds import here, run_sweep
 from hil.sweeps.sweep import statistics
 from tests.warm_hil import hil_command
 from transport.packets import ControlPacket, decode, encode_control
@@ -40,6 +41,7 @@ def test_same_seed_gives_the_same_file_in_two_processes_with_two_hash_seeds(tmp_
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         found.add(json.loads(done.stdout)["log"]["sha256"])
+        found.add(hashlib.sha256((tmp_path / f"{hash_seed}.mcap").read_bytes()).hexdigest())
     assert len(found) == 1
 
 
@@ -172,7 +174,7 @@ TABLE = [
 def test_many_seeds_give_the_known_means(name: str, mean: float, sd: float, mean_5s: float, sd_5s: float) -> None:
     """Two-sided z tests at 1e-4 each, widened by the rounding of the printed values."""
     n = 120
-    found: dict[str, Any] = sweep(load_experiment(name), range(n), jobs=2)
+    found: dict[str, Any] = run_sweep(load_experiment(name), range(n), workers=here(2)).values
     for metric, expected, spread, rounding in (("sse", mean, sd, 0.005), ("sse_after_5s", mean_5s, sd_5s, 0.00005)):
         got = statistics(found[metric])
         assert abs(got["mean"] - expected) < 3.9 * spread / np.sqrt(n) + rounding
@@ -181,7 +183,7 @@ def test_many_seeds_give_the_known_means(name: str, mean: float, sd: float, mean
 
 def test_sweep_gives_the_same_numbers_for_every_number_of_jobs() -> None:
     experiment = load_experiment("dc-motor-hinf", ["duration=3"])
-    one, two = sweep(experiment, range(12), jobs=1), sweep(experiment, range(12), jobs=2)
+    one, two = run_sweep(experiment, range(12), workers=here(1)).values, run_sweep(experiment, range(12), workers=here(2)).values
     for name in one:
         np.testing.assert_array_equal(one[name], two[name])
 

@@ -278,7 +278,7 @@ def test_a_sweep_in_lockstep_calls_no_plain_engine(monkeypatch: pytest.MonkeyPat
         raise AssertionError("the plain engine ran")
 
     monkeypatch.setattr(seeds, "run_one_by_one", refuse)
-    values = seeds.sweep(load_experiment("dc-motor-hinf", ["duration=2"]), range(30), jobs=-1)
+    values = seeds.run_sweep(load_experiment("dc-motor-hinf", ["duration=2"]), range(30), workers=seeds.here(-1)).values
     assert values["sse"].size == 30
     with pytest.raises(AssertionError, match="the plain engine ran"):
         seeds.run_seeds(loop_of("smjls-robust-published", "duration=1"), range(1))

@@ -21,7 +21,7 @@ from design.monte_carlo.random_streams import Workers
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.sweeps.seeds import columns_of, run_sweep, sweep
+from hil.sweeps.seeds import columns_of, here, run_sweep
 from hil.sweeps.sweep import SweepStore
 from tests.file_limit import files_up_to
 from tests.waiting import until
@@ -37,7 +37,7 @@ def experiment() -> Experiment:
 
 @pytest.fixture(scope="module")
 def plain(experiment: Experiment) -> dict[str, Any]:
-    return sweep(experiment, range(40), jobs=1)
+    return run_sweep(experiment, range(40), workers=here(1)).values
 
 
 def same(a: dict[str, Any], b: dict[str, Any]) -> None:
@@ -107,7 +107,7 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path, experiment: Experiment, plain
 
 
 def test_ctrl_c_at_any_line_of_the_store_leaves_its_rows_and_its_file_the_same(tmp_path: Path, experiment: Experiment) -> None:
-    rows = sweep(experiment, range(3), jobs=1)
+    rows = run_sweep(experiment, range(3), workers=here(1)).values
     plain_rows = [{name: float(column[i]) for name, column in rows.items()} for i in range(3)]
 
     def kept_after_a_signal_at(number: int) -> tuple[bool, int]:
