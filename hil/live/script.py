@@ -19,6 +19,9 @@ from hil.session.replay.recorded import Asked, changes_of, composed
 
 MOST_BYTES: Final = 20_000_000
 
+MOST: Final = 10_000
+"""Changes of a script: every one is composed before the run begins, some milliseconds each, and with a certificate more."""
+
 
 class Line(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A change, as a line of JSON."""
@@ -32,7 +35,7 @@ def read_script(path: Path) -> list[Asked]:
     """Return the changes of a script, or of the log of a run that was changed.
 
     Raises:
-        HilError: a line is no change, with its number, or the slots are out of order.
+        HilError: a line is no change, with its number, the slots are out of order, or there are too many.
     """
     if path.suffix == ".mcap":
         from hil.log.read.run import read_run
@@ -50,6 +53,8 @@ def read_script(path: Path) -> list[Asked]:
             raise HilError(f"{path}: line {number}: {error}; expected {form}") from None
         if said.slot < (found[-1][0] if found else 0):
             raise HilError(f"{path}: line {number}: slot {said.slot} comes behind slot {found[-1][0] if found else 0}")
+        if len(found) == MOST:
+            raise HilError(f"{path}: line {number}: more than {MOST} changes; a run takes no more: divide the script")
         found.append((said.slot, said.field, said.value))
     return found
 

@@ -311,3 +311,13 @@ def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
     rows = np.frombuffer(picture(side.records(), side.traces, Window.over(0, 80, 80)), "<f4").reshape(len(side.traces), 2, 80)
     at = next(i for i, trace in enumerate(side.traces) if trace.topic == "/reference")
     assert rows[at, 0].tolist() == rows[at, 1].tolist() == [0.0] * 20 + [3.0] * 60
+
+
+def test_a_script_of_more_changes_than_a_run_takes_is_refused_while_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "many.jsonl"
+    line = '{"slot": 1, "field": "reference", "value": [1.0]}\n'
+    path.write_text(line * 10_000)
+    assert len(read_script(path)) == 10_000
+    path.write_text(line * 10_001)
+    with pytest.raises(HilError, match=r"line 10001: more than 10000 changes; a run takes no more"):
+        read_script(path)
