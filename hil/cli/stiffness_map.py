@@ -66,7 +66,7 @@ def command(
     from rich.console import Console
     from rich.table import Table
 
-    shown = Table(title="stiffness in N/m that is safe for every passive hand")
+    shown = Table(title="stiffness in N/m that is safe for every passive hand, by delay in samples and hand in N s/m")
     for name in ("T", "delay", "hand", "certified", "ceiling", "Colgate", "Gil-Hulin", "exact, bare"):
         shown.add_column(name, justify="right")
     for c in cells:

@@ -249,7 +249,7 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
                 "all. Colgate's b > K T/2 knows no delay.",
             ),
         ]  # fmt: skip
-    columns = ("delay", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
+    columns = ("samples late", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
     rows = [
         (f"0..{c.delay}", c.hand_damping_n_s_per_m, c.certified_n_per_m, c.ceiling_n_per_m, c.colgate_n_per_m,
          c.gil_hulin_n_per_m, c.exact_n_per_m)

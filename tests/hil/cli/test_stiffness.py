@@ -32,6 +32,11 @@ def designed(*arguments: str) -> Result:
     return CliRunner().invoke(design, list(arguments), catch_exceptions=False)
 
 
+def test_the_printed_map_names_the_unit_of_every_column() -> None:
+    shown = " ".join(mapped(*MAP).stdout.split())
+    assert all(unit in shown for unit in ("stiffness in N/m", "delay in samples", "hand in N s/m", "50 ms"))
+
+
 def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -> None:
     cells = json.loads(mapped(*MAP, "--json").stdout)["cells"]
     at = {(c["period_s"], c["delay"], c["hand_damping_n_s_per_m"]): c for c in cells}
