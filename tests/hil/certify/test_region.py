@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import hil
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
@@ -80,6 +82,21 @@ def test_an_edge_scales_with_the_supply_and_departures_make_it_smaller() -> None
     assert two["angle"] == pytest.approx(2.0 * one["angle"], rel=1e-6)
     counts = {"plant.driver": {"saturation_v": SUPPLY, "pwm_step_v": 0.0005}}
     assert edge_of(composed(**counts))["angle"] < 0.95 * one["angle"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"), [("dc-motor-h2", {}), ("dc-motor-hinf", {}), ("dc-motor-h2", ENCODER), ("dc-motor-ours-integral", None)]
+)
+def test_the_guide_says_these_numbers(name: str, changes: dict[str, Any] | None) -> None:
+    guide = (Path(hil.__file__).parent / "guide/designs-and-certificates.md").read_text(encoding="utf-8")
+    rows = [line for line in guide.splitlines() if line.startswith(f"| `{name}`")]
+    if changes is None:
+        region: Any = verdict_of(compose(load_experiment(name))).details["region"]
+        said = f"{100 * region['pushed_share'][0]:.0f} % | none below {region['limits_times']:.3g}"
+    else:
+        edge = edge_of(composed(name, **changes))
+        said = f"{edge['angle']:.3g} rad, {edge['speed']:.3g} rad/s"
+    assert any(said in row for row in rows), said
 
 
 def test_the_realistic_motor_is_told_how_much_supply_its_friction_asks_for() -> None:
