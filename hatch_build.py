@@ -89,6 +89,8 @@ def compiled(root: Path, modules: Sequence[str], folder: Path) -> dict[str, str]
     flags = ["--config-file=", f"--cache-dir={folder / 'types'}", "--follow-imports=silent", "--ignore-missing-imports"]
     with chdir(root):
         own = mypycify([*flags, *modules], opt_level="2", debug_level="0", group_name="hilrig", target_dir=str(folder / "c"))
+        for each in own:  # a product and a sum are rounded twice, as the interpreter rounds them, on ARM too
+            each.extra_compile_args.append("-ffp-contract=off")
         build = build_ext(Distribution({"name": "hilrig", "ext_modules": own}))
         build.build_lib, build.build_temp = str(folder / "lib"), str(folder / "o")
         build.ensure_finalized()

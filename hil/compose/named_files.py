@@ -15,7 +15,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.table_check import fault_at
 from hil.rig.traffic_file import MOST, line_of
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.errors import FieldError
 from transport.laws.protocols import NetworkLaw, load_files, slots_served
 from transport.wire.fields import frame_length

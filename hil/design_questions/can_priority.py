@@ -13,7 +13,7 @@ from hil.experiment import Experiment
 from hil.rig.can_bus import can_bus_of
 from hil.rig.normal_form import rig_of
 from hil.rig.traffic_file import with_traffic_file
-from transport.can_bus_model.bits import BASE_MOST
+from transport.can_bus_model.can_frame import BASE_MOST
 
 ROOM: Final = 16
 """Identifiers that are kept for the frames of each packet."""

@@ -13,7 +13,7 @@ from hil.rig.can_frames import CONTROL, path_of
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.links.can_identifiers import derived
 from transport.wire.fields import frame_length
 

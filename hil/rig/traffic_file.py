@@ -16,7 +16,7 @@ from hil.experiment.nodes import TrafficTable, can_faults_of
 from hil.experiment.table import Seconds
 from hil.experiment.tables import Experiment
 from hil.files.regular import open_regular
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.wire.fields import frame_length
 
 if TYPE_CHECKING:

@@ -11,7 +11,8 @@ import pytest
 
 from tests.links.test_timed_bus import bus, message, received
 from tests.waiting import LIMIT_S, until
-from transport.can_bus_model.bits import CanFrame, wire_bits
+from transport.can_bus_model.bits import wire_bits
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.planned_faults import BusFault
 from transport.links.can_errors import changed, destroyed, location
 

@@ -30,7 +30,8 @@ from itertools import pairwise
 from typing import Final
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import INTERMISSION, CanFrame, FrameLength, arbitration_key, longest_frame
+from transport.can_bus_model.bits import INTERMISSION, FrameLength, longest_frame
+from transport.can_bus_model.can_frame import CanFrame, arbitration_key
 from transport.errors import FieldError
 
 

@@ -7,7 +7,8 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, CanFrame, FrameLength, WireBits, wire_bits
+from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, wire_bits
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import Waiting
 from transport.errors import FieldError
 

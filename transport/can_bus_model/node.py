@@ -13,17 +13,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame, FrameLength, arbitration_key, wire_bits
+from transport.can_bus_model.bits import FrameLength, wire_bits
+from transport.can_bus_model.can_frame import CanFrame, arbitration_key
 
 BufferKind = Literal["fifo", "priority", "overwritten"]
 """``fifo``: the oldest frame goes first, whatever its identifier. ``priority``: the one that wins over the others.
 ``overwritten``: so too, and a newer frame takes the place of one with its identifier that waits."""
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class Waiting:
     """A frame that waits, or is being sent.
 
@@ -36,7 +37,7 @@ class Waiting:
 
     frame: CanFrame
     queued: int
-    tag: object = None
+    tag: Any = None
     length: FrameLength | None = None
     key: int = field(init=False)
     lost: int = 0
@@ -167,7 +168,7 @@ class ErrorCounters:
         self.tec = self.rec = self.sequences = 0
 
 
-@dataclass(slots=True)
+@dataclass
 class CanNode:
     """One node on the bus.
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.disturbances import BitErrors
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import CanNode, Waiting
 
 

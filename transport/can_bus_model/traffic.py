@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.errors import FieldError
 
 AHEAD: Final = 64

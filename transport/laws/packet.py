@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from os import PathLike
 from typing import ClassVar, Literal
@@ -13,7 +12,6 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from transport.draws import COPIED, LOST, NO_MODE, SENT, Draw
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import (
@@ -26,10 +24,9 @@ from transport.laws.packet_chain import (
     packet_chain,
     quantiles,
 )
+from transport.laws.packet_draws import LATEST, PacketDraws
 from transport.laws.protocols import SLOT_TOLERANCE
-from transport.laws.stochastic_matrix import BLOCK, cumulative, mean_holding, stationary_row
-
-LATEST = 1_000_000_000  # slots; heavy tails reach further, the log's 32-bit ages do not
+from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -207,49 +204,6 @@ class PacketLaw:
         """Share of packets that are lost, in the long run."""
         recorded = latency(self.latency).lost
         return recorded + (1.0 - recorded) * float(self.stationary() @ self.channel_losses())
-
-
-class PacketDraws:
-    """A running packet law."""
-
-    def __init__(self, law: PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> None:
-        latencies = latency(law.latency)
-        self._latency = latencies.in_order()
-        self._copy_latency = latencies.sampler()
-        self._losses = law.channel_losses()
-        self._rows = [cumulative(row) for row in law.transition_matrix().tolist()]
-        self._row = cumulative(law.stationary().tolist())
-        self._duplication = law.duplication
-        self._latest = LATEST if law.discard_older is None else law.discard_older
-        self._period_s = period_s
-        self._deadline_s = deadline_s
-        self._numbers: Callable[[], list[float]] = _fives(rng).__next__
-
-    def draw(self, k: int) -> list[Draw]:
-        """Return what becomes of the packet of slot k: sent or lost, and copied."""
-        u_mode, u_loss, u_latency, u_copy, u_copy_latency = self._numbers()
-        mode = bisect_right(self._row, u_mode)
-        self._row = self._rows[mode]
-        latency_s = self._latency(u_latency)
-        if u_loss < self._losses[mode] or latency_s == math.inf:
-            return [Draw(k, k, mode, -1, math.nan, LOST)]
-        slots = self._slots(latency_s)
-        draws = [Draw(k, k, mode, slots, latency_s, SENT) if slots <= self._latest else Draw(k, k, mode, -1, math.nan, LOST)]
-        if u_copy < self._duplication:
-            latency_s = self._copy_latency(u_copy_latency)
-            slots = self._slots(latency_s)
-            if slots <= self._latest:
-                draws.append(Draw(k, k, NO_MODE, slots, latency_s, COPIED))
-        return draws
-
-    def _slots(self, latency_s: float) -> int:
-        slots = math.ceil((latency_s - self._deadline_s) / self._period_s - SLOT_TOLERANCE)
-        return min(max(0, slots), LATEST)
-
-
-def _fives(rng: np.random.Generator) -> Iterator[list[float]]:
-    while True:
-        yield from rng.random((BLOCK, 5)).tolist()
 
 
 def _probability(path: str, value: float) -> None:

@@ -246,7 +246,7 @@ Slots = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlotTimes:
-    """How latencies become slots, see `transport.laws.packet.PacketDraws`.
+    """How latencies become slots, see `transport.laws.packet_draws.PacketDraws`.
 
     Args:
         period_s: length of a slot, s.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from struct import Struct
 from typing import Any, Final
 
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.links.python_can import can
 from transport.wire.fields import frame_length
 

@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from transport.can_bus_model.bits import CanFrame, wire_bits
+from transport.can_bus_model.bits import wire_bits
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import PASSIVE, WARNING, State
 from transport.links.link import BusStatus
 

@@ -20,7 +20,7 @@ from time import monotonic_ns
 from typing import Final, NamedTuple
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import CanNode, State, Waiting
 from transport.can_bus_model.planned_faults import BusFault
 from transport.links.bus_file import BusFile

@@ -13,7 +13,7 @@ from time import monotonic, monotonic_ns
 from typing import Final
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import State
 from transport.can_bus_model.planned_faults import BusFault
 from transport.errors import FieldError

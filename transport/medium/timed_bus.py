@@ -11,11 +11,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import nan
 from struct import pack
-from typing import Final
+from typing import Any, Final
 
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.planned_faults import BusFault, PlannedOutages
 from transport.can_bus_model.traffic import Traffic
@@ -47,13 +47,13 @@ def value_frames(identifier: int, values: Sequence[float], *, fd: bool) -> list[
     return [CanFrame(identifier=identifier + i, data=part, fd=fd, bitrate_switch=fd) for i, part in enumerate(padded)]
 
 
-@dataclass(slots=True, eq=False)
+@dataclass(eq=False)
 class _Packet:
     """A packet of the rig on the bus: whose, of which slot, and its frames that are not sent yet."""
 
     sender: int
     tick: int
-    content: object
+    content: Any
     frames: list[Waiting]
     begun: bool = False
 

@@ -10,8 +10,8 @@ from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_pa
 from hil.rig.schedules import bus_faults
 from hil.rig.traffic_file import due_of
 from hil.runtime.streams import rng_for
-from transport.can_bus_model.bits import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.disturbances import BitErrors
 from transport.can_bus_model.node import CanNode
 from transport.can_bus_model.planned_faults import PlannedErrors

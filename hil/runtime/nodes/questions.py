@@ -21,7 +21,7 @@ FAR: Final = 4096
 """Slots that may be missing where a whole second has passed without a question."""
 
 
-@dataclass(slots=True)
+@dataclass
 class Refusals:
     """Frames that a controller did not take.
 

@@ -11,8 +11,9 @@ from tests.transport.can_analysis.sae import SAE
 from transport.can_analysis import PeriodicMessage, response_times
 from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage, response_ranges
 from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import CanFrame, FrameLength, frame_length, longest_frame, shortest_frame
+from transport.can_bus_model.bits import FrameLength, frame_length, longest_frame, shortest_frame
 from transport.can_bus_model.bus import CanBus, CanNode
+from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.traffic import Periodic, Traffic
 from transport.errors import FieldError

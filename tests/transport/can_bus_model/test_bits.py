@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.transport.can_bus_model.receiver import LENGTHS, read
-from transport.can_bus_model.bits import CanFrame, arbitration_key, frame_length, longest_frame, wire_bits
+from transport.can_bus_model.bits import frame_length, longest_frame, wire_bits
+from transport.can_bus_model.can_frame import CanFrame, arbitration_key
 from transport.errors import FieldError
 
 CAN_UTILS = Path(os.environ.get("CAN_UTILS", "can-utils"))  # its source, GPL or BSD: a peer to test against, not a part of this
