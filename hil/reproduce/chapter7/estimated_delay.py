@@ -87,7 +87,7 @@ ESTIMATED = (
     *(
         Statement(
             f"{NAMES[name]}: d_k estimated by the state of its chain at the controller, one command a packet, H2",
-            "another potential method (after (7.13))",
+            "Section 7.2, another potential method",
             (
                 below("smallest H2 norm with the estimate", f"{name}[estimate]", f"{name}[none]"),
                 above("what it gains over gains that know tau alone", f"{name}[less]", 1e-4),
