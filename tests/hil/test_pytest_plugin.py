@@ -69,6 +69,16 @@ def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> No
     assert len(result.outlines) < 15, "no traceback of ours"
 
 
+def test_a_link_that_there_is_not_is_one_line(pytester: pytest.Pytester) -> None:
+    """Of a package below `hil`, whose errors are not of its root."""
+    pytester.makepyfile("def test_link(hil):\n    hil.run('dc-motor-hinf', duration=1)")
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header", "--hil-clock=real", "--hil-link=cna:hil:x")
+    result.assert_outcomes(failed=1)
+    told = [line for line in result.outlines if "cna:hil:x" in line and "FAILED" not in line]
+    assert len(told) == 1 and ".py:2: " in told[0] and "did you mean 'can:hil:x'?" in told[0]
+    assert len(result.outlines) < 15, "no traceback of ours"
+
+
 def test_the_assertions_of_the_face_show_the_line_of_the_test_and_none_of_ours(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
