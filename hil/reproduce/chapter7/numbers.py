@@ -11,6 +11,7 @@ from hil.reproduce.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
+from hil.reproduce.chapter7.stays import STAYS, stays
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
 from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
 from hil.reproduce.chapter7.uncertain import UNCERTAIN, uncertain
@@ -38,5 +39,6 @@ CHAPTER = Chapter(
         Stage("gain bounds", gain_bounds, 10),
         Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
         Stage("uncertain plants", uncertain, 9, UNCERTAIN),
+        Stage("the stay of d", stays, 0.5, STAYS),
     ),
 )
