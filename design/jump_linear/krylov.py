@@ -24,6 +24,8 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from design.signals_later import signals_later
+
 Array = npt.NDArray[np.float64]
 
 PRODUCTS = 240
@@ -161,22 +163,25 @@ def apart(compute: Callable[[], Array]) -> Array:
     if threading.current_thread() is not threading.main_thread():
         return compute()
     reads, writes = os.pipe()
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})  # until there is who ends the copy
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # the copy computes, and meets no lock of another thread
-        child = os.fork()
-    if not child:
-        _answer(compute, writes)
+    child = 0
     try:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        os.close(writes)
+        try:
+            # What a handler raises while Python forks is printed and dropped: its locks are taken and given back there.
+            with signals_later(), warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # the copy computes, and meets no lock of another thread
+                child = os.fork()
+                if not child:
+                    _answer(compute, writes)
+        finally:
+            os.close(writes)
         while not select([reads], [], [], LOOK_S)[0]:
             pass
         with open(reads, "rb", closefd=False) as file:
             said = file.read()
     finally:
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
+        if child:
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
         os.close(reads)
     if not said:
         raise np.linalg.LinAlgError("its factorisation came to no end, or has none")

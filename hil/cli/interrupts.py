@@ -61,25 +61,6 @@ def signals_as_exceptions() -> Iterator[None]:
             _raise(_released())
 
 
-@contextmanager
-def signals_later() -> Iterator[None]:
-    """Let no such signal come before the end of the block: what is made in it has its name by then, and can be taken away.
-
-    The handlers wait, as a mask would hold for one thread only, and the libraries of linear algebra have threads of their own.
-    """
-    came: list[int] = []
-    theirs = {number: handler for number in ENDING if callable(handler := signal.getsignal(number))}
-    for number in theirs:
-        signal.signal(number, lambda number, _frame: came.append(number))
-    try:
-        yield
-    finally:
-        for number, handler in theirs.items():
-            signal.signal(number, handler)
-        if came:
-            signal.raise_signal(came[0])
-
-
 def _see(number: int, frame: FrameType | None) -> None:
     if not _swallowed(frame):
         _raise(number)

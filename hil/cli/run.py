@@ -15,9 +15,9 @@ from warnings import catch_warnings
 
 import click
 
+from design.signals_later import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.foxglove_option import foxglove_beside, foxglove_option
-from hil.cli.interrupts import signals_later
 from hil.cli.terminal import json_option, print_json
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again

@@ -1,7 +1,8 @@
 """A flood on the identifiers of the rig or of the controller, from a process at normal priority.
 
-Usage: flooder.py CHANNEL SECONDS KIND (rig | controller); it says "up" once it is on the bus, and begins at a line of standard
-input. A channel of can:hil, or an endpoint and a name of zenoh: ``tcp/127.0.0.1:7447 rig0``.
+Usage: flooder.py CHANNEL SECONDS KIND (rig | controller); it says "up" once it is on the bus, begins at a line of standard
+input, and says "sent" behind its first thousand frames. A channel of can:hil, or an endpoint and a name of zenoh:
+``tcp/127.0.0.1:7447 rig0``.
 """
 
 from __future__ import annotations
@@ -131,7 +132,9 @@ def main() -> None:
         bus = joined.frames if isinstance(joined, HilBus) else joined
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
-        while time.monotonic() < end:
+        for turn in count(1):
+            if time.monotonic() >= end:
+                break
             for _ in range(100):
                 bus.send_frame(*flood.next())  # the rig's queue is full soon; the rest is dropped there
             for _ in range(20):
@@ -139,6 +142,8 @@ def main() -> None:
                 if heard is None:
                     break
                 flood.hear(heard[0], heard[2])
+            if turn == 10:
+                print("sent", flush=True)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,8 @@ def flooders(
                 assert process.stdin is not None
                 process.stdin.write(b"\n")
                 process.stdin.flush()
+            for process in started:  # on a busy machine a sender may come to its first frame when all is over
+                assert process.stdout is not None and process.stdout.readline() == b"sent\n"
 
         yield begin
     finally:

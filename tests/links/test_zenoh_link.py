@@ -140,7 +140,9 @@ class Forwarder:
                         self._pairs |= {near: far, far: near}
                 else:
                     near.close()
-            for end in [end for end in ready if end in self._pairs]:
+            for end in ready:
+                if end not in self._pairs:  # its other side was closed a moment ago
+                    continue
                 with suppress(OSError):
                     if data := end.recv(65536):
                         self._pairs[end].sendall(data)

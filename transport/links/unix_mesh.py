@@ -152,21 +152,25 @@ class Mesh(Closing):
     def _admit(self) -> None:
         """Let in whoever has connected since."""
         with self._lock:
-            self._seen = self._mark()
-            while not self._closed and self._listener is not None:
-                try:
-                    connection, _ = self._listener.accept()
-                except OSError as error:  # none left, or gone again
-                    if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
-                        # No one can be let in, and who waits would wake us up without end: look again when one has left.
-                        self._epoll.unregister(self._listener)
-                        self._listening = False
-                        self.refused += 1
-                    return
-                peer = Peer(connection)
-                self._add(peer)
-                self._peers += (peer,)
-                self._listen()
+            mark = self._mark()
+            self._accept_all()
+            self._seen = mark  # at last: whoever sends meanwhile from another thread comes here too, and waits
+
+    def _accept_all(self) -> None:
+        while not self._closed and self._listener is not None:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError as error:  # none left, or gone again
+                if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
+                    # No one can be let in, and who waits would wake us up without end: look again when one has left.
+                    self._epoll.unregister(self._listener)
+                    self._listening = False
+                    self.refused += 1
+                return
+            peer = Peer(connection)
+            self._add(peer)
+            self._peers += (peer,)
+            self._listen()
 
     def _remove(self, peer: Peer, *, unread: bool) -> None:
         """Send no more to a participant that has left; what it had sent before stays to be read."""

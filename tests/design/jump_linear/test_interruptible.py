@@ -78,6 +78,22 @@ def test_what_may_not_be_left_behind_is_computed_in_a_copy_that_ctrl_c_ends(tmp_
         os.kill(int(begun.read_text()), 0)
 
 
+def test_ctrl_c_that_comes_while_the_copy_is_made_is_not_lost() -> None:
+    """Python prints and drops what is raised in what it calls after a fork, as logging's locks are given back."""
+    interrupts: list[int] = []
+
+    def interrupt() -> None:
+        if interrupts:
+            signal.raise_signal(interrupts.pop())
+
+    os.register_at_fork(after_in_parent=interrupt)
+    interrupts.append(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        apart(lambda: np.zeros(1))
+    assert not interrupts and apart(lambda: np.ones(1)).tolist() == [1.0]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
 def test_what_a_copy_computes_comes_back_and_what_it_raises_is_no_number() -> None:
     assert apart(lambda: np.arange(6.0).reshape(2, 3)).tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
     with pytest.raises(np.linalg.LinAlgError, match="came to no end"):

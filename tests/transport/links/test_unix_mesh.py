@@ -10,12 +10,14 @@ import socket
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from threading import Event, Thread
 from time import monotonic
 from typing import Any
 
 import pytest
 
 from tests.file_limit import files_up_to
+from tests.waiting import LIMIT_S
 from transport import TransportError
 from transport.links.mesh_peer import HEAD
 from transport.links.unix_mesh import POLLS, QUEUE_LIMIT, Mesh
@@ -52,6 +54,29 @@ def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_he
         assert counting.polls <= 10 * POLLS
         sender.send(HEAD.pack(0.0, 0))
         assert listener.receive(0.01) is not None
+
+
+def test_who_is_let_in_by_another_thread_hears_what_is_sent_meanwhile(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A bus with time sends from a thread of its own, while its program reads: each sees that a newcomer has joined."""
+    accept, lets_in, go_on = socket.socket.accept, Event(), Event()
+
+    def slow(listener: socket.socket) -> tuple[socket.socket, Any]:
+        lets_in.set()
+        assert go_on.wait(LIMIT_S)
+        return accept(listener)
+
+    with Mesh(directory) as sender, Mesh(directory) as newcomer:
+        monkeypatch.setattr(socket.socket, "accept", slow)
+        reads = Thread(target=sender.receive, args=(0.5,))
+        reads.start()
+        assert lets_in.wait(LIMIT_S)
+        sends = Thread(target=sender.send, args=(HEAD.pack(0.0, 0),))
+        sends.start()
+        sends.join(0.2)  # it has to wait for the other thread; where it does not, it is over by now
+        go_on.set()
+        sends.join()
+        reads.join()
+        assert newcomer.receive(0.01) is not None
 
 
 def test_who_joined_before_a_datagram_was_sent_hears_it_once_as_those_who_were_there(directory: Path) -> None:
