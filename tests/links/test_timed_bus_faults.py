@@ -11,6 +11,7 @@ import pytest
 
 from tests.links.test_timed_bus import bus, message, received
 from tests.waiting import LIMIT_S, until
+from transport import TransportError
 from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.planned_faults import BusFault
@@ -161,7 +162,7 @@ def test_a_rate_that_times_nothing_is_said_once() -> None:
 
 
 def test_a_bus_without_time_has_no_faults_and_an_impossible_restart_is_refused() -> None:
-    with can.Bus("t", interface="hil") as untimed, pytest.raises(can.CanOperationError, match="join it with timed=True"):
+    with can.Bus("t", interface="hil") as untimed, pytest.raises(TransportError, match="join it with timed=True"):
         untimed.frames.plan([], 0, [])  # type: ignore[attr-defined]
     with pytest.raises(can.CanInitializationError, match="restart_ms: -1, expected milliseconds, 0 to 1000000"):
         bus(restart_ms=-1)

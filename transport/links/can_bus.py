@@ -11,30 +11,53 @@ participants say ``timed=True``: see `transport.links.shared_bus`. A frame is lo
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.errors import FieldError
 from transport.links.can_datagram import (
+    BITRATE_SWITCH,
     ERROR,
+    ERROR_STATE,
     EXTENDED,
     FD_FRAME,
     ID_MASK,
+    OWN,
     REMOTE,
-    message_of,
 )
+from transport.links.hil_channel import join_channel, matches_of
 from transport.links.hil_frames import HilFrames
 from transport.links.link import TransportError
 from transport.links.mesh_peer import bus_directory as bus_directory
 from transport.links.python_can import can
-from transport.links.timed_sender import restart, timed_rates
 
 if TYPE_CHECKING:
     from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 _STATES: Final = {"passive": can.BusState.PASSIVE, "off": can.BusState.ERROR}
 
-_CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
+def message_of(fields: tuple[Any, ...], data: bytes, channel: str) -> can.Message:
+    """Return a datagram as a message of python-can.
+
+    Args:
+        fields: of `FRAME`.
+        data: behind them.
+        channel: name of the bus.
+    """
+    time_stamp, _, identifier, length, flags = fields
+    return can.Message(
+        timestamp=time_stamp,
+        arbitration_id=identifier & ID_MASK,
+        is_extended_id=bool(identifier & EXTENDED),
+        is_remote_frame=bool(identifier & REMOTE),
+        is_error_frame=bool(identifier & ERROR),
+        channel=channel,
+        dlc=length,
+        data=bytearray(data),
+        is_fd=bool(flags & FD_FRAME),
+        is_rx=not flags & OWN,
+        bitrate_switch=bool(flags & BITRATE_SWITCH),
+        error_state_indicator=bool(flags & ERROR_STATE),
+    )
+
 
 
 class HilBus(can.BusABC):
@@ -73,20 +96,13 @@ class HilBus(can.BusABC):
         **kwargs: object,
     ) -> None:
         name = str(channel)
-        if not _CHANNEL.fullmatch(name):
-            raise can.CanInitializationError(f"hil: channel {name!r}: expected up to 32 letters, digits, '_', '-', '.'")
         try:
-            rates = timed_rates(timed, bitrate, dbitrate if data_bitrate is None else data_bitrate)
-            restart_s = restart(restart_ms)
-        except FieldError as error:
-            raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
-        try:
-            self.frames = HilFrames(
-                bus_directory() / name, f"hil channel '{name}'", fd=fd, own=receive_own_messages, bus_errors=bool(berr_reporting),
-                rates=rates, restart_s=restart_s,
+            self.frames = join_channel(
+                name, receive_own_messages=receive_own_messages, fd=fd, timed=timed, bitrate=bitrate, dbitrate=dbitrate,
+                data_bitrate=data_bitrate, berr_reporting=berr_reporting, restart_ms=restart_ms,
             )  # fmt: skip
-        except (TransportError, OSError) as error:
-            raise can.CanInitializationError(f"hil: channel {name!r}: {error}") from error
+        except TransportError as error:
+            raise can.CanInitializationError(str(error)) from error
         self.channel = name
         self.channel_info = f"hil channel '{name}'"
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
@@ -138,7 +154,11 @@ class HilBus(can.BusABC):
         flags = 0
         if msg.is_fd:
             flags = FD_FRAME | msg.bitrate_switch | msg.error_state_indicator << 1
-        if not self.frames.put(identifier, length, flags, data, timeout or 0.0) and self.frames.timed is not None:
+        try:
+            taken = self.frames.put(identifier, length, flags, data, timeout or 0.0)
+        except TransportError as error:
+            raise can.CanOperationError(str(error)) from error
+        if not taken and self.frames.timed is not None:
             told = "the transmit buffer is full: no other participant acknowledges, or the bus is busy"
             raise can.CanOperationError(f"{self.channel_info}: {told}")
 
@@ -162,23 +182,16 @@ class HilBus(can.BusABC):
         return f"{length} bytes do not fit into a {'CAN FD' if msg.is_fd else 'classic CAN'} frame"
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        taken = self.frames.take(timeout)
+        try:
+            taken = self.frames.take(timeout)
+        except TransportError as error:
+            raise can.CanOperationError(str(error)) from error
         if taken is None:
             return None, True
         return message_of(*taken, self.channel), True
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
-        if filters is None:
-            self.frames.matches = None
-            return
-        matches = []
-        for rule in filters:
-            can_id, mask = rule["can_id"] & ID_MASK, rule["can_mask"] & ID_MASK
-            if "extended" in rule:
-                can_id |= EXTENDED if rule["extended"] else 0
-                mask |= EXTENDED
-            matches.append((can_id, mask))
-        self.frames.matches = tuple(matches)
+        self.frames.matches = None if filters is None else matches_of(filters)
 
     def fileno(self) -> int:
         """Return a descriptor that is readable while frames wait."""

@@ -1,12 +1,11 @@
-"""A CAN frame as a datagram between participants of the `hil` bus, as a python-can message, and as a frame with bits."""
+"""A CAN frame as a datagram between participants of the `hil` bus, and as a frame with bits."""
 
 from __future__ import annotations
 
 from struct import Struct
-from typing import Any, Final
+from typing import Final
 
 from transport.can_bus_model.can_frame import CanFrame
-from transport.links.python_can import can
 from transport.wire.fields import frame_length
 
 FRAME: Final = Struct("<dHIBB")
@@ -23,31 +22,6 @@ FD_FRAME: Final = 0x04
 OWN: Final = 0x80
 LOOK: Final = 0x40
 """Flags of ours: a frame of one's own; no frame, but a word that the error state of a participant has changed."""
-
-
-def message_of(fields: tuple[Any, ...], data: bytes, channel: str) -> can.Message:
-    """Return a datagram as a message of python-can.
-
-    Args:
-        fields: of `FRAME`.
-        data: behind them.
-        channel: name of the bus.
-    """
-    time_stamp, _, identifier, length, flags = fields
-    return can.Message(
-        timestamp=time_stamp,
-        arbitration_id=identifier & ID_MASK,
-        is_extended_id=bool(identifier & EXTENDED),
-        is_remote_frame=bool(identifier & REMOTE),
-        is_error_frame=bool(identifier & ERROR),
-        channel=channel,
-        dlc=length,
-        data=bytearray(data),
-        is_fd=bool(flags & FD_FRAME),
-        is_rx=not flags & OWN,
-        bitrate_switch=bool(flags & BITRATE_SWITCH),
-        error_state_indicator=bool(flags & ERROR_STATE),
-    )
 
 
 def frame_of(identifier: int, length: int, flags: int, data: bytes | bytearray) -> CanFrame:

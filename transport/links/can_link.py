@@ -24,16 +24,14 @@ from typing import Final, Protocol
 
 from transport.can_bus_model.node import State
 from transport.can_bus_model.planned_faults import BusFault
-from transport.links.can_bus import HilBus
-from transport.links.can_datagram import ERROR, EXTENDED, ID_MASK, REMOTE
+from transport.links.can_datagram import ERROR, ID_MASK, REMOTE
 from transport.links.can_errors import status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.hil_frames import HilFrames
 from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError
-from transport.links.python_can import can
 from transport.packets import decode, frame_length, node_of, packet_size
 
-_FAULTS: Final = (can.CanError, OSError, ValueError)
+_FAULTS: Final = (TransportError, OSError, ValueError)
 _GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more
 _REOPEN_EVERY: Final = 10
 _MOST_STATUSES: Final = 16
@@ -42,8 +40,11 @@ _SKIPPED: Final = 2 * FRAGMENTS
 """So many frames that complete no packet are taken in one call, lest a flood of them holds it for ever."""
 
 
-class _Frames(Protocol):
-    """A bus as the link uses it; `HilFrames` is one."""
+class Frames(Protocol):
+    """A bus as the link uses it: `transport.links.hil_frames.HilFrames`, or `transport.links.message_frames.MessageFrames`.
+
+    A call that fails raises an `OSError` with the system's number where there is one, a `ValueError` where its socket is closed.
+    """
 
     @property
     def lost(self) -> int: ...
@@ -58,30 +59,7 @@ class _Frames(Protocol):
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None: ...
 
-
-class _MessageFrames:
-    """Frames over any python-can bus, by way of its messages."""
-
-    def __init__(self, bus: can.BusABC, fd: bool) -> None:
-        self._bus, self._fd = bus, fd
-        self.lost = self.turned_away = self.filtered = 0  # no other bus says so
-
-    def send_frame(self, identifier: int, data: bytes) -> bool:
-        fd = self._fd
-        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
-        self._bus.send(message, 0.0)
-        return True  # as far as known
-
-    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
-        message = self._bus.recv(timeout)
-        if message is None:
-            return None
-        flags = message.is_error_frame * ERROR | message.is_remote_frame * REMOTE | message.is_extended_id * EXTENDED
-        return message.arbitration_id | flags, message.is_fd, bytes(message.data)
-
-
-def _frames_of(bus: can.BusABC, fd: bool) -> _Frames:
-    return bus.frames if isinstance(bus, HilBus) else _MessageFrames(bus, fd)
+    def shutdown(self) -> None: ...
 
 
 class CanLink(Closing):
@@ -100,14 +78,14 @@ class CanLink(Closing):
         claims: closed with the link.
     """
 
-    __slots__ = ("_bus", "_claims", "_closed", "_counters", "_fd", "_frames", "_hear", "_join", "_lengths", "_pad", "_parts",
+    __slots__ = ("_claims", "_closed", "_counters", "_fd", "_frames", "_hear", "_join", "_lengths", "_pad", "_parts",
                  "_row", "_say", "_state", "_statuses", "_step", "uri")  # fmt: skip
 
     def __init__(
         self,
         uri: str,
         role: Role,
-        join: Callable[[], can.BusABC],
+        join: Callable[[], Frames],
         *,
         identifiers: Identifiers | None = None,
         fd: bool = True,
@@ -122,8 +100,7 @@ class CanLink(Closing):
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._lengths = [64 if pad else frame_length(n) for n in range(65)] if fd else [*range(9)]  # of a frame with n bytes
         self._claims, self._join = tuple(claims), join
-        self._bus = join()  # what leaves the bus when it is let go
-        self._frames = _frames_of(self._bus, fd)
+        self._frames = join()
         self._closed = False
         self._parts = [b""] * len(heard)  # of each sender, what has come of a packet in fragments
         self._state: State = "active"
@@ -246,8 +223,7 @@ class CanLink(Closing):
         """Count a fault of the bus; pause, so that a loop that polls does not spin; reopen what has vanished."""
         self._counters.errors += 1
         self._parts = [b""] * len(self._parts)
-        code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
-        if code in _GONE or isinstance(error, ValueError):
+        if isinstance(error, ValueError) or (isinstance(error, OSError) and error.errno in _GONE):
             self._reopen()
         if wait_s > 0:
             select.poll().poll(1e3 * min(wait_s, _FAULT_PAUSE_S))
@@ -256,9 +232,8 @@ class CanLink(Closing):
         """Join the bus anew, if it is there again; every tenth call tries."""
         self._row += 1
         if self._row % _REOPEN_EVERY == 1:
-            with suppress(*_FAULTS):
-                bus = self._join()
-                old, self._bus, self._frames = self._bus, bus, _frames_of(bus, self._fd)
+            with suppress(Exception):  # a back end whose interface is not there raises anything
+                old, self._frames = self._frames, self._join()
                 self._row = 0
                 old.shutdown()
 
@@ -266,6 +241,6 @@ class CanLink(Closing):
         if not self._closed:
             self._closed = True
             with suppress(*_FAULTS):
-                self._bus.shutdown()
+                self._frames.shutdown()
             for claim in self._claims:
                 claim.close()

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-import logging
 import os
-import warnings
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
-from difflib import get_close_matches
 from errno import EAFNOSUPPORT, ENODEV
-from importlib import import_module
-from inspect import Parameter, signature
+from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any, Final
+from warnings import catch_warnings, simplefilter
 
-from transport.links.can_bus import bus_directory
 from transport.links.can_identifiers import filters, identifiers_of
-from transport.links.can_link import CanLink
+from transport.links.can_link import CanLink, Frames
+from transport.links.hil_channel import join_channel, matches_of
+from transport.links.hil_frames import HilFrames
 from transport.links.link import Role, TransportError, split_uri
+from transport.links.mesh_peer import bus_directory
 from transport.links.private_directory import Claim, network
-from transport.links.python_can import can
 
 OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
 """What a CAN link's URI may say of its frames; the rest is the interface's."""
@@ -27,7 +27,6 @@ _RESERVED: Final = ("args", "kwargs", "channel", "interface", "config_context", 
 _BIT_RATES: Final = ("bitrate", "data_bitrate", "sample_point", "data_sample_point")
 _SWALLOWING: Final = ("hil", "socketcan", "udp_multicast", "virtual")  # take any option, and ignore it; need no driver
 _NETWORK: Final = Path("/sys/class/net")
-_SILENCE: Final = logging.NullHandler()
 
 
 def open_can(uri: str, role: Role) -> CanLink:
@@ -49,10 +48,8 @@ def open_can(uri: str, role: Role) -> CanLink:
     """
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")
-    if interface not in can.VALID_INTERFACES:
-        near = get_close_matches(interface, can.VALID_INTERFACES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(can.VALID_INTERFACES))}"
-        raise TransportError(f"link {uri!r}: python-can has no interface {interface!r}, {hint}")
+    if interface != "hil":
+        _check_name(uri, interface)
     fd = options.pop("fd", "1")
     if fd not in ("0", "1"):
         raise TransportError(f"link {uri!r}: fd={fd}, expected 1 (CAN FD) or 0 (classic CAN)")
@@ -61,26 +58,20 @@ def open_can(uri: str, role: Role) -> CanLink:
         raise TransportError(f"link {uri!r}: pad={pad}, expected 1 (FD frames of 64 bytes) or 0; classic frames have no padding")
     flexible = fd == "1"
     identifiers = identifiers_of(uri, options, flexible)
-    logger = logging.getLogger("can")  # what python-can has to say, we say in one line
-    logger.addHandler(_SILENCE)
-    logger.propagate = False
     _check_options(uri, interface, options)
     accepted = identifiers.of("controller" if role == "rig" else "rig")
     arguments: dict[str, Any] = {name: _value(text) for name, text in options.items()}
-    arguments["can_filters"] = filters(accepted)
-    if interface == "virtual":
-        arguments["protocol"] = can.CanProtocol.CAN_FD if flexible else can.CanProtocol.CAN_20
-    elif flexible or interface in ("hil", "udp_multicast"):
-        arguments["fd"] = flexible
     if interface == "udp_multicast":
         arguments.setdefault("hop_limit", 0)  # python-can's default of 1 puts every frame on the local network
+    quiet = role == "controller"  # the rig says of both that a bit rate times nothing
+    join: Callable[[], Frames]
+    if interface == "hil":
+        join = partial(_join_hil, channel, matches_of(filters(accepted)), quiet=quiet, fd=flexible, **arguments)
+    else:
+        from transport.links.message_frames import join_interface
 
-    def join() -> can.BusABC:
-        with warnings.catch_warnings():
-            if role == "controller":  # the rig says of both that a bit rate times nothing
-                warnings.simplefilter("ignore")
-            return can.Bus(interface=interface, channel=channel, ignore_config=True, **arguments)
-
+        arguments["can_filters"] = filters(accepted)
+        join = partial(join_interface, interface, channel, fd=flexible, quiet=quiet, options=arguments)
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
     with ExitStack() as held:  # until the link holds them
@@ -95,17 +86,48 @@ def open_can(uri: str, role: Role) -> CanLink:
     return link
 
 
+def _join_hil(channel: str, matches: tuple[tuple[int, int], ...], *, quiet: bool, **options: Any) -> HilFrames:
+    with catch_warnings():
+        if quiet:
+            simplefilter("ignore")
+        frames = join_channel(channel, **options)
+    frames.matches = matches
+    return frames
+
+
+def _check_name(uri: str, interface: str) -> None:
+    """Refuse an interface that python-can does not know."""
+    from difflib import get_close_matches
+
+    from transport.links.message_frames import INTERFACES
+
+    if interface not in INTERFACES:
+        near = get_close_matches(interface, INTERFACES, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(INTERFACES))}"
+        raise TransportError(f"link {uri!r}: python-can has no interface {interface!r}, {hint}")
+
+
+def _names_of(interface: str) -> tuple[list[str], bool]:
+    """Return the names of an interface's options, and whether it takes any other; none of a back end without its driver."""
+    if interface == "hil":
+        return [name for name in signature(join_channel).parameters if name != "name"], False
+    from transport.links.message_frames import options_of
+
+    return options_of(interface)
+
+
 def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:
     """Refuse what we set ourselves, and what the bus does not name, where it would swallow or choke on it."""
-    known: list[str] = []
-    with suppress(Exception):  # a back end without its driver; opening it says so
-        module, name = can.interfaces.BACKENDS[interface]
-        parameters = signature(getattr(import_module(module), name)).parameters
-        known = [name for name in parameters if name not in _RESERVED]
-        if any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values()):
-            known = [*known, *_BIT_RATES] if interface in _SWALLOWING else []
+    if not options:
+        return
+    names, takes_any = _names_of(interface)
+    known = [name for name in names if name not in _RESERVED]
+    if takes_any:
+        known = [*known, *_BIT_RATES] if interface in _SWALLOWING else []
     for option in options:
         if option in _RESERVED or (known and option not in known):
+            from difflib import get_close_matches
+
             near = get_close_matches(option, [*OPTIONS, *known], n=1)
             expected = f"expected {', '.join(OPTIONS)} or what python-can's {interface} takes"
             hint = f"did you mean {near[0]!r}?" if near else expected

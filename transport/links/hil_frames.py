@@ -17,7 +17,6 @@ from transport.links.can_datagram import BITRATE_SWITCH, ERROR, FD_FRAME, FRAME,
 from transport.links.can_errors import BUS_ERROR, changed, destroyed
 from transport.links.held_bus import StateChange
 from transport.links.link import LOOK_S, TransportError
-from transport.links.python_can import can
 from transport.links.timed_sender import TimedSender
 from transport.links.unix_mesh import Mesh
 
@@ -107,10 +106,10 @@ class HilFrames:
         """Say what is wrong with the bus when, in place of what was said before; see `SharedBus.plan`.
 
         Raises:
-            can.CanOperationError: the bus takes no time, or is shut down.
+            TransportError: the bus takes no time, or is shut down.
         """
         if self.timed is None or self._closed:
-            raise can.CanOperationError(f"{self._title}: no bus that takes time; join it with timed=True")
+            raise TransportError(f"{self._title}: no bus that takes time; join it with timed=True")
         self.timed.plan(faults, seed, senders)
 
     def put(self, identifier: int, length: int, flags: int, data: bytes | bytearray, wait_s: float) -> bool:
@@ -124,10 +123,10 @@ class HilFrames:
             wait_s: how long to wait for room in a full queue, s.
 
         Raises:
-            can.CanOperationError: the bus is shut down.
+            TransportError: the bus is shut down.
         """
         if self._closed:
-            raise can.CanOperationError(f"{self._title} is shut down")
+            raise TransportError(f"{self._title} is shut down")
         now = time()
         if self.timed is not None and not identifier & ERROR:
             return self.timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
@@ -143,10 +142,10 @@ class HilFrames:
             timeout: s; None waits for ever. None may be returned earlier, when a participant joined or left.
 
         Raises:
-            can.CanOperationError: the bus is shut down.
+            TransportError: the bus is shut down.
         """
         if self._closed:
-            raise can.CanOperationError(f"{self._title} is shut down")
+            raise TransportError(f"{self._title} is shut down")
         end = None if timeout is None else monotonic() + (timeout if timeout > 0 else LOOK_S)
         for _ in range(_SKIPPED):
             frame = self.mesh.receive(timeout)

@@ -25,6 +25,7 @@ import os
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, suppress
 from datetime import datetime
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
@@ -227,7 +228,7 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
 
     uri = run.metadata.get("link", "")
     fd, identifiers = _framing(run)
-    bus: Any = _BusOfPaper()
+    bus = _BusOfPaper(fd)
     begin_s = run.start_ns / 1e9 or datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
     role: Literal["rig", "controller"] = "rig" if topic == SENSOR.name else "controller"
     link = CanLink(uri, role, lambda: bus, identifiers=identifiers, fd=fd)
@@ -260,16 +261,23 @@ def _framing(run: Run) -> tuple[bool, Identifiers]:
 
 
 class _BusOfPaper:
-    """As much of a python-can bus as a link needs to say its frames, which are kept with the time of the log."""
+    """A bus as a link uses it, that keeps what is said on it as messages of python-can, with the time of the log."""
 
-    def __init__(self) -> None:
+    lost = turned_away = filtered = 0
+
+    def __init__(self, fd: bool) -> None:
+        from transport.links.python_can import can
+
         self.messages: list[Any] = []
         self.t_s = 0.0
+        self._message = partial(can.Message, is_extended_id=False, is_fd=fd, bitrate_switch=fd, channel=0)
 
-    def send(self, message: Any, timeout: float | None = None) -> None:
-        message.timestamp = self.t_s
-        message.channel = 0
-        self.messages.append(message)
+    def send_frame(self, identifier: int, data: bytes) -> bool:
+        self.messages.append(self._message(arbitration_id=identifier, data=data, timestamp=self.t_s))
+        return True
+
+    def recv_frame(self, timeout: float) -> None:
+        """No other is on it."""
 
     def shutdown(self) -> None:
         """Nothing is open."""

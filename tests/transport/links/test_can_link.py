@@ -18,6 +18,7 @@ from transport import Role, TransportError, open_link
 from transport.links.can_link import CanLink
 from transport.links.can_open import open_can
 from transport.links.contract import control, sensor
+from transport.links.message_frames import MessageFrames
 
 Node = can.BusABC
 
@@ -172,7 +173,7 @@ class FailingBus(can.BusABC):
 )
 def test_a_fault_of_the_bus_is_counted_and_survived(fault: Exception) -> None:
     bus = FailingBus([fault] * 3)
-    with CanLink("can:failing", "rig", lambda: bus) as link:
+    with CanLink("can:failing", "rig", lambda: MessageFrames(bus, fd=True)) as link:
         link.send(sensor(1))
         assert link.receive(0.001) is None
         link.send(sensor(1))
@@ -185,7 +186,7 @@ def test_a_fault_of_the_bus_is_counted_and_survived(fault: Exception) -> None:
 
 def test_a_loop_that_polls_a_failing_bus_does_not_spin() -> None:
     bus = FailingBus([can.CanOperationError("down", ENETDOWN)] * 1000)
-    with CanLink("can:failing", "rig", lambda: bus) as link:
+    with CanLink("can:failing", "rig", lambda: MessageFrames(bus, fd=True)) as link:
         begin = monotonic()
         while monotonic() < begin + 0.1:
             link.receive(0.1)
@@ -196,12 +197,12 @@ def test_an_interface_that_vanished_is_joined_anew_when_it_is_back() -> None:
     buses = [FailingBus([can.CanOperationError("gone", ENODEV)] * 1000), FailingBus([])]
     tries = 0
 
-    def join() -> can.BusABC:
+    def join() -> MessageFrames:
         nonlocal tries
         tries += 1
         if tries in (2, 3):
             raise OSError(ENODEV, "No such device")
-        return buses[0] if tries == 1 else buses[1]
+        return MessageFrames(buses[0] if tries == 1 else buses[1], fd=True)
 
     with CanLink("can:failing", "rig", join) as link:
         for _ in range(60):
@@ -306,3 +307,15 @@ def test_garbage_on_the_controllers_identifier_is_malformed_over_every_frame(nod
         node.send(message)
     assert controller.receive(1) == sensor(9)
     assert controller.counters.malformed >= (tried if fd else 1) and controller.counters.received == 1
+
+
+def test_a_bus_of_ours_is_opened_and_used_without_python_can(channel: str) -> None:
+    program = f"""
+import sys
+from transport import open_link
+with open_link("can:hil:{channel[:20]}?bitrate=500k&timed=1", "rig") as rig, \\
+     open_link("can:hil:{channel[:20]}?bitrate=500k&timed=1", "controller"):
+    rig.send(b"x")
+assert "can" not in sys.modules and "difflib" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
