@@ -15,6 +15,11 @@ class HilError(Exception):
     status = 2
 
 
+def is_message(error: type[BaseException]) -> bool:
+    """Return whether an error is a message to the user: ours, or one of the other packages, which are not imported for a name."""
+    return any(each.__name__ in ("HilError", "TransportError", "PlantError", "DesignError") for each in error.__mro__)
+
+
 class DiskFull(HilError):
     """A disk that took not one record of a run; the command and its files are correct."""
 

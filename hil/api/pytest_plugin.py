@@ -232,12 +232,9 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     rig = getattr(item, "funcargs", {}).get("hil")
     if report.when != "call" or not report.failed or not isinstance(rig, Runner):
         return
-    from design.errors import DesignError
-    from hil.errors import HilError
-    from plants.errors import PlantError
-    from transport.links.link import TransportError
+    from hil.errors import is_message
 
-    if call.excinfo is not None and call.excinfo.errisinstance((HilError, DesignError, PlantError, TransportError)):
+    if call.excinfo is not None and is_message(call.excinfo.type):
         at = next((e for e in reversed(call.excinfo.traceback) if e.path == item.path), call.excinfo.traceback[0])
         report.longrepr = "\n".join(f"{at.path}:{at.lineno + 1}: {line}" for line in str(call.excinfo.value).splitlines())
     for session in rig.sessions:

@@ -14,7 +14,7 @@ import click
 
 from hil.cli.guard import Guard
 from hil.cli.interrupts import Terminated, signals_as_exceptions
-from hil.errors import HilError, nearest
+from hil.errors import HilError, is_message, nearest
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
 from hil.plugins.process_guard import WATCH, ProcessState
 from hil.plugins.user_modules import refuse_shadowed_packages
@@ -55,8 +55,6 @@ COMMANDS = {
     "licences": "List what is installed, and under which licence.",
     "doctor": "Check what this machine offers, with the remedy.",
 }
-
-ROOTS = ("TransportError", "PlantError", "DesignError")  # the error roots of the other packages, not imported for a name
 
 
 def _close_stdout() -> None:
@@ -186,7 +184,7 @@ def main(args: list[str] | None = None) -> Any:
         print("hil: the machine has too little memory for this; the command and its files are correct", file=sys.stderr)
         sys.exit(1)
     except Exception as e:
-        if not isinstance(e, HilError) and not any(c.__name__ in ROOTS for c in type(e).__mro__):
+        if not is_message(type(e)):
             raise
         from hil.cli.terminal import message_lines
 

@@ -10,10 +10,11 @@ import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from hil.experiment.tables import Affinity
-from transport.links.traits import LinkTraits
+if TYPE_CHECKING:  # `hil doctor` finds what stands before our packages, and imports none of them
+    from hil.experiment.tables import Affinity
+    from transport.links.traits import LinkTraits
 
 MCL_CURRENT, MCL_FUTURE, PR_SET_PDEATHSIG, PR_SET_TIMERSLACK = 1, 2, 1, 29
 
