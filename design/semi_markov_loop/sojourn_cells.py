@@ -29,6 +29,8 @@ WORK = 4e9
 """Most multiplications for one side at one number of cells."""
 ROUNDS = 400
 """Periods over which a side is followed."""
+SETTLED, PATIENCE = 0.01, 32
+"""Share of the distance to 1 below which a growth counts as settled; periods in which what is summed up has to fall."""
 MARGIN, ROUNDING = 1e-6, 1e-12
 """What a growth must differ from 1 by; what rounding leaves of moments of size 1."""
 
@@ -128,26 +130,28 @@ def refined(
         slacks: of an uncertain system, see ``uncertain_moments``.
         refute: whether the smaller side is asked too; an uncertain system has none.
     """
-    parts = 2
+    parts, before = 2, math.inf
     while parts <= FINEST:
-        found: list[tuple[float, float]] = []
+        found: list[tuple[float, float, _Side]] = []
         for slack in slacks:
             side = _Side(loop, modes, parts, upper=True, slack=slack)
             if side.work * ROUNDS > WORK:
                 return None
             side.prepare()
-            growth, X = _settled(side)
-            proved = _contracts(side, growth) if growth < 1.0 - MARGIN else None
-            if proved is not None:
-                return Refined("certified", proved, parts)
-            found.append((growth, slack))
-        slacks = [min(found)[1]]
+            found.append((_settled(side)[0], slack, side))
+        growth, slack, side = min(found, key=lambda each: each[0])
+        proved = _contracts(side, growth) if growth < 1.0 - MARGIN else None
+        if proved is not None:
+            return Refined("certified", proved, parts)
+        if not refute and before - growth < SETTLED * abs(1.0 - growth):
+            return None  # cells that are finer change this side no more
+        slacks, before = [slack], growth
         if refute:
             side = _Side(loop, modes, parts, upper=False, slack=0.0)
             side.prepare()
-            growth, X = _settled(side)
-            if growth > 1.0 + MARGIN and _grows(side, X, 0.5 * (1.0 + growth)):
-                return Refined("refused", 0.5 * (1.0 + growth), parts)
+            larger, X = _settled(side)
+            if larger > 1.0 + MARGIN and _grows(side, X, 0.5 * (1.0 + larger)):
+                return Refined("refused", 0.5 * (1.0 + larger), parts)
         parts *= 2
     return None
 
@@ -161,7 +165,7 @@ def _settled(side: _Side) -> tuple[float, FloatArray]:
         if largest == 0.0:
             return 0.0, X
         X, before, growth = X / largest, growth, largest
-        if k > 8 and abs(growth - before) <= max(0.01 * abs(1.0 - growth), 1e-8):
+        if k > 8 and abs(growth - before) <= max(SETTLED * abs(1.0 - growth), 1e-8):
             break
     return growth, X
 
@@ -173,12 +177,15 @@ def _contracts(side: _Side, growth: float) -> float | None:
     """
     bound = 0.5 * (1.0 + growth)
     last = side.unit()
-    W = last.copy()
-    for _ in range(ROUNDS):
+    W, sizes = last.copy(), [1.0]
+    for k in range(ROUNDS):
         last = side.after(last) / bound
         W += last
-        if _largest(last) < 1e-3:
+        sizes.append(_largest(last))
+        if sizes[-1] < 1e-3:
             break
+        if k > PATIENCE and sizes[-1] > sizes[-PATIENCE]:
+            return None  # it grows by more than the bound: the growth had not settled
     W += 4.0 * bound / (bound - growth) * last
     inside, outside = _matrices(W), _matrices(side.after(W))
     root = np.linalg.inv(np.linalg.cholesky(inside))
