@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 
 from hil.cli.new_external import Language, LinkKind, external_controller, program_files
-from hil.compose.loop import Loop
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, session_wire

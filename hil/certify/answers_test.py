@@ -12,11 +12,10 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from design.controllers import Known, LoopModel, MultiSampleController, Rows, RunningController, Sample, SensorNodes
-from hil.certify.motion_test import EQUAL
+from design.controllers import Known, LoopModel, MultiSampleController, Rows, Sample, SensorNodes
+from hil.rig.watched import EQUAL, Running
 
 Array = NDArray[np.float64]
-Running = RunningController | MultiSampleController
 Start = Callable[[], Running]
 
 SLOTS = 120

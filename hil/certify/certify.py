@@ -12,13 +12,10 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from msgspec.structs import replace
 
-from design.controllers import Controller, LoopModel
-from design.verdict import Verdict, digest
+from design.verdict import Verdict
 from hil.certify.certifier import (
     CertificationProblem,
     Certifier,
@@ -34,7 +31,6 @@ from hil.certify.send_all_loop import certify_linear_law, certify_send_all
 from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.certify.word_and_deed import tested
 from hil.errors import ForeignVerdict
-from hil.experiment import Experiment
 from hil.plugins.user_modules import is_ours
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import ChainLaw, SemiMarkovLaw
@@ -44,18 +40,6 @@ CERTIFIERS: tuple[Certifier, ...] = (
 )  # fmt: skip
 """Asked in this order; the first that knows the kind of loop answers."""
 
-
-
-def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
-    """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
-    resolved = replace(experiment, controller=controller).resolved()
-    said: dict[str, Any] = {
-        name: resolved[name] for name in ("plant", "controller", "network", "period", "fault") if name in resolved
-    }
-    if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
-        said["passivity"] = resolved["limits"]["passivity"]
-    law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
-    return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
 
 
 def certify(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:

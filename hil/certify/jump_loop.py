@@ -12,7 +12,6 @@ from math import isfinite
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel, ModeSchedule
@@ -21,6 +20,7 @@ from design.errors import DesignError
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import JumpPlant
+from hil.rig.watched import JumpStep
 from plants.parts.events import JumpModel, JumpRates
 from plants.parts.semi_markov import TransitionRates
 
@@ -227,24 +227,6 @@ def _with_continuous_time(
 
 
 Array = NDArray[np.float64]
-
-
-class JumpStep(Struct, frozen=True, kw_only=True):
-    """What holds in a slot without a jump: |x(k+1) - F_i x(k) - G_i v| <= W_i (|x(k)|, |v|), entry by entry; v = u + w.
-
-    Args:
-        flows: [F_i G_i], (N, n, n + m).
-        bands: W_i, (N, n, n + m); zero where the matrices are certain.
-        seen: whether the mode that is measured is the true one; else any of them may be it.
-        unseen: mean number of jumps in a slot whose two ends show the same mode.
-        names: name and unit of every state.
-    """
-
-    flows: Array
-    bands: Array
-    seen: bool
-    unseen: float
-    names: tuple[tuple[str, str], ...]
 
 
 def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:

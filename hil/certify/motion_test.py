@@ -15,7 +15,6 @@ be a state that the model does not know, and nothing in a linear model says whet
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -23,19 +22,15 @@ from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from hil.plugins.protocols import Plant
+from hil.rig.watched import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
 
 Array = NDArray[np.float64]
 
 SLOTS = 200
 """Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""
 SEED = 20240301
-EQUAL = 1e-6
-"""Share of the motion by which an honest plant may miss its model: rounding, and a fine integrator's error."""
 ALIKE = 1e-2
 """Share up to which a difference may come from a coarse integrator: undecided, and not refused."""
-CANCELS = 1e-11
-"""What the difference of two runs loses by rounding, as a share of their states."""
-LARGEST = 1e60
 
 
 class Track(Struct, frozen=True, kw_only=True):
@@ -165,22 +160,6 @@ def departure(
     return worst
 
 
-Free = Literal["none", "constant", "noise", "moves", "not compared"]
-ROUNDING = 1e-9
-STEPS = 4
-"""Instants at which a load may set in or end; in a slot of its own each time."""
-GROWTH = 3.0
-"""Noise of one deviation whose last third is larger than its first by this factor: one in 1e20 runs of 300 slots."""
-
-
-class FreeMotion(NamedTuple):
-    """What is left of a free motion when the model's is taken away: its kind, its size, and the signal's name and unit."""
-
-    kind: Free
-    size: float = 0.0
-    signal: tuple[str, str] = ("", "")
-
-
 def free_motion(
     model: LoopModel, delayed: Array, history: Array, track: Track, other: Track, names: tuple[list[tuple[str, str]], ...]
 ) -> FreeMotion:
@@ -235,17 +214,3 @@ def _unexplained(model: LoopModel, outputs: Array) -> Array:
     return np.asarray((flat - table @ np.linalg.lstsq(table, flat, rcond=None)[0]).reshape(outputs.shape))
 
 
-def kind_of(mine: Array, its: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
-    count = min(len(mine), len(its))
-    scale = ROUNDING * np.maximum.accumulate(np.abs(sizes)).max(axis=1, keepdims=True)[: len(mine)] + 1e-300
-    scale = scale + ROUNDING * np.abs(sizes[0]).max()
-    if not (np.abs(mine) > scale).any():
-        return FreeMotion("none")
-    k, i = np.unravel_index(int(np.abs(mine).argmax()), mine.shape)
-    found = (float(abs(mine[k, i])), signals[int(i)])
-    third = max(len(mine) // 3, 1)
-    if (np.abs(mine[:count] - its[:count]) > scale[:count]).any():
-        early, late = (float(np.sqrt((part * part).mean())) for part in (mine[:third], mine[-third:]))
-        return FreeMotion("moves" if late > GROWTH * early + float(scale.max()) else "noise", *found)
-    changes = int((np.abs(np.diff(mine, axis=0)) > 2.0 * scale[1 : len(mine)]).any(axis=1).sum())
-    return FreeMotion("constant" if changes <= STEPS else "moves", *found)

@@ -5,7 +5,6 @@ What a controller of gains by mode, and one that renders a wall, are asked when 
 
 from __future__ import annotations
 
-import pickle
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +18,6 @@ from design.controllers import (
     LinearFeedback,
     LoopModel,
     ModeSchedule,
-    MultiSampleController,
     OutputFeedback,
     SendAll,
     ages_told,
@@ -34,7 +32,6 @@ from hil.certify.answers_test import (
     SLOTS,
     Answer,
     Question,
-    Running,
     Start,
     answers,
     compared,
@@ -45,9 +42,10 @@ from hil.certify.answers_test import (
     share_memory,
 )
 from hil.certify.certifier import CertificationProblem, table_of
-from hil.certify.motion_test import ALIKE, EQUAL
+from hil.certify.motion_test import ALIKE
 from hil.certify.send_all_loop import laws_of
 from hil.plugins.user_modules import is_ours
+from hil.rig.watched import EQUAL, handed, looks_back
 
 if TYPE_CHECKING:
     from design.controllers import Controller
@@ -155,27 +153,6 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
         return twin, wall_question(model, samples)
     return None
-
-
-def runs_as(running: Running, stated: Running) -> bool:
-    """Return whether a controller that runs is what it states: both of one class, bit for bit the same inside."""
-    if type(running) is not type(stated):
-        return False
-    try:
-        return pickle.dumps(running) == pickle.dumps(stated)
-    except (pickle.PicklingError, AttributeError, TypeError):  # it holds what has no bytes, such as a function
-        return False
-
-
-def looks_back(running: Running) -> int | None:
-    """Return the age in slots of the oldest sample that a running controller is handed; None where it gets the newest alone."""
-    return running.memory if isinstance(running, MultiSampleController) else None
-
-
-def handed(running: Running) -> str:
-    """Return in words which samples a running controller is handed."""
-    memory = looks_back(running)
-    return "takes the newest sample alone" if memory is None else f"takes every sample of the last {memory + 1} slots"
 
 
 def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]

@@ -4,9 +4,7 @@ A certificate is a proof about matrices. That the plant moves by them, and that 
 both are driven with random inputs and compared. Different at small inputs is another system, and refused; different at large
 ones alone is no linear system, and undecided; equal is an assumption that says how far it was tested.
 
-What a run is compared with while it runs: the model of its plant, slot by slot, and the table of its controller.
-
-The test ends after some slots; who lies later, beyond the tested inputs or at some state is seen here alone.
+The test ends after some slots; what a run is compared with while it runs is `hil.rig.watched`.
 """
 
 from __future__ import annotations
@@ -16,21 +14,17 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from design.verdict import State, Verdict
 from hil.certify.bounded_departures import departure_check
 from hil.certify.certifier import CertificationProblem
-from hil.certify.jump_loop import JumpStep
 from hil.certify.motion_test import (
     ALIKE,
-    EQUAL,
     SEED,
     SLOTS,
     Departure,
-    FreeMotion,
     departure,
     drive,
     foretold,
@@ -39,9 +33,10 @@ from hil.certify.motion_test import (
 )
 from hil.certify.stated_controller import answers_of
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from hil.rig.watched import EQUAL, FreeMotion, OneStep
 
 if TYPE_CHECKING:
-    from design.controllers import Controller
+    pass
 
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
@@ -200,38 +195,6 @@ def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Arra
 Array = NDArray[np.float64]
 LARGEST_POLYNOMIAL = 12
 """States of a model up to which its outputs alone foretell its outputs: the polynomial of more loses its digits."""
-
-
-class OneStep(Struct, frozen=True, kw_only=True):
-    """What the record of a plant fulfils in every slot if it moves by its model: e(k) = sum_i taps[i] z(k - i) = 0.
-
-    z(k) = (x, y, u + w) in slot k. A load or noise that nothing else moves is left in e.
-
-    Args:
-        taps: (h + 1, q, width of z).
-        names: name and unit of every row of e.
-        stated: what the plant says that pushes it from within.
-    """
-
-    taps: Array
-    names: tuple[tuple[str, str], ...]
-    stated: tuple[str, ...] = ()
-
-
-class Watched(Struct, frozen=True, kw_only=True):
-    """What is compared in a run.
-
-    Args:
-        plant: of the plant, None where nothing is.
-        controller: what the controller says that it is, None where nothing is.
-        claimed: whether a certificate rests on it.
-        laws: which network laws are the user's own and state a chain, as places among those of the rig.
-    """
-
-    plant: OneStep | JumpStep | None
-    controller: Controller | None
-    claimed: bool
-    laws: tuple[int, ...] = ()
 
 
 def one_step(plant: Plant, model: LoopModel) -> OneStep | None:

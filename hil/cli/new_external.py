@@ -25,8 +25,8 @@ from design.controllers import (
     sojourns_told,
 )
 from design.controllers.gain_rows_many import sojourn_ranges
-from hil.compose.loop import Loop
 from hil.errors import HilError
+from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of
 from transport.packets import SELECTIONS

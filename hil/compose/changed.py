@@ -16,12 +16,12 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from hil.certify.certify import digest_of
 from hil.compose.fit import check_references
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
 from hil.plugins.protocols import GoesOn
+from hil.rig.loop import Loop, digest_of
 from hil.rig.normal_form import rig_of
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")

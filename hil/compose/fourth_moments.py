@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from design.controllers import GainTable, integrates
-from hil.compose.loop import Loop
 from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_over
+from hil.rig.loop import Loop
 
 if TYPE_CHECKING:
     from design.jump_linear.fourth_moment import FourthMoments

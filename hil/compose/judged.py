@@ -9,16 +9,18 @@ from msgspec.structs import replace
 from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
-from hil.certify.certify import certify, digest_of, of_external, own_laws
-from hil.certify.jump_loop import JumpStep, jump_step
+from hil.certify.certify import certify, of_external, own_laws
+from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
-from hil.certify.word_and_deed import OneStep, Watched, one_step
+from hil.certify.word_and_deed import one_step
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, without_held
+from hil.rig.loop import digest_of
 from hil.rig.loop_chains import loop_chains
 from hil.rig.spec import RigSpec
+from hil.rig.watched import JumpStep, OneStep, Watched
 
 BOUNDED = (
     "what the controller adds of its own, on samples of zero, stays bounded while a reference stays: looked at in the run, in a "

@@ -1,12 +1,9 @@
-"""An experiment, composed: plug-ins made, the design solved, its certificate computed. What every process of a run receives."""
+"""An experiment becomes a loop: plug-ins made, the design solved, its certificate computed."""
 
 from __future__ import annotations
 
-import sys
-from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,21 +15,16 @@ from design.controllers import (
     HistoryGains,
     IntegralAction,
     LoopModel,
-    MultiSampleController,
-    RunningController,
     packet_samples,
     row_count,
 )
 from design.errors import DesignError, FieldError
-from design.verdict import Verdict
-from hil.certify.certify import digest_of
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_loop import process_of, system_of
-from hil.certify.word_and_deed import Watched
 from hil.compose.fit import changed_meanwhile, check_own, check_references
 from hil.compose.judged import judge
 from hil.compose.named_files import with_law_files, with_recorded_traffic
-from hil.compose.stored_gains import Gains, fitted, problem_digest, solve_controller
+from hil.compose.stored_gains import fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
@@ -42,6 +34,7 @@ from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
+from hil.rig.loop import Gains, Loop
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
 from hil.rig.traffic_file import with_traffic_file
@@ -50,86 +43,6 @@ from transport.packets import MAX_OUTPUTS
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Loop:
-    """What is needed to run: plain data, cheap to pickle.
-
-    Args:
-        experiment: the checked description.
-        model: what the controller knows of the plant, and the bounds of both delays.
-        controller: controller parameters, with any design already solved.
-        rig: what the experiment says of its rig, laws tabulated: no process that keeps time computes their distributions.
-        chains: the delay chains of its network, with the labels that the controller distinguishes.
-        rows: rows in one send-all packet.
-        selection: how the actuator picks one of them.
-        samples: samples that the controller takes from a node: the newest, and so many less one before it.
-        verdict: what is claimed of the closed loop, None if not asked for.
-        gains: where solved gains come from; None where the experiment itself has them.
-        watched: what the run is compared with; None where no claim rests on it.
-    """
-
-    experiment: Experiment
-    model: LoopModel
-    controller: Controller
-    rig: RigSpec
-    chains: Chains
-    rows: int
-    selection: str
-    samples: int
-    verdict: Verdict | None
-    gains: Gains | None = None
-    watched: Watched | None = None
-
-    def __post_init__(self) -> None:
-        if self.verdict is not None and self.verdict.digest != digest_of(self.experiment, self.controller, self.model):
-            raise ForeignVerdict(f"verdict: it is on system {self.verdict.digest[:12]}, not on this loop")
-
-    @property
-    def certificate(self) -> dict[str, Any] | None:
-        """The verdict as JSON, with the digits that every machine comes to: what the log holds."""
-        return None if self.verdict is None else self.verdict.on_every_machine()
-
-    def start_controller(self) -> RunningController | MultiSampleController:
-        """Return the control law, ready for slot 0."""
-        return self.controller.start(self.model)
-
-    def reference(self) -> Callable[[int], tuple[float, ...]]:
-        """Return the reference as a function of the slot."""
-        e = self.experiment
-        zero = (0.0,) * len(e.plant.outputs)
-        return _schedule(zero, [(round(s.at / e.period), s.value) for s in e.reference])
-
-    def disturbance(self) -> Callable[[int], tuple[float, ...]]:
-        """Return the input disturbance as a function of the slot."""
-        e = self.experiment
-        zero = (0.0,) * len(e.plant.inputs)
-        changes: dict[int, tuple[float, ...]] = {}
-        pulses = [(round(p.at / e.period), round(p.at / e.period) + p.samples, p.value) for p in e.disturbance]
-        for k in sorted({edge for a, b, _ in pulses for edge in (a, b)}):
-            active = [v for a, b, v in pulses if a <= k < b]
-            changes[k] = tuple(map(sum, zip(zero, *active)))
-        return _schedule(zero, list(changes.items()))
-
-
-def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]) -> Callable[[int], tuple[float, ...]]:
-    """Piecewise constant in the slot; it is looked up where a piece begins."""
-    ordered = sorted(changes)
-    edges = [k for k, _ in ordered]
-    values = [start, *(v for _, v in ordered)]
-    begins, ends = [-sys.maxsize, *edges], [*edges, sys.maxsize]
-    begin = end = 0
-    value = start
-
-    def at(k: int) -> tuple[float, ...]:
-        nonlocal begin, end, value
-        if not begin <= k < end:
-            piece = bisect_right(edges, k)
-            begin, end, value = begins[piece], ends[piece], values[piece]
-        return value
-
-    return at
 
 
 def compose(

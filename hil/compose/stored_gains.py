@@ -11,11 +11,10 @@ import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 import msgspec
 import numpy as np
-from msgspec import Struct
 
 from design.controllers import Controller
 from design.verdict import digest
@@ -25,6 +24,7 @@ from hil.experiment.load import parse_table
 from hil.experiment.table import plain
 from hil.files.regular import read_regular
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController
+from hil.rig.loop import Gains
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
@@ -32,25 +32,6 @@ if TYPE_CHECKING:
 FORMAT: Final = "hilrig-gains/1"
 LARGEST: Final = 16_000_000
 """Bytes of a file."""
-
-Origin = Literal["stored", "solved here"]
-
-
-class Gains(Struct, frozen=True, kw_only=True):
-    """Where the gains of a run come from.
-
-    Args:
-        origin: ``stored``, from a file beside the experiment: the same on every machine; or ``solved here``.
-        note: why they were solved here, and what helps; nothing where they were stored.
-    """
-
-    origin: Origin
-    note: str = ""
-
-    def to_json(self) -> dict[str, str]:
-        """Return it as the summary of a run has it."""
-        return {"origin": self.origin, **({"note": self.note} if self.note else {})}
-
 
 class NoDigest(ValueError):
     """A part of the problem has no digest, such as a function."""

@@ -10,7 +10,6 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
@@ -18,6 +17,7 @@ from hil.log.recordings.law_text import WORDS, fit_said, law_text, toml_value
 from hil.log.topics import APPLIED, BUS, ROWS
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
 from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
+from hil.rig.loop import Loop
 from hil.rig.sensors import SharedMedium
 from transport.errors import FieldError
 from transport.law_fit.law_fit import fit_law

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from design.controllers import HistoryGains, SensorNodes
 from design.controllers.sensor_nodes import Uses
 from hil.certify.historical_loop import delayed_plant_of, known_past
-from hil.compose.loop import Loop
 from hil.errors import HilError
+from hil.rig.loop import Loop
 
 if TYPE_CHECKING:
     from design.historical_data.gapped_history import PhaseGains

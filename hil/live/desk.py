@@ -16,10 +16,10 @@ from typing import Any, Final
 import msgspec
 
 from hil.compose.changed import changed, is_schedule, refuse_in_real_time
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.live.side import Side
 from hil.plugins.user_plugins import words
+from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
 from hil.runtime.real.machine import die_with_parent
 

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any, Final
 
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.sinks import PayloadWriter, together
+from hil.rig.loop import Loop
 from hil.runtime.changes import Changes
 from hil.runtime.time.clock import Clock
 from hil.session import Onlooker

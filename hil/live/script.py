@@ -9,11 +9,11 @@ from typing import Any, Final
 import msgspec
 
 from hil.compose.changed import refuse_in_real_time
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.files.regular import read_regular
 from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
+from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
 from hil.session.replay.recorded import Asked, changes_of, composed
 

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from design.controllers import MultiSampleController
 from design.controllers.rendered_wall import WallController
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.log.topics import ROWS
 from hil.measure.view import MEASUREMENT, RunView, matrix
+from hil.rig.loop import Loop
 
 
 def composed(view: RunView) -> Loop | None:

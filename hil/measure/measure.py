@@ -12,7 +12,6 @@ from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
-from hil.compose.loop import Loop
 from hil.errors import HilError, nearest
 from hil.experiment import Experiment
 from hil.experiment.tables import Report
@@ -23,6 +22,7 @@ from hil.measure.signals import Signals
 from hil.measure.view import RunView, view_of
 from hil.plugins import registry
 from hil.plugins.user_plugins import in_own_words, words
+from hil.rig.loop import Loop
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, feedforward, integrates
-from hil.compose.loop import Loop
 from hil.measure.followed import AFTER_S, target_of
 from hil.measure.signals import signals_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import gains_over
+from hil.rig.loop import Loop
 from hil.rig.spec import motion_of
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import Any
 
 import msgspec
 
-from hil.compose.loop import Loop
 from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.runtime.virtual import run_virtual
 from transport.draws import REASONS
 from transport.packets import SELECTIONS

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from hil.compose.loop import Loop
 from hil.log.topics import channels_of
 from hil.log.write.sinks import Sink
+from hil.rig.loop import Loop
 from hil.runtime.changes import Changes, log_change, take
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from errno import EMFILE, ENFILE
 from typing import Any, Protocol
 
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.log.events import PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.sinks import PayloadWriter, Sink
+from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import Changes
 from hil.runtime.nodes.failures import failure_of

@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
 from hil.log.run import Run
 from hil.log.topics import BUS, CA, SC, channels_of
@@ -17,6 +16,7 @@ from hil.log.write.provenance import Provenance
 from hil.measure.measure import measures_of
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, view_of
+from hil.rig.loop import Loop
 
 LEFT: Final = 7
 """Exit status where a plant or a controller was not, in the run, what it says that it is."""

@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import DiskFull
 from hil.experiment import Experiment
 from hil.log.events import DEPARTED, WITHDRAWN
@@ -23,6 +23,7 @@ from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measu
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.rig.loop import Loop
 from hil.rig.session_link import link_of, no_link, refuse_undisturbed
 from hil.runtime.real.machine import machine
 from hil.runtime.simulated import rehearsal, simulate_as_logged

@@ -15,8 +15,8 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.compose.loop import Loop
 from hil.experiment import Experiment
+from hil.rig.loop import Loop
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.streams import rng_for
 from hil.sweeps.batch_protocols import BatchAges, NewestOfMany

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import KnownInBatch
-from hil.compose.loop import Loop
 from hil.log.topics import SC, STATE
 from hil.measure.batch_measure import BatchMeasure, BatchView
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
+from hil.rig.loop import Loop
 from hil.sweeps.batch_delivery import KnownSamples, applied_rows, delivered, law_supports_batch, nodes_of, received, starved
 from hil.sweeps.batch_protocols import (
     BatchController,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from design.monte_carlo.confidence import StopRule
 from design.monte_carlo.random_streams import Workers, spread
 from hil.compose.fourth_moments import caution
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
@@ -31,6 +31,7 @@ from hil.measure.measure import Named, Quantity, measures_of, quantities_of, ref
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins.user_modules import is_ours
+from hil.rig.loop import Loop
 from hil.runtime.simulated import rehearsal, simulate
 from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
 from hil.sweeps.sweep import Sweep, SweepStore

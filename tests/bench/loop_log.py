@@ -13,11 +13,12 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from typing import Any, Final
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import PayloadWriter, Record
+from hil.rig.loop import Loop
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import die_with_parent, go_real_time
 from hil.runtime.time.clock import RealClock, monotonic_ns

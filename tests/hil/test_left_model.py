@@ -16,10 +16,12 @@ from design.controllers import LoopModel, SendAll
 from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
 from hil.api.pytest_plugin import explained
-from hil.certify.word_and_deed import Watched, one_step
-from hil.compose.loop import Loop, compose
+from hil.certify.word_and_deed import one_step
+from hil.compose.loop import compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts
+from hil.rig.loop import Loop
+from hil.rig.watched import Watched
 from hil.runtime.nodes.plant_watch import left_over
 from hil.session import Session, run_session, simulated_session
 from hil.sweeps.seeds import run_seeds

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hil.api.experiment_source import load_experiment
-from hil.certify.jump_loop import JumpStep
 from hil.compose.judged import DELAYED, NOT_COMPARED
 from hil.compose.loop import compose
+from hil.rig.watched import JumpStep
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.session import simulated_session
 from plants import SwitchedExample

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from hil.cli.new_external import Language
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
 from hil.log.read.run import Run
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from tests.foreign_session import drive
 from tests.generated_controllers import asked_over, c_on_hil, generate, runs

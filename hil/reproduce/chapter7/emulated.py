@@ -18,10 +18,10 @@ import numpy.typing as npt
 
 from design.monte_carlo.random_streams import safe_path
 from design.networked_loop.steady_state import steady_state
-from hil.compose.loop import Loop
 from hil.measure.batch_measure import BatchValues, BatchView
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.models import NETWORK, Array, Plant
+from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 
 SEED = 7

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.networked_loop.prediction import predict_tracking
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_measure import BatchView, tracking_of_batch
 from hil.pages.html.figures import Band, Figure, Marker, Series
@@ -18,6 +18,7 @@ from hil.reproduce.chapter7.friction import Imperfections, loop_of
 from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
 from hil.reproduce.statements import Statement, above, below
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 
 Array = npt.NDArray[np.float64]

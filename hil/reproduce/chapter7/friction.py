@@ -20,12 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from design.monte_carlo.random_streams import safe_path
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_measure import BatchView, tracking_of_batch
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.emulated import numbers_of
 from hil.reproduce.statements import Statement, run
+from hil.rig.loop import Loop
 
 Array = npt.NDArray[np.float64]
 

@@ -15,9 +15,7 @@ from typing import Any, Final
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows
 from design.controllers.contract import Controller
-from hil.certify.answers_test import Running
-from hil.certify.motion_test import EQUAL
-from hil.certify.stated_controller import handed, looks_back
+from hil.rig.watched import EQUAL, Running, handed, looks_back
 
 LEAST: Final = 60
 """Slots of one reference below which nothing is said."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Sequence
 from typing import Protocol
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
-from hil.certify.stated_controller import runs_as
-from hil.compose.loop import Loop
 from hil.plugins.user_modules import is_ours
+from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
+from hil.rig.watched import Running
 from hil.runtime.nodes.answer_watch import AnswerWatch
 from transport.packets import SensorPacket
 
@@ -89,9 +90,19 @@ def _watch(loop: Loop, running: RunningController | MultiSampleController) -> An
     if loop.watched is None or loop.watched.controller is None or is_ours(loop.controller):
         return None
     stated, aims = loop.watched.controller, bool(loop.experiment.reference)
-    if runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
+    if _runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
         return None
     return AnswerWatch(running, loop.controller, stated, loop.model, aims=aims)
+
+
+def _runs_as(running: Running, stated: Running) -> bool:
+    """Return whether a controller that runs is what it states: both of one class, bit for bit the same inside."""
+    if type(running) is not type(stated):
+        return False
+    try:
+        return pickle.dumps(running) == pickle.dumps(stated)
+    except (pickle.PicklingError, AttributeError, TypeError):  # it holds what has no bytes, such as a function
+        return False
 
 
 class NewestSample:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 
-from hil.compose.loop import Loop
+from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_input import controller_input
 from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from hil.compose.loop import Loop
 from hil.log.events import PLANT_FAILED, PLUG_IN_FAILED
 from hil.plugins.user_plugins import told_of
+from hil.rig.loop import Loop
 from plants.errors import PlantError
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.compose.loop import Loop
 from hil.experiment.rig_tables import RESTART, Fault
+from hil.rig.loop import Loop
 from hil.rig.schedules import fault_text
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for

@@ -15,8 +15,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.certify.jump_loop import JumpStep
-from hil.certify.motion_test import CANCELS, EQUAL, LARGEST
+from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN
 from plants.parts.protocols import PlantRun
 

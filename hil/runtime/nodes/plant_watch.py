@@ -14,8 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.certify.motion_test import CANCELS, EQUAL, LARGEST, kind_of
-from hil.certify.word_and_deed import OneStep
+from hil.rig.watched import CANCELS, EQUAL, LARGEST, OneStep, kind_of
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]

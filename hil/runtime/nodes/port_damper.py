@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from hil.compose.loop import Loop
+from hil.rig.loop import Loop
 
 
 class Injected(NamedTuple):

@@ -10,16 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
-from hil.certify.jump_loop import JumpStep
-from hil.certify.motion_test import EQUAL
-from hil.certify.word_and_deed import OneStep
-from hil.compose.loop import Loop
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.plugins.protocols import GoesOn, Plant, PlantRun
 from hil.rig.can_bus import can_bus_of
+from hil.rig.loop import Loop
 from hil.rig.session_link import FirstIdentifiers
+from hil.rig.watched import EQUAL, JumpStep, OneStep
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.fault_injector import FaultInjector

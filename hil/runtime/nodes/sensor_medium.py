@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from hil.compose.loop import Loop
+from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor, SharedMedium
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from types import FrameType
 
-from hil.compose.loop import Loop
+from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of

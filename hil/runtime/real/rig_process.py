@@ -13,11 +13,11 @@ from dataclasses import asdict, dataclass
 from types import FrameType
 from typing import NoReturn
 
-from hil.compose.loop import Loop
 from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.frames_dbc import about_rig
+from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, link_faults
 from hil.runtime.changes import log_change, log_late, take
 from hil.runtime.nodes.controller_node import ControlNode

@@ -20,7 +20,6 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
@@ -28,6 +27,7 @@ from hil.log.write.pipe import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
+from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import Changes
 from hil.runtime.real import controller_process, rig_process

@@ -6,10 +6,10 @@ import os
 from collections.abc import Sequence
 from contextlib import suppress
 
-from hil.compose.loop import Loop
 from hil.log.topics import channels_of
 from hil.log.write.pipe import PipeSink
 from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire

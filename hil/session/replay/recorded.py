@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.compose.changed import changed
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.log.append_column import AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR, TIMING
+from hil.rig.loop import Loop
 from hil.runtime.changes import CHANGE, END, Change
 from hil.runtime.nodes.wire import Wire, before
 from hil.session.replay.compare import BATCH, in_time

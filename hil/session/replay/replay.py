@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import Controller, packet_samples
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.table import UnavailablePlugin
@@ -27,6 +27,7 @@ from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
 from hil.measure.summary import percentiles
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
+from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.changes import take

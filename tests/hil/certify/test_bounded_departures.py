@@ -11,7 +11,8 @@ from design.errors import NotStable
 from design.jump_linear.certificate import ultimate_bound
 from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from plants import DCMotor, Departure, LinearPlant
 

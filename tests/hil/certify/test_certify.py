@@ -14,10 +14,11 @@ from design.controllers import LoopModel
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
-from hil.certify.certify import CERTIFIERS, certify, digest_of
-from hil.compose.loop import Loop, compose
+from hil.certify.certify import CERTIFIERS, certify
+from hil.compose.loop import compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
+from hil.rig.loop import Loop, digest_of
 from hil.runtime.simulated import simulate
 
 

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from design.jump_linear.every_order import growth_in_every_order
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import gains_within
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 
 BUSY, OURS = "dc-motor-busy-can", "dc-motor-ours-busy-can"

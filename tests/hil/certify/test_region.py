@@ -12,7 +12,8 @@ import hil
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from plants import DCMotor, Departure, Driver, LinearPlant
 

@@ -14,8 +14,9 @@ from design.processes.semi_markov import SemiMarkov
 from design.processes.user_rate import UserRate
 from design.requests.tracking import DesignTask
 from hil.compose.loop import compose, solved_gains
-from hil.compose.stored_gains import FORMAT, Gains, NoDigest, problem_digest
+from hil.compose.stored_gains import FORMAT, NoDigest, problem_digest
 from hil.experiment import Experiment, load_experiment, shipped
+from hil.rig.loop import Gains
 from tests.hil.cli.conftest import Hil
 
 NAME = "dc-motor-ours-h2"

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 
 Case = tuple[dict[str, Any], Callable[[Loop], float]]

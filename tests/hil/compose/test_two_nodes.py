@@ -12,11 +12,12 @@ from scipy.stats import norm
 from design.controllers import Known, MultiSampleController, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.cli.run_summary import show
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify

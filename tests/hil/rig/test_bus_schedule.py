@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.experiment.nodes import ClockTable
@@ -16,6 +16,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure
 from hil.pages.run.sections.nodes import section
+from hil.rig.loop import Loop
 from hil.rig.schedules import bus_cycle
 from hil.runtime.simulated import simulate
 from hil.session import run_session

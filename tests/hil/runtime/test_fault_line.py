@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
 from hil.experiment.schema import experiment_schema
@@ -17,6 +17,7 @@ from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
 from hil.pages.run.sections.theory import section as theory_section
+from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from hil.compose.fourth_moments import caution
-from hil.compose.loop import Loop
 from hil.measure.avatar import composed
 from hil.measure.followed import target_of
 from hil.measure.prediction import PredictedTracking, predict
@@ -15,6 +14,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from hil.sweeps.lockstep import run_batch, supports_batch
 

@@ -13,7 +13,6 @@ import pytest
 import hil
 from hil.cli import main
 from hil.compose import loop as composing
-from hil.compose.loop import Loop
 from hil.errors import HilError
 from hil.measure import avatar, measure, network_paths
 from hil.measure.view import RunView, view_of
@@ -22,6 +21,7 @@ from hil.pages.html.plain_section import plain_section
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections import sections_of
 from hil.rig import delay_chains, normal_form
+from hil.rig.loop import Loop
 from plants.dc_motor import DCMotor
 
 MINE = """

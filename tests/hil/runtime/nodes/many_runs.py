@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import HistoryGains
-from hil.compose.loop import Loop
+from hil.rig.loop import Loop
 from hil.runtime.streams import rng_for
 from plants.delayed_states import DelayedStates
 

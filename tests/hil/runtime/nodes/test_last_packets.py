@@ -9,9 +9,10 @@ from design.controllers.sensor_nodes import PacketWindow, window_of
 from design.historical_data.gapped_history import window_mask
 from design.historical_data.lifted_loop import close
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.simulated import simulate
 from transport.draws import DELIVERED

@@ -7,11 +7,12 @@ import pytest
 
 from design.historical_data.measurement_noise import noise_costs
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
+from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from hil.runtime.streams import rng_for
 from plants.parts.draws import Normals

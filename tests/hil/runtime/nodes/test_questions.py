@@ -7,8 +7,9 @@ from itertools import count
 
 import pytest
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.questions import NEAR, SILENCE_NS, Questions, Refusals
 from hil.runtime.nodes.wire import SEGMENT, Wire, before, session_wire

@@ -10,10 +10,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig

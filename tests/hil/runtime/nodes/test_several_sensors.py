@@ -16,7 +16,7 @@ from design.historical_data.cost_bounds import CostMoments, cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
@@ -24,6 +24,7 @@ from hil.measure.cost import Cost
 from hil.measure.network_paths import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
 from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude, Relative

@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from hil.compose.loop import Loop, compose
+from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
 from hil.runtime.real import warm_up
