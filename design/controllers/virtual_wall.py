@@ -1,23 +1,6 @@
-"""The virtual wall in the loop: from a delayed position to a force, through contact and coupler. It needs numpy at most.
+"""Controllers that render a wall over a network: through a coupler, and by model following. They need numpy at most.
 
-    x_v(k) = x(k - tau) - (C f)(k),     u(k) = -f(k - d)
-
-Where the ends equalise their delays, the wall takes x(k - tau_max) in every slot, whatever the network did, and the packet
-carries a row for every age d, so that the force of slot g is felt in slot g + d_max and in no other. The loop then has one delay,
-tau_max + d_max, and the condition for a coupler over one delay holds.
-
-Reference: Chapter 6, Figures 6.3, 6.4; the send-all packet: (7.9)-(7.13).
-
-A wall rendered by model following: the device is to move as if it stood at the wall without a network. It needs numpy.
-
-A Kalman filter estimates place, speed and the force of the hand from the delayed position; a target model of each material,
-
-    m x_m'' = h - (b + B_i) x_m' - K_i x_m,
-
-moves under that force; and u = -F_i (x, v, h, u(k-1) .. u(k-n2), x_m, v_m) draws the device after it. It knows one hand, that of
-its model: whoever else holds the device may make it unstable, and its certificate says so.
-
-Reference: Chapter 6, (6.7) as a linear-quadratic problem; delays in the state.
+Reference: Chapter 6, Figures 6.3, 6.4 and (6.7); the send-all packet: (7.9)-(7.13).
 """
 
 from __future__ import annotations
@@ -40,6 +23,14 @@ from design.errors import FieldError
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VirtualWall:
     """A wall and the taps of its coupler, as they run.
+
+    From a delayed position to a force, through contact and coupler:
+
+        x_v(k) = x(k - tau) - (C f)(k),     u(k) = -f(k - d)
+
+    Where the ends equalise their delays, the wall takes x(k - tau_max) in every slot, whatever the network did, and the packet
+    carries a row for every age d, so that the force of slot g is felt in slot g + d_max and in no other. The loop then has one
+    delay, tau_max + d_max, and the condition for a coupler over one delay holds.
 
     The plant measures position, y and z in m, and takes one force in N.
 
@@ -161,6 +152,15 @@ Matrix = tuple[tuple[float, ...], ...]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ModelFollowing:
     """The gains of a wall that is rendered by model following, as they run.
+
+    The device is to move as if it stood at the wall without a network.
+
+    A Kalman filter estimates place, speed and the force of the hand from the delayed position; a target model of each material,
+
+        m x_m'' = h - (b + B_i) x_m' - K_i x_m,
+
+    moves under that force; and u = -F_i (x, v, h, u(k-1) .. u(k-n2), x_m, v_m) draws the device after it. It knows one hand, that
+    of its model: whoever else holds the device may make it unstable, and its certificate says so.
 
     Args:
         wall: materials, and where they lie.

@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear import krylov
 from design.jump_linear.joint_expectation import Array, Factors, mean
+from design.jump_linear.long_computations import gmres
 
 Index = npt.NDArray[np.intp]
 Levels = tuple[tuple[int, int], ...]
@@ -200,7 +200,7 @@ def solve_coupled(
         return vector - states.pack(states.moved(states.expand(states.unpack(vector))))
 
     start = None if near is None else states.pack(states.arranged(near)[:, :f])
-    found = krylov.solve(product, states.pack(right), tolerance=tolerance, start=start)
+    found = gmres(product, states.pack(right), tolerance=tolerance, start=start)
     return None if found is None else states.restored(states.expand(states.unpack(found), G))
 
 
@@ -236,7 +236,7 @@ def solve_bordered(
         fixed = states.expand(np.zeros(states.shape), G0)
         known, offset = known + states.moved(fixed), offset + float(np.vdot(H, fixed))
     start = None if near is None else np.append(states.pack(states.arranged(near)[:, :f]), 0.0)
-    found = krylov.solve(product, np.append(states.pack(known), offset), tolerance=tolerance, start=start)
+    found = gmres(product, np.append(states.pack(known), offset), tolerance=tolerance, start=start)
     if found is None:
         return None
     t = float(found[-1])

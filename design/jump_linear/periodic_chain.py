@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import NotStable
-from design.jump_linear import krylov
-from design.jump_linear.krylov import spectral_radius
+from design.jump_linear.long_computations import gmres, spectral_radius
 from design.jump_linear.second_moment import (
     ARPACK_RESTARTS,
     EIG_DENSE_AFTER,
@@ -119,7 +118,7 @@ def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:
     n, classes = A.shape[-1], cyclic_classes(transition)
     steps, S = _steps(A, transition, classes), np.zeros_like(Q)
     once = _back(steps, [Q[now] for now in classes], np.zeros_like(Q[classes[0]]))[0]
-    found = krylov.solve(lambda vector: vector - _around(steps, n, vector), to_vector(once).ravel())
+    found = gmres(lambda vector: vector - _around(steps, n, vector), to_vector(once).ravel())
     if found is None:
         raise NotStable("the cost was not found: the loop is too near to one that is not mean-square stable")
     each = _back(steps, [Q[now] for now in classes], to_matrix(found.reshape(len(classes[0]), -1), n))

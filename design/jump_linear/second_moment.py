@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
-from design.jump_linear.krylov import spectral_radius
+from design.jump_linear.long_computations import spectral_radius
 from design.jump_linear.stability_proof import is_sparse, positive_radius, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]

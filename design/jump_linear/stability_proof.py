@@ -1,12 +1,12 @@
-"""Mean-square stability proved by positive solutions: of loops that differ little, and of many modes with few successors.
+"""Mean-square stability proved by positive solutions, without an eigenvalue.
 
-R > 0 with R - L R > 0 proves it. One equation solved to few digits gives such an R; a product shows whether it still fits the
-next loop. The operator L keeps the cone of positive semidefinite families, so s > radius(L) if and only if
+The operator L of the second moments keeps the cone of positive semidefinite families. So R > 0 with R - L R > 0 proves stability,
+and s > radius(L) if and only if
 
     s X - L X = I    has a solution with every X_i > 0.
 
-Each s is one sparse factorisation, and 1/tr X falls to zero at the radius like a straight line: a secant finds it, a positive
-solution bounds it from above. No eigenvalue is computed, so none can be missed.
+Loops that differ little share one R (`StabilityProof`); the radius over many modes with few successors is found by sparse
+solutions for some s (`positive_radius`).
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ import numpy as np
 
 from design.jump_linear.coupled_lyapunov import solve_coupled
 from design.jump_linear.joint_expectation import Array, factors_of, mean
-from design.jump_linear.krylov import apart
+from design.jump_linear.long_computations import apart
 
 TOLERANCES = (1e-4, 1e-12)
 
 
 class StabilityProof:
     """Keeps the last family that proved stability.
+
+    One equation solved to few digits gives such an R; a product shows whether it still fits the next loop.
 
     Args:
         transition: (N, N) row-stochastic matrix.
@@ -123,6 +125,9 @@ def solve_sparse(operator: Any, right: Array, shift: float = 1.0) -> Array:
 
 def positive_radius(operator: Any, unit: Array, family: Any) -> float:
     """Return the spectral radius of an operator that keeps the cone, from above.
+
+    Each s is one sparse factorisation, and 1/tr X falls to zero at the radius like a straight line: a secant finds it, a positive
+    solution bounds it from above. No eigenvalue is computed, so none can be missed.
 
     Args:
         operator: sparse matrix of it, (size, size).

@@ -1,17 +1,7 @@
-"""The certificate of gains over a network: the loop (7.14) is built, and judged as any jump-linear system.
+"""What gains reach over a network, and what no gains can: the certificate of a loop, and lower bounds on its norms.
 
-Lower bounds on the norms of any causal controller, so that the distance of a design from the best is known.
-
-A unit impulse w(0) enters in a random direction, and then nothing: x(1) = B w(0). A controller that is linear in what
-it knows applies u = 0 until a sample of time 1 or later has come to it and its packet to the actuator; from then on
-nothing is unknown, and no controller does better than the linear-quadratic one with the whole state and free input.
-Where several nodes measure, the youngest sample of any of them counts as the sample of all.
-
-    full information     the state is known at once
-    delayed information  the state is known when the delays (tau, d) let it be known
-
-The input weight R is left out, which lowers the bounds and makes them hold for every selection rule. They hold for
-the stacked z; for the sum Q x + R u1 no such bound holds, since the terms may cancel.
+The loop (7.14) is built and judged as any jump-linear system. The distance of a design from the best possible is at most that
+from the lower bounds.
 """
 
 from __future__ import annotations
@@ -54,7 +44,7 @@ def certify_loop(
         Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
         output, samples, integral: as in `design.networked_loop.closed_loop.loop_structure`.
         initial: distribution of the mode at the impulse; default: uniform over plain chains, else stationary, see
-            `design.networked_loop.joint_modes`.
+            `design.networked_loop.loop_parts`.
         hinf: compute the H-infinity norm too (some 10 ms more).
 
     Returns:
@@ -92,7 +82,14 @@ HORIZON = 5000
 
 
 class LowerBounds(NamedTuple):
-    """Lower bounds on the H2 and the H-infinity norm."""
+    """Lower bounds on the H2 and the H-infinity norm.
+
+        full information     the state is known at once
+        delayed information  the state is known when the delays (tau, d) let it be known
+
+    They hold for any causal controller and every selection rule. They hold for the stacked z; for the sum Q x + R u1 no such
+    bound holds, since the terms may cancel.
+    """
 
     h2_full_information: float
     h2_delayed_information: float
@@ -110,6 +107,13 @@ def lower_bounds(
     present: npt.ArrayLike | None = None,
 ) -> LowerBounds:
     """Lower bounds for plant (A, B), weight Q (l, n) of the state, and the two delay chains.
+
+    A unit impulse w(0) enters in a random direction, and then nothing: x(1) = B w(0). A controller that is linear in what
+    it knows applies u = 0 until a sample of time 1 or later has come to it and its packet to the actuator; from then on
+    nothing is unknown, and no controller does better than the linear-quadratic one with the whole state and free input.
+    Where several nodes measure, the youngest sample of any of them counts as the sample of all.
+
+    The input weight R is left out, which lowers the bounds.
 
     Args:
         initial: (sc modes * ca modes,) distribution of the mode at the impulse, the same as the norm's; default uniform.

@@ -35,7 +35,7 @@ import numpy.typing as npt
 from design.controllers import Selection, row_count
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.networked_loop.joint_modes import (
+from design.networked_loop.loop_parts import (
     check_gains,
     check_plant_shapes,
     default_initial,

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from design.controllers import LinearLaw, RowsLaw
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.networked_loop.joint_modes import (
+from design.networked_loop.loop_parts import (
     check_plant_shapes,
     default_initial,
     initial_law,

@@ -29,7 +29,7 @@ from design.controllers import Selection
 from design.errors import FieldError
 from design.jump_linear.second_moment import congruence_matrices, to_matrix, to_vector
 from design.networked_loop.closed_loop import LoopStructure, loop_structure
-from design.networked_loop.joint_modes import check_gains
+from design.networked_loop.loop_parts import check_gains
 from design.networked_loop.steady_state import check_held, steady_state
 from design.processes.delay_chain import Array, DelayChain, as_chain
 

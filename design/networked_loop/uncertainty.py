@@ -26,7 +26,7 @@ from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import expect
 from design.networked_loop.closed_loop import LoopStructure
-from design.networked_loop.joint_modes import check_gains
+from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import Array
 
 TOLERANCE = 1e-5

@@ -1,4 +1,4 @@
-"""The condition for a coupler over a delay: passive for any passive hand and any passive wall.
+"""Whether a coupler over a delay is passive for any passive hand and any passive wall: the condition, decided in whole numbers.
 
     (z - 1)/(T z) C(z) - (1 - z^-(nd+1))/(2 (b + b_h))   positive real                              (*)
 
@@ -15,19 +15,10 @@ and Fejer's F_N,
 
     (1/T) sum_l c_l D_l(t) - F_N(t)/(2 beta),   D_l = 1 + 2 sum_{j<=l} cos jt,   F_N = N + 2 sum_{j<N} (N - j) cos jt,
 
-which `design.passivity.condition` decides in whole numbers. C has no pole outside 0 (an integrator adds d/T to the real part).
+The condition asks whether it is nonnegative, which `is_nonnegative` decides. C has no pole outside 0 (an integrator adds d/T to
+the real part).
 
 Reference: Chapter 6, Theorem 6.1 and what replaces it (ERRATA 22).
-
-Whether a cosine polynomial is nonnegative on the whole circle, decided in whole numbers.
-
-    p(t) = a_0 + a_1 cos t + ... + a_n cos nt = P(x),  x = cos t in [-1, 1],  cos jt = T_j(x)
-
-P is nonnegative on [-1, 1] exactly if it is so at one point that is no root, and no root of odd multiplicity lies inside.
-Roots of odd multiplicity are what Yun's decomposition leaves of P; Sturm's theorem counts them. There is no grid, no solver
-and no rounding: the answer is a proof, either way.
-
-References: Yun, On square-free decomposition algorithms, 1976; Basu, Pollack, Roy, Algorithms in Real Algebraic Geometry, ch. 2.
 """
 
 from __future__ import annotations
@@ -50,6 +41,17 @@ Integers = list[int]  # coefficients of an integer polynomial, lowest power firs
 
 def is_nonnegative(coefficients: Sequence[Fraction]) -> bool:
     """Return whether a_0 + a_1 cos t + ... + a_n cos nt >= 0 for every t.
+
+    The whole circle is decided in whole numbers:
+
+        p(t) = a_0 + a_1 cos t + ... + a_n cos nt = P(x),  x = cos t in [-1, 1],  cos jt = T_j(x)
+
+    P is nonnegative on [-1, 1] exactly if it is so at one point that is no root, and no root of odd multiplicity lies inside.
+    Roots of odd multiplicity are what Yun's decomposition leaves of P; Sturm's theorem counts them. There is no grid, no solver
+    and no rounding: the answer is a proof, either way.
+
+    References: Yun, On square-free decomposition algorithms, 1976; Basu, Pollack, Roy, Algorithms in Real Algebraic Geometry,
+    chapter 2.
 
     Args:
         coefficients: a_0, a_1, ..., exact.

@@ -1,19 +1,8 @@
-"""The whole loop in contact as matrices: device and hand, delays, coupler, one material; and as a jump-linear system.
+"""A haptic device, held by a hand, that presses on a wall over a network: the whole loop in contact as matrices.
 
-State, M the longer of coupler and force delay:
+The loop is linear in one material, and a jump-linear system over several.
 
-    (x, v, x(k-1) .. x(k-n1), f(k-1) .. f(k-M), x_v(k-1), q)
-
-The controller has x(k - n1) in slot k, the device feels f(k - n2). In contact f = K x_v + B (x_v(k) - x_v(k-1))/T and
-x_v = x(k - n1) - (C f)(k), both solved for f(k); q is the state of the coupler's integrator.
-
-Reference: Chapter 6, Figure 6.4; delays in the state.
-
-A haptic device held by a hand, as a mass, a damper and a spring; and what moves it in one sample.
-
-    (m + m_h) x'' + (b + b_h) x' + k_h x = u + push,     u held over a sample
-
-Reference: Chapter 6, (6.1), (6.2), (6.4).
+Reference: Chapter 6, (6.1), (6.2), (6.4) and Figure 6.4; delays in the state.
 """
 
 from __future__ import annotations
@@ -42,6 +31,8 @@ LEAST_LEFT: Final = 1e-12
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldDevice:
     """A device and the hand that holds it rigidly.
+
+        (m + m_h) x'' + (b + b_h) x' + k_h x = u + push,     u held over a sample
 
     Args:
         mass_kg, damping_n_s_per_m: m above 0 and b at least 0, of the device.
@@ -109,6 +100,13 @@ def continuous(A: Array, B: Array, period_s: float) -> Array:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HapticLoop:
     """A held device that presses on a wall through a coupler and a network.
+
+    State, M the longer of coupler and force delay:
+
+        (x, v, x(k-1) .. x(k-n1), f(k-1) .. f(k-M), x_v(k-1), q)
+
+    The controller has x(k - n1) in slot k, the device feels f(k - n2). In contact f = K x_v + B (x_v(k) - x_v(k-1))/T and
+    x_v = x(k - n1) - (C f)(k), both solved for f(k); q is the state of the coupler's integrator.
 
     Args:
         device: device and hand.

@@ -1,10 +1,7 @@
-"""Controllers that an experiment asks for by what they shall achieve: solved, or read, when the experiment is composed.
+"""Controllers that an experiment asks for by what they shall achieve: a task, the solver, and the plug-ins that ask for it.
 
-What runs is the table of gains that came out (:class:`design.controllers.SendAll`); no process that keeps time solves anything.
-
-What a design is asked to solve: the loop that will run, as plain matrices, chains and rates.
-
-A controller of a plant without a network, by python-control: what a networked design is compared with.
+A request is solved, or its gains are read from a file, when the experiment is composed; what runs is the table of gains
+(:class:`design.controllers.SendAll`). No process that keeps time solves anything.
 """
 
 from __future__ import annotations
@@ -36,6 +33,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DesignTask:
     """The loop for which gains are wanted.
+
+    It is the loop that will run, as plain matrices, chains and rates.
 
     Args:
         model: the nominal plant at the sample period, and the largest delays.
@@ -246,6 +245,8 @@ def _covering(task: DesignTask, found: SendAll) -> SendAll:
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LocalDesigned:
     """LQR, LQG or H-infinity for the plant alone; it ignores the network that it runs over, and is judged over it.
+
+    It is what a networked design is compared with; python-control solves it.
 
     Args:
         method: ``lqr``, ``lqg`` or ``hinf``, see `design.local`.

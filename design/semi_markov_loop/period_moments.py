@@ -1,4 +1,4 @@
-"""Second moments over one sample period in which the mode of a jump system may change at any instant, any number of times.
+"""Second moments of a jump loop: over one sample period with jumps at any instant, and their growth at constant rates.
 
     z = (x, v_0, ..., v_-D),    dx/dt = A_l x + B_l v_-D,    v held,    l = mode
 
@@ -10,16 +10,9 @@ others the integral over the first jump, after which the constant-rate moment eq
 All are positive maps, so that a larger rate of jumps with a smaller rate of leaving gives a larger map, and the reverse a smaller
 one: the true map lies between the two. Symmetric matrices are vectors here (``svec``), maps are matrices.
 
-Reference: thesis (2.1), (2.16), sampled.
+Where rates are constant the growth is exact, see `worst_growth`.
 
-How fast the second moments of a jump loop with constant rates grow: the exact verdict at every corner of the rate bounds.
-
-    d/dt vec M_i = (A_i (+) A_i) vec M_i + sum_j lambda_ji vec M_j - lambda_i vec M_i,     M_i = E x x' 1{mode = i}
-
-If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these bounds
-can exist; if it is negative at all corners, nothing is proved about rates that vary.
-
-Reference: ERRATA 11 and 12.
+Reference: thesis (2.1), (2.16), sampled; ERRATA 11 and 12.
 """
 
 from __future__ import annotations
@@ -193,6 +186,11 @@ def worst_growth(
     system: JumpSystem, gain: ScheduledGain, process: FaultDetection
 ) -> tuple[float, dict[str, tuple[float, ...]]] | None:
     """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds held constant, with these rates.
+
+        d/dt vec M_i = (A_i (+) A_i) vec M_i + sum_j lambda_ji vec M_j - lambda_i vec M_i,     M_i = E x x' 1{mode = i}
+
+    If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these
+    bounds can exist; if it is negative at all corners, nothing is proved about rates that vary.
 
     Exact at every vertex (spectral abscissa of the second-moment generator), for gains without sections. None if there are
     more than 4096 vertices.

@@ -1,30 +1,9 @@
-"""A Lyapunov function for the sampled loop of Chapter 4: a failure that is not seen, and its late detection, with a clock each.
+"""The sampled loop of Chapter 4, its failure not seen and its detection late: a proof of its stability, and one of its growth.
 
-    V = xi' P_ikb xi,    i = eta, k = r, b = the section of the gain that the count of samples in k selects,
+Stability is proved by a Lyapunov function (`lyapunov_decrease`), growth by a quadratic form (`growth_while_it_stays`); the latter
+refuses loops whose second moments are too large to compute. Either is checked by eigenvalues, whatever a solver says.
 
-falls on average over one period, whatever the rates do within their bounds: with lambda_t any rate out of (i, k), mu_t its
-infimum over the period and delta_t the most that it varies within two periods,
-
-    e^(-|mu| T) Psi' P_ikb Psi + sum_t (mu_t + delta_t) (landing at t and what follows within the period) - P_ikb < 0,
-
-convex in mu, so that it is checked at the corners of the bounds. P falls where the count enters a new section. Where r was left
-and entered again between two samples is not seen: the bounds of section b hold for every younger age too.
-
-Reference: thesis (4.2), (4.14), sampled.
-
-A quadratic form that grows while the mode stays: refuses sampled loops whose second moments are too large to compute.
-
-While the mode of the plant stays i, xi_k+1 = F_s xi_k, whichever gain K_s the controller holds. If a symmetric W, of any sign,
-and a rho > 1 fulfil
-
-    F_s' W F_s - rho W > 0  for every gain,        x' W_xx x > 0  for some x,
-
-then xi_k' W xi_k >= rho^k xi_0' W xi_0 on those paths. Their probability is at least e^(-Lambda_i k T), Lambda_i the largest
-rate out of mode i at any sojourn time, so that E |xi_k|^2 grows at least like (rho e^(-Lambda_i T))^k.
-
-W solves F' W F - rho W = Q for the mean of the gains; it is checked for each of them by eigenvalues.
-
-Reference: Chetaev's theorem on instability.
+Reference: thesis (4.2), (4.14), sampled; Chetaev's theorem on instability.
 """
 
 from __future__ import annotations
@@ -147,7 +126,22 @@ def slowest_growth(loop: DetectionLoop) -> float:
 
 
 def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
-    """Search P_ikb and check every inequality by its eigenvalues; raises ValueError as the rates' bounds do."""
+    """Search P_ikb and check every inequality by its eigenvalues; raises ValueError as the rates' bounds do.
+
+    The function has a clock for the failure and one for its detection:
+
+        V = xi' P_ikb xi,    i = eta, k = r, b = the section of the gain that the count of samples in k selects,
+
+    falls on average over one period, whatever the rates do within their bounds: with lambda_t any rate out of (i, k), mu_t its
+    infimum over the period and delta_t the most that it varies within two periods,
+
+        e^(-|mu| T) Psi' P_ikb Psi + sum_t (mu_t + delta_t) (landing at t and what follows within the period) - P_ikb < 0,
+
+    convex in mu, so that it is checked at the corners of the bounds. P falls where the count enters a new section. Where r was
+    left and entered again between two samples is not seen: the bounds of section b hold for every younger age too.
+
+    Reference: thesis (4.2), (4.14), sampled.
+    """
     pairs, T = loop.pairs, loop.pairs.period_s
     everywhere = [loop.box(pair, math.inf) for pair in range(pairs.system.modes)]
     maps = period_moments(pairs.system, everywhere, T, pairs.delay, True)
@@ -204,6 +198,16 @@ _INPUT_WEIGHTS = (1e-3, 1e-1)
 
 def growth_while_it_stays(loop: SampledLoop, mode: int, gains: Sequence[FloatArray], exit_rate: float) -> float:
     """A lower bound of the growth of E|xi|^2 per period, 0 where none above 1 is proved.
+
+    While the mode of the plant stays i, xi_k+1 = F_s xi_k, whichever gain K_s the controller holds. If a symmetric W, of any
+    sign, and a rho > 1 fulfil
+
+        F_s' W F_s - rho W > 0  for every gain,        x' W_xx x > 0  for some x,
+
+    then xi_k' W xi_k >= rho^k xi_0' W xi_0 on those paths. Their probability is at least e^(-Lambda_i k T), Lambda_i the largest
+    rate out of mode i at any sojourn time, so that E |xi_k|^2 grows at least like (rho e^(-Lambda_i T))^k.
+
+    W solves F' W F - rho W = Q for the mean of the gains; it is checked for each of them by eigenvalues.
 
     Args:
         loop: matrices, period and delays.

@@ -1,13 +1,7 @@
-"""Designs as JSON files, which an experiment names: gains, norms, certificate, and the problem that they solve.
+"""Designs as JSON files: what an experiment names, and what the cache keeps.
 
-JSON files of users: a regular file of bounded size, read without waiting, with one kind of error for all that is wrong.
-
-Solved designs, kept between runs: the same problem is solved once per machine.
-
-Only the gains are taken from the cache. Their certificate is computed again, so that a damaged or forged entry can at
-worst cost the time of solving.
-
-Whether the gains of a file are for a loop is compared number by number, with the problem that stands beside them.
+A file holds gains, norms, the certificate, and the problem that they solve. Whether its gains are for a loop is decided by
+comparing that problem with the loop's, number by number. Of a design in the cache only the gains are taken, see `solve_cached`.
 """
 
 from __future__ import annotations
@@ -38,6 +32,8 @@ LARGEST: Final = 1e100
 
 def read_json(path: Path) -> Any:
     """Return what a JSON file holds.
+
+    It has to be a regular file of bounded size; it is read without waiting.
 
     Args:
         path: the file.
@@ -204,6 +200,11 @@ def solve_cached(
     problem: TrackingProblem, *, directory: Path | None = None, progress: Progress | None = None
 ) -> Design:
     """Solve a problem, or take its gains from the cache and certify them again.
+
+    The same problem is solved once per machine.
+
+    Only the gains are taken from the cache. Their certificate is computed again, so that a damaged or forged entry can at
+    worst cost the time of solving.
 
     Args:
         problem: what is asked.

@@ -1,7 +1,4 @@
-"""What a program asks without a run: gains for a plant, and what the network laws of an experiment do in the long run.
-
-A design with the plant and the network that it is for: its verdict, its file, and what a notebook shows of it.
-"""
+"""What a program asks without a run: gains for a plant, and what the network laws of an experiment do in the long run."""
 
 from __future__ import annotations
 
@@ -159,7 +156,9 @@ def laws(source: Source, **changes: Any) -> Laws:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DesignResult(SingleResult):
-    """Gains, and everything known of them over the network that they are for; drawn as every gain over the label of tau.
+    """A design with the plant and the network that it is for: its verdict, its file, and what a notebook shows of it.
+
+    It is drawn as every gain over the label of tau.
 
     Args:
         target: plant and network.

@@ -1,8 +1,7 @@
-"""The protocol of certifiers: the loop that a certifier is given, and what a certifier answers.
+"""What every certifier shares: the loop that it is given, the protocol that it fulfils, and the verdicts that say what it lacks.
 
-What a plant and a controller say of themselves, asked once: who judges and who tests leans on the same answer.
-
-Why no certificate covers a controller or a plant is said here: which part, what it lacks, and what would be judged.
+`limited_to_model` and its like make a verdict undecided where the loop has something that its theory does not know;
+`why_no_controller` and its like say why no certificate covers a part, what it lacks, and what would be judged.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ T = TypeVar("T")
 
 
 class Said:
-    """Keeps the first answer to every question."""
+    """Keeps the first answer of a plant and a controller to every question: a certifier and a test lean on the same answer."""
 
     def __init__(self) -> None:
         self._known: dict[str, Any] = {}

@@ -1,11 +1,4 @@
-"""What `hil design` answers beside gains that are solved: over historical data, without a network, over a measured one.
-
-``hil design EXPERIMENT`` of gains over historical data: what they cost, and how far that is from the best possible.
-
-``hil design PLANT|EXPERIMENT --local``: a design for the plant alone, and what is certified of it over the network.
-
-``hil design PLANT --network LOG``: from what was measured of a link to a controller that is certified for it.
-"""
+"""What `hil design` answers beside gains that are solved: over historical data, without a network, over a measured one."""
 
 from __future__ import annotations
 
@@ -36,7 +29,11 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class OverHistory(Protocol):
-    """A controller, or the request for one, that says which of the samples its gains use."""
+    """A controller, or the request for one, that says which of the samples its gains use.
+
+    It is what ``hil design EXPERIMENT`` judges over historical data: what its gains cost, and how far that is from the best
+    possible.
+    """
 
     uses: Uses
 
@@ -96,6 +93,8 @@ METHODS: tuple[str, ...] = get_args(LocalMethod)
 def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, Any]:
     """Return a local design as plain data: its matrices, its norms without a network, the verdict over the network.
 
+    It is what ``hil design PLANT|EXPERIMENT --local`` answers: a design for the plant alone, certified over the network.
+
     Raises:
         HilError: no such design.
     """
@@ -149,6 +148,8 @@ DEADLINE = 0.6
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OverMeasured:
     """A plant over a measured network.
+
+    It is what ``hil design PLANT --network LOG`` designs for: what was measured of a link becomes the laws of the loop.
 
     Attributes:
         target: what is designed for.

@@ -1,11 +1,4 @@
-"""Options of the command line: durations, lists of numbers, finite numbers.
-
-Durations on the command line: ``10``, ``10s``, ``2 min``.
-
-Lists of numbers on the command line: ``0,1,6`` and ``0..8``.
-
-A number as an option takes it: finite, and of a size that an experiment takes, too.
-"""
+"""Types of options on the command line: durations, lists of numbers, quotients, finite numbers."""
 
 from __future__ import annotations
 
@@ -19,6 +12,8 @@ from transport.durations import in_seconds
 
 class Duration(click.ParamType[float]):
     """A duration in seconds, as an experiment file writes it.
+
+    Such as ``10``, ``10s`` or ``2 min``.
 
     Args:
         least: the shortest that is allowed, s.
@@ -47,6 +42,8 @@ MOST = 200
 
 class NumberList(click.ParamType[tuple[float, ...]]):
     """Numbers between commas; with ``whole`` also ranges.
+
+    Such as ``0,1,6`` and ``0..8``.
 
     Args:
         whole: whole numbers only.

@@ -1,11 +1,4 @@
-"""Pages of analyses without a run: a CAN bus, an identified network law, a stiffness map.
-
-The page of an analysed CAN bus: every message with its bound, its deadline, and who delays it.
-
-The page of an identified network law: measured and fitted side by side.
-
-The page of a stiffness map: contours over delay and hand damping, stiffness over delay, every cell with its taps.
-"""
+"""Pages of analyses without a run: a CAN bus, an identified network law, a stiffness map."""
 
 from __future__ import annotations
 
@@ -28,7 +21,7 @@ from transport.law_fit.region import arrivals
 
 
 def bus_page(found: BusAnalysis) -> str:
-    """Return the page."""
+    """Return the page of an analysed CAN bus: every message with its bound, its deadline, and what delays it."""
     late = sum(not each.in_time for each in found.messages)
     verdict = Badge(label="every message meets its deadline", state="good")
     if late:
@@ -86,7 +79,7 @@ SEEN = 1e-3
 
 
 def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_shares: dict[str, list[float]]) -> str:
-    """Return the page.
+    """Return the page of an identified network law: measured and fitted side by side.
 
     Args:
         fits: by direction.
@@ -192,7 +185,9 @@ LEVELS = (1.0, 2.0, 5.0)
 
 
 def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_s_per_m: float) -> str:
-    """Return the page.
+    """Return the page of a stiffness map.
+
+    It draws contours over delay and hand damping, and stiffness over delay; every cell has its taps.
 
     Args:
         cells: the map.

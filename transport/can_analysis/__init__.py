@@ -1,21 +1,7 @@
-r"""Worst-case response times of the messages on a CAN bus, and the load that they make.
+"""Worst-case response times of the messages on a CAN bus, and the load that they make.
 
-A message that comes again and again, as the analysis of a bus takes it.
-
-Worst-case response times of messages on a CAN bus, with jitter, blocking, deadlines beyond the period and errors.
-
-Of message m, with :math:`C` the longest frames with intermission, T periods, J jitters and hp(m) the messages that win over it,
-
-.. math::
-    B_m = \max_{k \in lp(m)} C_k,\qquad
-    t_m = E(t_m) + B_m + \sum_{k \in hp(m) \cup m} \lceil (t_m + J_k) / T_k \rceil\, C_k
-
-    w_m(q) = E(w_m(q) + C_m) + B_m + q C_m + \sum_{k \in hp(m)} \lceil (w_m(q) + J_k + \tau_{bit}) / T_k \rceil\, C_k
-
-    R_m = \max_{0 \le q < Q_m} J_m + w_m(q) - q T_m + C_m,\qquad Q_m = \lceil (t_m + J_m) / T_m \rceil.
-
-Every instance of the busy period counts, not the first alone: the analysis of 1994 left out that a message may push its next
-instance. Everything is a whole number of units of `transport.can_bus_model.bit_rates`; nothing is rounded.
+Jitter, blocking, deadlines beyond the period and errors count. Everything is a whole number of units of
+`transport.can_bus_model.bit_rates`; nothing is rounded.
 
 Reference: Davis, Burns, Bril, Lukkien, Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised,
 Real-Time Systems 35 (2007), sections 3 and 4; errors: section 5.
@@ -37,7 +23,7 @@ from transport.errors import FieldError
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeriodicMessage:
-    """A message of a node that queues by priority.
+    """A message that a node sends again and again, and queues by priority.
 
     Args:
         name: for tables.
@@ -169,7 +155,21 @@ class _Of:
 def response_times(
     messages: Sequence[PeriodicMessage], rates: BitRates, errors: ErrorBursts | None = None
 ) -> list[ResponseTime]:  # fmt: skip
-    """Return the bound of every message, in order of priority.
+    r"""Return the bound of every message, in order of priority.
+
+    Of message m, with :math:`C` the longest frames with intermission, T periods, J jitters and hp(m) the messages that win over
+    it,
+
+    .. math::
+        B_m = \max_{k \in lp(m)} C_k,\qquad
+        t_m = E(t_m) + B_m + \sum_{k \in hp(m) \cup m} \lceil (t_m + J_k) / T_k \rceil\, C_k
+
+        w_m(q) = E(w_m(q) + C_m) + B_m + q C_m + \sum_{k \in hp(m)} \lceil (w_m(q) + J_k + \tau_{bit}) / T_k \rceil\, C_k
+
+        R_m = \max_{0 \le q < Q_m} J_m + w_m(q) - q T_m + C_m,\qquad Q_m = \lceil (t_m + J_m) / T_m \rceil.
+
+    Every instance of the busy period counts, not the first alone: the analysis of 1994 left out that a message may push its next
+    instance.
 
     Args:
         messages: all that is sent on the bus; each node queues by priority.

@@ -1,4 +1,4 @@
-"""The bits of a CAN frame on the wire, from the start of frame to the third bit of intermission.
+"""The bits of a CAN frame on the wire, from the start of frame to the third bit of intermission, and how many there can be.
 
 Classic frames are stuffed up to the last bit of their CRC: behind five equal bits one of the other value stands, and it counts
 for the next five. CAN FD frames are stuffed so up to their data; the stuff count and the CRC behind it have a fixed stuff bit in
@@ -10,8 +10,6 @@ make one nominal bit, those at the data rate one data bit, wherever the sample p
 CRC delimiter as data.
 
 Reference: ISO 11898-1:2015, 10.4 and 10.5; the lengths without content are those of linux/can/length.h.
-
-How long a frame is at most, whatever its data and identifier.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""What a node on a CAN bus keeps: the frames that wait, its error counters and its state.
-
-The frames that wait in a node for the bus.
-
-How a node keeps away from a bus that it disturbs: its two error counters, and the states that they lead to.
+"""A node on a CAN bus: the frames that wait in it, its error counters and its state, and what a collision does to it.
 
 Reference: ISO 11898-1:2015, 12.1.4.
-
-What happens where two nodes send frames with one identifier: they win together, and differ in a later bit.
 """
 
 from __future__ import annotations
@@ -115,6 +109,8 @@ SUSPENDED_BITS: Final = 8
 class ErrorCounters:
     """Transmit and receive error counter of one node.
 
+    They lead a node to the states in which it keeps away from a bus that it disturbs.
+
     Attributes:
         tec: transmit error counter.
         rec: receive error counter.
@@ -189,7 +185,7 @@ class CanNode:
 
 
 class Collision(NamedTuple):
-    """How it ends.
+    """How it ends where two nodes send frames with one identifier: they win together, and differ in a later bit.
 
     Attributes:
         senders: who still sends, by position.

@@ -1,25 +1,4 @@
-"""The ages under a packet law as a Markov chain, in closed form, where latencies are bounded.
-
-A packet is of age i in slot k when it was sent in slot k - i. Given that the newest packet that has come is of age a, none of
-the a packets behind it has come. Latencies are independent: each of these comes in the next slot with a probability of its own,
-
-    h_i = Pr(it comes at age i | it has not come before),    i = 1 ... a,    and h_0 for the packet of that slot,
-
-whatever was before. The newest that comes decides: the next age is j with (1 - h_0) ... (1 - h_{j-1}) h_j, else a + 1. Beyond the
-longest latency J no h_i is left, and all larger ages follow one row: one state "older" stands for them, exactly.
-
-* Loss: a lost packet comes at no age. A Gilbert-Elliott channel: losses are independent given the modes of the channel, so that
-  the state holds these for the last min(a, J) packets too.
-* A copy: what counts is the earlier of the two, as long as packets may overtake.
-* First in, first out, without copies: the packets behind the first that is not lost wait for it, so that nothing is known of
-  their latencies. Which one is the first, the age (and the channel's modes) say as well as all history does.
-
-Before slot 0 a packet of slot -1 that says nothing stands for what has not come.
-
-What many receivers under one packet law hold in every slot: what `PacketImpairment` delivers, from the same streams.
-
-The numbers of a slot, the order of every sum and the rounding of every latency to slots are those of `PacketDraws`.
-"""
+"""The ages under a packet law: as a Markov chain in closed form, where latencies are bounded; and drawn for many runs at once."""
 
 from __future__ import annotations
 
@@ -112,6 +91,23 @@ def packet_chain(
     law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float, reach: int = 0
 ) -> PacketChain | str:
     """Return the chain of the ages, or in words why there is none.
+
+    A packet is of age i in slot k when it was sent in slot k - i. Given that the newest packet that has come is of age a, none of
+    the a packets behind it has come. Latencies are independent: each of these comes in the next slot with a probability of its
+    own,
+
+        h_i = Pr(it comes at age i | it has not come before),    i = 1 ... a,    and h_0 for the packet of that slot,
+
+    whatever was before. The newest that comes decides: the next age is j with (1 - h_0) ... (1 - h_{j-1}) h_j, else a + 1. Beyond
+    the longest latency J no h_i is left, and all larger ages follow one row: one state "older" stands for them, exactly.
+
+    * Loss: a lost packet comes at no age. A Gilbert-Elliott channel: losses are independent given the modes of the channel, so
+      that the state holds these for the last min(a, J) packets too.
+    * A copy: what counts is the earlier of the two, as long as packets may overtake.
+    * First in, first out, without copies: the packets behind the first that is not lost wait for it, so that nothing is known of
+      their latencies. Which one is the first, the age (and the channel's modes) say as well as all history does.
+
+    Before slot 0 a packet of slot -1 that says nothing stands for what has not come.
 
     Args:
         law: the packet law.
@@ -308,6 +304,10 @@ def newest_received(
     sent: Sequence[Flags], delays: Sequence[NDArray[np.int64]], *, reordering: bool, queue: int
 ) -> tuple[Slots, Flags]:
     """Return the slot of the newest packet that has come, (slots, runs), -1 before the first, and in which runs known, (runs,).
+
+    What many receivers under one packet law hold in every slot: what `PacketImpairment` delivers, from the same streams.
+
+    The numbers of a slot, the order of every sum and the rounding of every latency to slots are those of `PacketDraws`.
 
     Args:
         sent: of every slot, whether the packet leaves, and whether a copy follows it; (slots, runs) each.

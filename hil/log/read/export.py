@@ -12,8 +12,6 @@
 
 Frames of a CAN log stand at the instants that were measured, counted from the moment at which the session began; a run in
 virtual time begins at 2000-01-01 UTC, since can-utils take a time below 1 s for "not begun yet". Tables have session times.
-
-Arrays into one `.npz` file, piece by piece: no array is ever whole in memory.
 """
 
 from __future__ import annotations
@@ -53,6 +51,8 @@ if TYPE_CHECKING:
 
 class NpzFile:
     """A file for `numpy.load`, as `numpy.savez_compressed` would write it.
+
+    Arrays into one `.npz` file, piece by piece: no array is ever whole in memory.
 
     Args:
         path: the file, which is replaced.

@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.foreign_logs import can_frames
 from hil.log.read.run import read_run
-from hil.log.recordings.foreign_packets import LATEST_S
+from hil.log.recordings.packet_files import LATEST_S
 from hil.log.recordings.recording import BACK, THERE, Recording, Way
 from hil.log.run import Run
 from hil.log.topics import CA, PROBE, SC
@@ -62,7 +62,7 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
 
         return read_can_pair(paths[0], paths[1], can_id, clocks=1 if one_clock else 2)
     if endings == {".csv"} and len(paths) == 2:
-        from hil.log.recordings.foreign_packets import read_latencies
+        from hil.log.recordings.packet_files import read_latencies
 
         there, back = (read_latencies(path, one_clock=one_clock) for path in paths)
         if any(len(each.ways) != 1 or THERE not in each.ways for each in (there, back)):
@@ -72,11 +72,11 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
     if len(paths) != 1:
         raise HilError(f"{said}: expected one file, or two CAN logs of one bus, or two tables (.csv) of both directions")
     if endings == {".csv"}:
-        from hil.log.recordings.foreign_packets import read_latencies
+        from hil.log.recordings.packet_files import read_latencies
 
         return read_latencies(paths[0], one_clock=one_clock)
     if endings == {".pcap"}:
-        from hil.log.recordings.foreign_packets import read_captured_frames, read_ping_capture
+        from hil.log.recordings.packet_files import read_captured_frames, read_ping_capture
 
         return read_captured_frames(paths[0]) or read_ping_capture(paths[0])
 

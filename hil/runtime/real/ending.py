@@ -1,12 +1,4 @@
-"""How processes end: by signals, and with which exit status.
-
-SIGINT, SIGTERM, SIGHUP and SIGQUIT as a request to stop in order, so that every log is closed.
-
-A signal that is ignored when a session begins stays ignored: ``nohup`` ignores SIGHUP, ``command &`` in a script SIGINT.
-SIGTERM then still stops the session.
-
-Exit statuses of the processes of a session, which its parent reads.
-"""
+"""How the processes of a session end: by signals, in order, and with an exit status that their parent reads."""
 
 from __future__ import annotations
 
@@ -27,6 +19,11 @@ class Forced(KeyboardInterrupt):
 
 class StopSignals:
     """While it is open, the first of these signals is kept and handed on, instead of ending the process where it stands.
+
+    SIGINT, SIGTERM, SIGHUP and SIGQUIT are requests to stop in order, so that every log is closed.
+
+    A signal that is ignored when a session begins stays ignored: ``nohup`` ignores SIGHUP, ``command &`` in a script SIGINT.
+    SIGTERM then still stops the session.
 
     Args:
         on_signal: called in the signal handler, with the signal's number.

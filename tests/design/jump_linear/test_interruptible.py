@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.sparse import csc_array
 
-from design.jump_linear import krylov as room
+from design.jump_linear import long_computations as room
 from design.jump_linear import stability_proof
-from design.jump_linear.krylov import apart, interruptible, spectral_radius
+from design.jump_linear.long_computations import apart, interruptible, spectral_radius
 from tests.waiting import until
 
 

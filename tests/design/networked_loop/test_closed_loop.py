@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from design.networked_loop.closed_loop import SELECTIONS, loop_structure
-from design.networked_loop.joint_modes import check_gains
+from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import DelayChain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
 

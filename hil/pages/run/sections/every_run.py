@@ -1,13 +1,4 @@
-"""Sections of every run: the run over time, its delays and network laws, its measured times, and what ran.
-
-The run over time: outputs against their reference, states, inputs, and the topics that no other section draws.
-
-What the emulated network did: delays over time, and frequencies beside its law.
-
-Measured times: lateness and round trip over time, and their distributions; nothing for a run in virtual time.
-
-What ran and where it comes from: the experiment as written and resolved, the session, the versions.
-"""
+"""Sections of every run: the run over time, its delays and network laws, its measured times, and what ran."""
 
 from __future__ import annotations
 
@@ -66,13 +57,13 @@ def delays(view: RunView) -> Section:
 
 
 def statistics(view: RunView) -> Section | None:
-    """Return frequencies, transitions and sojourns beside what the network laws state."""
+    """Return frequencies, transitions and sojourns of the emulated network beside what its laws state."""
     blocks = tuple(network_blocks(view.run, view.once(page_summary)["network"], view.once(network_paths)))
     return Section(title="Network against its law", place=50, columns=2, blocks=blocks) if blocks else None
 
 
 def lateness(view: RunView) -> Section | None:
-    """Return lateness and round trip over time."""
+    """Return lateness and round trip over time; nothing for a run in virtual time."""
     panel = lateness_panel(view, view.once(markers))
     return None if panel is None else Section(title="Timing", place=60, blocks=(panel,))
 
@@ -97,7 +88,7 @@ def experiment(view: RunView) -> Section:
 
 
 def provenance(view: RunView) -> Section:
-    """Return session and versions."""
+    """Return session and versions: what ran, and where it comes from."""
     run = view.run
     versions: list[list[Cell]] = [[name, version] for name, version in run.versions.items()]
     origin: list[list[Cell]] = [[k.replace("_", " "), v] for k, v in {**run.metadata, **run.session}.items()]

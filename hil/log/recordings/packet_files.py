@@ -1,16 +1,4 @@
-"""Packets in files of other programs: tables (.csv), and round trips of ping from a capture (.pcap).
-
-A table of packets (.csv): latencies, round trips, or the time stamps of both ends.
-
-| columns | what they are |
-|---|---|
-| `latency_s` or `latency_ms` | one direction; with `sent_s` beside it where there is one |
-| `rtt_s` or `rtt_ms` | round trips; likewise |
-| `sent_s`, `received_s` | instants at the clocks of both ends |
-
-A packet that was lost has an empty entry, `lost` or `nan`. Without `sent_s` the file has one line for every packet, in order.
-
-Round trips of ping, from a capture (.pcap): ICMP echo requests and replies, IPv4 and IPv6, paired by identifier and number.
+"""Packets in files of other programs: latencies in a table (.csv), round trips of ping and frames of hil in a capture (.pcap).
 
 Reference: libpcap's file format (pcap-savefile), RFC 792, RFC 4443. Of the readers on PyPI none is both small and kept.
 """
@@ -37,7 +25,7 @@ HEAD = 128
 
 
 def read_captured_frames(path: Path) -> Recording | None:
-    """Read a capture; None of one that holds none of our frames.
+    """Read frames of hil from a capture (.pcap); None of one that holds none.
 
     Raises:
         HilError: it is no capture, or holds sensor frames and no answer: a capture of one direction.
@@ -105,7 +93,15 @@ NOMINAL_S = 1.0
 
 
 def read_latencies(path: Path, *, one_clock: bool = False) -> Recording:
-    """Read a table.
+    """Read a table of packets (.csv): latencies, round trips, or the time stamps of both ends.
+
+    | columns | what they are |
+    |---|---|
+    | `latency_s` or `latency_ms` | one direction; with `sent_s` beside it where there is one |
+    | `rtt_s` or `rtt_ms` | round trips; likewise |
+    | `sent_s`, `received_s` | instants at the clocks of both ends |
+
+    A packet that was lost has an empty entry, `lost` or `nan`. Without `sent_s` the file has one line for every packet, in order.
 
     Args:
         path: the file.
@@ -159,7 +155,9 @@ ECHO: Final = {(4, 8): "request", (4, 0): "reply", (6, 128): "request", (6, 129)
 
 
 def read_ping_capture(path: Path) -> Recording:
-    """Read a capture.
+    """Read round trips of ping from a capture (.pcap).
+
+    They are ICMP echo requests and replies, IPv4 and IPv6, paired by identifier and number.
 
     Raises:
         HilError: it is none, or holds no echo requests, or no reply: a capture of one direction.

@@ -1,12 +1,6 @@
-"""Long computations: GMRES with an end, and factorisations that Ctrl-C ends at once.
+"""Large linear algebra that always ends: GMRES with a limit, and computations in C that Ctrl-C ends at once.
 
-GMRES for the second-moment operator, with an end.
-
-scipy's GMRES spends two thirds of its time in Python around products of 20 to 50 us, and on the edge of stability it runs for
-thousands of products and then returns a vector that misses its tolerance. This one keeps its basis in one array and says
-when it has not converged: then the operator has an eigenvalue so near 1 that the loop counts as not stable there.
-
-Long computations in C that Ctrl-C ends at once: Python looks at signals between its own instructions alone.
+Python looks at signals between its own instructions alone, so that what is long in C runs beside the main thread.
 """
 
 from __future__ import annotations
@@ -35,7 +29,7 @@ ACCEPTABLE = 1e-9
 """Residual that will do where rounding lets it fall no further."""
 
 
-def solve(
+def gmres(
     apply: Callable[[Array], Array],
     right: Array,
     *,
@@ -45,6 +39,10 @@ def solve(
     start: Array | None = None,
 ) -> Array | None:
     """Return x with apply(x) = right, or None if it was not found within `PRODUCTS` products.
+
+    scipy's GMRES spends two thirds of its time in Python around products of 20 to 50 us, and on the edge of stability it runs for
+    thousands of products and then returns a vector that misses its tolerance. This one keeps its basis in one array and says
+    when it has not converged: then the operator has an eigenvalue so near 1 that the loop counts as not stable there.
 
     Args:
         apply: the matrix, (size,) -> (size,), such as I - L.

@@ -1,16 +1,7 @@
-"""The joint mode of both networks: (S-C mode, C-A mode, C-A mode before or -1), and how it changes.
+"""What the loop over two networks is put together from: joint modes, checked shapes, packet registers, output weights.
 
-The distribution of the mode at the impulse of an H2 norm, where none is given.
-
-A plain delay chain has one mode per delay, and the thesis takes them as equally likely. Where several modes have one
-delay (a semi-Markov law counts its slots) their number depends on where a tail is cut, and with it every norm that
-weighs them equally; there the stationary distribution is taken, which no cut moves.
-
-Shapes of what makes a loop, refused by name before anything is computed with them.
-
-Where the rows of send-all packets under way are kept in the state of the closed loop.
-
-The performance output z = [Q x; R u1] of the closed loop, or the sum Q x + R u1 that (7.14c) prints.
+A joint mode is (S-C mode, C-A mode, C-A mode before or -1). `design.networked_loop.closed_loop` and `dynamic_loop` build their
+matrices of these parts.
 """
 
 from __future__ import annotations
@@ -84,6 +75,10 @@ def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
 def default_initial(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, int]]) -> Array:
     """Return the distribution over the joint modes (S-C mode, C-A mode, C-A mode before or -1), (N,).
 
+    A plain delay chain has one mode per delay, and the thesis takes them as equally likely. Where several modes have one
+    delay (a semi-Markov law counts its slots) their number depends on where a tail is cut, and with it every norm that
+    weighs them equally; there the stationary distribution is taken, which no cut moves.
+
     Args:
         sc, ca: the delay chains.
         modes: the joint modes.
@@ -98,6 +93,9 @@ def default_initial(sc: DelayChain, ca: DelayChain, modes: list[tuple[int, int, 
 
 def initial_law(sc: DelayChain, ca: DelayChain) -> Literal["uniform", "stationary"]:
     """Return the name of the default distribution.
+
+    It is stationary where several modes have one delay, as those of a semi-Markov law, and uniform elsewhere: see
+    `default_initial`.
 
     >>> initial_law(DelayChain(transition=[[1.0]]), DelayChain(transition=[[1.0]]))
     'uniform'
@@ -193,6 +191,8 @@ def performance_output(
     integral_at: int,
 ) -> Array:
     """Weights of the closed-loop state in z(k).
+
+    It is z = [Q x; R u1], or the sum Q x + R u1 that (7.14c) prints.
 
     Args:
         C: (p, n) output matrix, the default of Q.
