@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import DesignError
+from design.jump_linear.mjls import STABILITY_MARGIN
 from design.networked_loop.uncertainty import guaranteed_h2, robust_norms, uncertainty_margin
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Objective, bfgs
@@ -51,8 +52,11 @@ def robust(
     def channel(v: Array) -> float:
         nonlocal count
         count += 1
+        K = space.gains(v)
+        if structure.system(K).radius() > 1.0 - STABILITY_MARGIN:  # at its edge, as with no gain at all, the norm says nothing
+            return np.inf
         try:
-            return 1.0 / uncertainty_margin(structure, space.gains(v), M, N1, N2)
+            return 1.0 / uncertainty_margin(structure, K, M, N1, N2)
         except DesignError:  # not stable
             return np.inf
 
@@ -65,7 +69,7 @@ def robust(
     if channel(v) > 1.0 / ENOUGH:
         found = bfgs(_with_slope(channel), v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH)
         v = found.x
-        report("margin", 1, 1, 1.0 / found.value)
+        report("margin", 1, 1, 1.0 / found.value if found.value else np.inf)
     if channel(v) < 1.0:
         begin = robust_norms(structure, space.gains(v), M, N1, N2, problem.initial)
         x = np.append(v, np.log10(begin.h2_multiplier))

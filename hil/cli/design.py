@@ -71,6 +71,7 @@ class GainsOrWall(click.Command):
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("--trade-off", is_flag=True, help="H2 against H-infinity norm, mixed designs between the pure ones; -o: a page.")
+@click.option("--trigger", is_flag=True, help="Threshold of the sensor node's trigger and gain: cost over packets; -o: a page.")
 @click.option("--can-id", is_flag=True, help="Which CAN identifiers to take: cost over their place on the bus; -o: a page.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
@@ -80,7 +81,7 @@ def command(
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
     seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
     path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
-    trade_off: bool, robust: bool,
+    trade_off: bool, robust: bool, trigger: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
@@ -108,6 +109,15 @@ def command(
         _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
         show_can_id(subject, path, force, as_json)
         return
+    if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
+        raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
+    if trigger:
+        from hil.cli.design_trigger import show_trigger
+
+        mean = {"subject", "trigger", "gain_bound", "input_weight", "starts", "seed", "path", "force", "as_json"}
+        _refuse_others(mean, "with --trigger, whose gains are H2 gains that use no ages: a silent node sends none")
+        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path, force, as_json)
+        return
     experiment = experiment_over_history(subject)
     if experiment is not None:
         _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")
@@ -115,8 +125,6 @@ def command(
         return
     if orders or spread:
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
-    if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
-        raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if trade_off:
         _refuse_others(set(SHAPES), "with --trade-off, which solves designs of all three objectives")
     elif path is not None:

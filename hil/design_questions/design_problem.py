@@ -19,6 +19,7 @@ from hil.plugins.protocols import Plant
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
+    from hil.experiment import Experiment
 
 LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
 PI = ((0.5, 0.5), (0.7, 0.3))
@@ -68,28 +69,43 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.experiment import load_experiment
-        from hil.rig.bus_delays import bus_chains
-        from hil.rig.delay_chains import chains_of
-        from hil.rig.normal_form import rig_of
 
-        experiment = load_experiment(name)
-        rig = rig_of(experiment)
-        if len(rig.sensors) > 1:
-            raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
-        plant = experiment.plant
-        period = period_s if period_s is not None else float(experiment.period)
-        try:
-            chains = chains_of(rig, sojourns)
-        except ValueError as error:
-            raise HilError(f"{name}: {error}") from None
-        on_bus = bus_chains(rig, longest=True)
-        if isinstance(on_bus, str):
-            raise HilError(f"{name}: a design needs a chain of ages on both links, but {on_bus}")
-        own_sc, own_ca = (chains.sc, chains.ca) if on_bus is None else on_bus
-        if own_sc is None or own_ca is None:
-            raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
-        sc, ca = own_sc, own_ca
-        name = experiment.kinds.get("plant", name)
+        return target_of(load_experiment(name), name, period_s, sojourns)
+    target = _target(plant, name, period, sc, ca)
+    if name == "vtol" and period_s is None:
+        A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
+        return target._replace(A=A, B=B, C=C)
+    return target
+
+
+def target_of(experiment: Experiment, name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
+    """Plant and network of an experiment, by the name that messages say.
+
+    Raises:
+        HilError: several sensor nodes, or a network that is no chain of delays.
+    """
+    from hil.rig.bus_delays import bus_chains
+    from hil.rig.delay_chains import chains_of
+    from hil.rig.normal_form import rig_of
+
+    rig = rig_of(experiment)
+    if len(rig.sensors) > 1:
+        raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
+    try:
+        chains = chains_of(rig, sojourns)
+    except ValueError as error:
+        raise HilError(f"{name}: {error}") from None
+    on_bus = bus_chains(rig, longest=True)
+    if isinstance(on_bus, str):
+        raise HilError(f"{name}: a design needs a chain of ages on both links, but {on_bus}")
+    sc, ca = (chains.sc, chains.ca) if on_bus is None else on_bus
+    if sc is None or ca is None:
+        raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
+    period = period_s if period_s is not None else float(experiment.period)
+    return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)
+
+
+def _target(plant: Plant, name: str, period: float, sc: DelayChain, ca: DelayChain) -> TrackingTarget:
     if not (np.isfinite(period) and period > 0):
         raise HilError(f"--period: {period:g} s, expected a number > 0")
     try:
@@ -97,8 +113,6 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     except (AttributeError, NotImplementedError) as error:
         raise HilError(f"{name}: this plant has no linear model to design for ({error})") from None
     A, B, C = (np.asarray(M) for M in (discrete.A, discrete.B, discrete.C))
-    if name == "vtol" and period_s is None and not of_experiment:
-        A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
     return TrackingTarget(name, float(period), A, B, C, sc, ca, plant)
 
 

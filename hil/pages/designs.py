@@ -1,4 +1,4 @@
-"""Pages of `hil design`: cost and bounds over the place of a loop on its CAN bus, and H2 norm against H-infinity norm."""
+"""Pages of `hil design`: cost over the place on a CAN bus, H2 against H-infinity norm, cost against packets of a trigger."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hil.design_questions.can_priority import Judged
 from hil.design_questions.norm_trade_off import Compromise
 from hil.pages.html.figures import Badge, Cell, Figure, Section, Series, State, Table
 from hil.pages.html.page import render_page
+from hil.sweeps.trigger_cost import TriggerPoint
 
 STATES: dict[str, State] = {"certified": "good", "refused": "bad"}
 
@@ -82,4 +83,50 @@ def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> str:
         kicker="hilrig · design",
         subtitle="The smallest H2 norm for every level of the H-infinity norm, over the network.",
         facts=[("designs", str(len(found)))],
+    )
+
+
+def trigger_page(name: str, kind: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint]) -> str:
+    """Return the page.
+
+    Args:
+        name: of the experiment.
+        kind: of the trigger.
+        points: thresholds with gains.
+        best: those that no other certified one beats.
+    """
+
+    def marks(label: str, of: Sequence[TriggerPoint], line: bool = False) -> Series:
+        ran = sorted((each for each in of if not each.stopped), key=lambda each: each.packets.value)
+        x, y = (np.array(values) for values in ([each.packets.value for each in ran], [each.cost.value for each in ran]))
+        return Series(label=label, x=x, y=y, style="line" if line else "circles", marked=line)
+
+    sure = [each for each in points if each.state == "certified"]
+    groups = (
+        marks("best certified", best, line=True),
+        marks("certified, gain for no trigger", [each for each in sure if not each.of.share]),
+        marks("certified, gain for the trigger", [each for each in sure if each.of.share]),
+        marks("not certified", [each for each in points if each.state != "certified"]),
+    )
+    figure = Figure(
+        title="Squared error against packets", series=tuple(each for each in groups if len(each.x)), x_label="sensor packets",
+        x_unit="1/s", y_label="squared error", y_log=True, sync=None, height_px=320, note="means over the runs",
+    )  # fmt: skip
+    rows: list[list[Cell]] = [
+        [
+            each.of.threshold, each.of.share, "  ".join(f"{v:.4g}" for v in each.of.gain.ravel()),
+            None if each.stopped else each.cost.value, None if each.stopped else each.cost.half_width, each.packets.value,
+            each.packets.half_width, each.stopped, Badge(label=each.state, state=STATES.get(each.state, "neutral")), each.bound,
+            ", ".join(f"{output} {value:.3g}" for output, value in each.ends_within.items()), "yes" if each in best else "",
+        ]
+        for each in points
+    ]  # fmt: skip
+    columns = ["threshold", "designed for share", "gain", "squared error", "±", "packets/s", "±", "runs stopped", "certificate"]
+    columns += ["H2 norm at most", "ends within (rms)", "best"]
+    return render_page(
+        f"Event trigger: {name}",
+        [Section(title="Threshold and gain", blocks=(figure, Table(columns=columns, rows=rows, wide=True)))],
+        kicker="hilrig · design",
+        subtitle=f"A {kind} trigger: every threshold with the gain for no trigger, and with gains that know its error.",
+        facts=[("points", str(len(points))), ("runs of each", str(points[0].packets.n))],
     )

@@ -1,0 +1,107 @@
+"""What thresholds and gains of an event trigger cost in runs, and how many packets they send (Section 8.2.2)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from design.monte_carlo.confidence import Interval
+from design.monte_carlo.random_streams import Workers
+from hil.compose.loop import compose
+from hil.design_questions.trigger_gains import Candidate, TriggerQuestion
+from hil.errors import HilError
+from hil.experiment import Experiment, load_experiment
+from hil.measure.signals import signals_of
+from hil.measure.tracking import without_sense
+from hil.sweeps.seeds import run_sweep
+from hil.sweeps.shown import interval_of
+
+RUNS: Final = 20
+"""Seeds of every point, the same for all."""
+MEASURES: Final = 'report.measures=["tracking", "cost"]'
+
+
+class TriggerPoint(NamedTuple):
+    """A candidate, judged and run.
+
+    `ends_within` has the root mean square of every output under a dead band; `cost` is the squared tracking error and `packets`
+    those of the sensor per second, each with its 95 % interval over the runs; `stopped` counts the runs that safety stopped.
+    """
+
+    of: Candidate
+    state: str
+    reason: str
+    ends_within: dict[str, float]
+    cost: Interval
+    packets: Interval
+    stopped: int
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {
+            "threshold": self.of.threshold, "designed_for_share": self.of.share, "gain": self.of.gain.tolist(),
+            "h2_bound": self.bound, "certificate": self.state, "reason": self.reason, "ends_within": self.ends_within,
+            "cost": None if self.stopped else _plain(self.cost), "packets_per_s": _plain(self.packets), "stopped": self.stopped,
+        }  # fmt: skip
+
+    @property
+    def bound(self) -> float | None:
+        """The H2 norm that holds for every error that the trigger allows; None where the loop is not certified."""
+        return self.of.bound if self.state == "certified" else None
+
+
+def _plain(each: Interval) -> dict[str, float | int]:
+    return {"mean": each.value, "low": each.low, "high": each.high, "n": each.n}
+
+
+def experiment_with(asked: TriggerQuestion, candidate: Candidate) -> Experiment:
+    """Return the experiment with a trigger and a gain.
+
+    Raises:
+        HilError: outputs of several units, whose squared errors have no sum.
+    """
+    trigger = f'{{kind="{asked.kind}", threshold={candidate.threshold!r}}}' if candidate.threshold else '{kind="every-slot"}'
+    controller = f'controller={{kind="local", gain={json.dumps(candidate.gain.tolist())}}}'
+    found = load_experiment(asked.name, (*asked.sets, MEASURES, f"{asked.path}={trigger}", controller))
+    if "sse" in without_sense(signals_of(found.plant)):
+        raise HilError(f"{asked.name}: --trigger: its outputs have several units, so that their squared errors have no sum")
+    return found
+
+
+def run_candidate(asked: TriggerQuestion, candidate: Candidate, runs: int = RUNS) -> TriggerPoint:
+    """Judge a candidate at the one door, and run it for the seeds 0, 1, ...
+
+    Args:
+        asked: the experiment.
+        candidate: threshold and gain.
+        runs: how many seeds.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C came.
+    """
+    experiment = experiment_with(asked, candidate)
+    verdict = compose(experiment).verdict
+    sweep = run_sweep(experiment, range(runs), workers=Workers(backend="serial"))
+    if sweep.interrupted:
+        interrupt = KeyboardInterrupt()
+        interrupt.status = sweep.interrupted  # type: ignore[attr-defined]
+        raise interrupt
+    state, reason, ends = ("undecided", "no verdict", None) if verdict is None else (
+        verdict.state, verdict.reason, verdict.details.get("ends_within")
+    )  # fmt: skip
+    cost, packets = (interval_of(sweep.values[name]) for name in ("sse", "packets_per_s"))
+    stopped = int(np.sum(sweep.values["stopped"]))
+    return TriggerPoint(candidate, state, reason, dict(ends) if isinstance(ends, dict) else {}, cost, packets, stopped)
+
+
+def front(points: Sequence[TriggerPoint]) -> list[TriggerPoint]:
+    """Return the certified points that no other certified one beats in cost and packets, by their means, by rising packets."""
+    able = [each for each in points if each.state == "certified" and not each.stopped]
+    kept: list[TriggerPoint] = []
+    for each in sorted(able, key=lambda one: (one.packets.value, one.cost.value)):
+        if not kept or each.cost.value < kept[-1].cost.value:
+            kept.append(each)
+    return kept

@@ -1,0 +1,168 @@
+"""`hil design --trigger`: threshold of an event trigger and gain together (Section 8.2.2)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from design.tracking.synthesis import certified
+from hil.cli.design import command
+from hil.compose.loop import compose
+from hil.design_questions import trigger_gains
+from hil.design_questions.design_problem import problem_for
+from hil.design_questions.trigger_gains import (
+    Candidate,
+    candidates,
+    gains_for_share,
+    guaranteed,
+    nominal_design,
+    trigger_question,
+)
+from hil.errors import HilError
+from hil.experiment import load_experiment
+from hil.runtime.simulated import simulate
+from hil.sweeps import trigger_cost
+from hil.sweeps.shown import interval_of
+from hil.sweeps.trigger_cost import TriggerPoint, experiment_with, front, run_candidate
+
+LARGE = 0.4
+
+
+@pytest.fixture(scope="module")
+def large() -> list[Candidate]:
+    """The node that sends in every slot, then the nominal gain and the one that knows the trigger, both at `LARGE`."""
+    asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
+    return candidates(asked, starts=1)
+
+
+def own(folder: Path, trigger: str) -> str:
+    shown = load_experiment("dc-motor-ours-h2").text
+    text, laws = shown.partition("[[disturbance]]")[0], shown.partition("[network]")[2]
+    text = text.replace('duration = "50 s"', 'duration = "6 s"')
+    file = folder / "own.toml"
+    file.write_text(f'{text}[network.nodes.angle]\noutputs = ["angle"]\ntrigger = {trigger}\n[network]\n{laws}')
+    return str(file)
+
+
+def test_gains_that_know_the_trigger_are_certified_where_the_nominal_ones_are_not(large: list[Candidate]) -> None:
+    asked = trigger_question("dc-motor-ours-h2")
+    plain, aware = (compose(experiment_with(asked, each)).verdict for each in large[1:])
+    assert plain is not None and plain.state == "undecided" and large[1].bound is None
+    assert aware is not None and aware.state == "certified" and large[2].bound is not None
+    assert abs(large[2].gain[0, 0]) < 0.6 * abs(large[1].gain[0, 0])
+
+
+def test_gains_are_not_sought_at_the_edge_of_stability_where_no_gain_leaves_no_channel() -> None:
+    """The search for gains that bear the error comes to a gain of 0, whose channel has the norm 0: the motor then drifts."""
+    asked = trigger_question("dc-motor-1khz")
+    nominal = nominal_design(asked.target, starts=1)
+    found = gains_for_share(asked.target, nominal, 0.3)
+    assert guaranteed(asked.target, nominal, 0.3) is None
+    assert found.gains.max() < -0.1 and 0.0 < (guaranteed(asked.target, found, 0.3) or 0.0) < 0.6
+
+
+@pytest.mark.parametrize("wrong", [-LARGE, -0.2, 0.0, 0.2, LARGE])
+def test_no_share_that_stays_has_a_larger_norm_than_the_guarantee(large: list[Candidate], wrong: float) -> None:
+    """The plant as it is, without the sample as a state, its output scaled."""
+    target = trigger_question("dc-motor-ours-h2").target
+    problem = problem_for(target._replace(C=(1.0 + wrong) * target.C), information="constant", Q=target.C)
+    shape = problem.space().shape
+    norm = certified(problem, np.broadcast_to(large[2].gain, shape), starts=(), evaluations=0).certificate.h2_norm
+    assert norm is not None and large[2].bound is not None and 0.5 * large[2].bound < norm <= large[2].bound
+
+
+def test_an_impulse_in_the_emulated_loop_costs_less_than_the_guarantee(large: list[Candidate]) -> None:
+    """z = [angle; 0.01 u] over 40 runs whose node sends by the trigger: well below, as no error is the worst for ever."""
+    asked = trigger_question("dc-motor-ours-h2")
+    kick = "disturbance=[{at=1.0, samples=1, value=[1.0]}]"
+    asked = asked._replace(sets=(*asked.sets, "reference=[]", kick, "duration=12"))
+    loop, costs = compose(experiment_with(asked, large[2])), []
+    for seed in range(40):
+        run = simulate(loop, seed, ["/plant/state", "/actuator/applied"]).arrays
+        applied = run["/actuator/applied"]["voltage"]
+        costs.append(float(np.sum(run["/plant/state"]["angle"] ** 2) + 1e-4 * np.sum(applied**2)))
+    bound = large[2].bound
+    assert bound is not None and 0.25 * bound**2 < np.mean(costs) < 0.95 * bound**2
+
+
+def test_the_front_keeps_certified_points_that_none_beats() -> None:
+    def point(packets: float, cost: float, state: str = "certified", stopped: int = 0) -> TriggerPoint:
+        one, two = (interval_of(np.full(3, value)) for value in (cost, packets))
+        return TriggerPoint(Candidate(0.1, 0.0, np.zeros((1, 1)), 2.0), state, "", {}, one, two, stopped)
+
+    points = [point(20, 1), point(9, 2), point(9, 3), point(8, 2.5), point(5, 1.5, "undecided"), point(4, 0.5, stopped=1)]
+    points.append(point(7, 4))
+    assert front(points) == [points[6], points[3], points[1], points[0]]
+    assert points[0].bound == 2.0 and points[4].bound is None and points[5].to_json()["cost"] is None
+
+
+def test_the_command_prints_the_points_and_writes_a_page(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]
+) -> None:  # fmt: skip
+    monkeypatch.setattr(trigger_gains, "SHARES", (LARGE,))
+    monkeypatch.setattr(run_candidate, "__defaults__", (3,))
+    page = tmp_path / "trigger.html"
+    name = own(tmp_path, '{ kind = "relative", threshold = 0.2 }')
+    done = CliRunner().invoke(command, [name, "--trigger", "--starts", "1", "--json", "-o", str(page)], catch_exceptions=False)
+    found = json.loads(done.stdout)
+    always, plain, aware = found["points"]
+    assert found["trigger"] == "relative" and found["runs"] == 3
+    assert [each["certificate"] for each in found["points"]] == ["certified", "undecided", "certified"]
+    assert always["packets_per_s"]["mean"] > 19 > 2 * aware["packets_per_s"]["mean"]
+    assert always["h2_bound"] < aware["h2_bound"] and plain["h2_bound"] is None
+    assert always["cost"]["low"] < always["cost"]["mean"] < aware["cost"]["mean"] and aware["cost"]["n"] == 3
+    assert always["on_front"] and aware["on_front"] and not plain["on_front"]
+    assert "Squared error against packets" in page.read_text() and "not certified" in page.read_text()
+    monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
+    shown = CliRunner().invoke(command, [name, "--trigger"], catch_exceptions=False).stdout
+    assert "undecided" in shown and "40% wrong" in shown and "every slot" in shown
+
+
+def test_a_dead_band_is_tried_in_multiples_of_its_own_and_ends_within_as_many(tmp_path: Path) -> None:
+    asked = trigger_question(own(tmp_path, '{ kind = "dead-band", threshold = 0.1 }'))
+    assert asked.kind == "dead-band" and asked.thresholds == (0.025, 0.05, 0.1, 0.2, 0.4)
+    gain = np.array([[-0.1]])
+    small, large = (run_candidate(asked, Candidate(threshold, 0.0, gain, None), runs=3) for threshold in asked.thresholds[1:3])
+    assert small.state == large.state == "certified" and small.packets.value > large.packets.value
+    assert large.ends_within["angle"] == pytest.approx(2.0 * small.ends_within["angle"], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (["dc-motor"], "name an experiment"),
+        (["dc-motor-two-nodes"], "2 sensor nodes, expected one"),
+        (["dc-motor-ours-h2", "--information", "applied"], "--information: not with --trigger"),
+        (["dc-motor-ours-h2", "--input-weight", "-1"], "--input-weight: -1, expected"),
+    ],
+)
+def test_what_has_no_answer_is_refused(said: list[str], why: str) -> None:
+    with pytest.raises(HilError, match=why):
+        CliRunner().invoke(command, [*said, "--trigger"], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("trigger", "why"),
+    [
+        ('{ kind = "error", threshold = 0.1 }', r"trigger\.kind: 'error'"),
+        ('{ kind = "dead-band", threshold = 0.0 }', r"trigger\.threshold: 0, expected one above 0"),
+    ],
+)
+def test_a_trigger_without_a_bound_is_refused(tmp_path: Path, trigger: str, why: str) -> None:
+    with pytest.raises(HilError, match=why):
+        trigger_question(own(tmp_path, trigger))
+
+
+def test_an_interrupt_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]) -> None:
+    def interrupted(*_: object) -> TriggerPoint:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
+    monkeypatch.setattr(trigger_cost, "run_candidate", interrupted)
+    page = tmp_path / "trigger.html"
+    done = CliRunner().invoke(command, ["dc-motor-ours-h2", "--trigger", "-o", str(page)])
+    assert done.exit_code == 130 and not page.exists() and "nothing was written" in done.stderr
