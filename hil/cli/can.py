@@ -111,7 +111,7 @@ def _of_traffic(
     from hil.runtime.streams import rng_for
     from transport.can_bus_model.bit_rates import BitRates
     from transport.errors import FieldError
-    from transport.links.timed_sender import rate
+    from transport.links.hil_channel import rate
 
     if bitrate is None:
         raise HilError(f"--bitrate: missing; {path} says no bit rate, such as 500k")

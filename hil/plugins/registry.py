@@ -9,8 +9,8 @@ from functools import cache
 from typing import Final, Literal
 
 from hil.errors import HilError, nearest
-from hil.files.installed import Point, points, said_by
 from hil.plugins.user_modules import is_own, load_own, written_in
+from transport.installed import Point, points, said_by
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
 

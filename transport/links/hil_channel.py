@@ -7,16 +7,19 @@ messages of python-can of them.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Mapping
-from typing import Any
+from contextlib import suppress
+from typing import Any, Final
 
+from transport.can_bus_model.bit_rates import BitRates
 from transport.errors import FieldError
 from transport.links.can_datagram import EXTENDED, ID_MASK
 from transport.links.hil_frames import HilFrames
 from transport.links.link import TransportError
 from transport.links.mesh_peer import bus_directory
-from transport.links.timed_sender import restart, timed_rates
 
+_MOST_RESTART_MS: Final = 1_000_000
 _CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
 
 
@@ -61,3 +64,54 @@ def matches_of(filters: Iterable[Mapping[str, Any]]) -> tuple[tuple[int, int], .
             mask |= EXTENDED
         matches.append((can_id, mask))
     return tuple(matches)
+
+
+def rate(said: object, field: str) -> int:
+    """Return a bit rate that was written as a number or as text, in bit/s.
+
+    Raises:
+        ValueError: it is none.
+
+    >>> rate("500k", "bitrate"), rate("2M", "dbitrate"), rate(125000, "bitrate"), rate("83.333k", "bitrate")
+    (500000, 2000000, 125000, 83333)
+    """
+    text = str(said).strip()
+    scale = {"k": 1_000, "M": 1_000_000}.get(text[-1:], 1)
+    with suppress(ValueError):
+        number = float(text[:-1] if scale > 1 else text) * scale
+        if number == round(number) and not isinstance(said, bool):
+            return round(number)
+    raise FieldError(field, f"{said!r:.40}, expected bit/s such as 500000, 500k or 2M")
+
+
+def timed_rates(timed: object, bitrate: object, dbitrate: object) -> BitRates | None:
+    """Return the rates of a bus that takes time, None for one that does not; a rate that times nothing is warned of.
+
+    Raises:
+        ValueError: a rate that no controller has, or none.
+    """
+    if timed in (False, 0, None):
+        if bitrate is not None:
+            warnings.warn("hil: bitrate times nothing on this bus; add timed=True for a bus that takes time", stacklevel=3)
+        return None
+    if timed is not True and timed != 1:
+        raise FieldError("timed", f"{timed!r:.40}, expected True or False")
+    if bitrate is None:
+        raise FieldError("bitrate", "missing; a bus that takes time has one, such as 500k")
+    return BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
+
+
+def restart(said: object) -> float | None:
+    """Return from bus-off to when recovery begins, s; None for never.
+
+    Raises:
+        ValueError: no time.
+
+    >>> restart(100), restart("0"), restart(None)
+    (0.1, None, None)
+    """
+    with suppress(ValueError):
+        number = float(str(said)) if said is not None and not isinstance(said, bool) else 0.0
+        if 0 <= number <= _MOST_RESTART_MS:
+            return number / 1000 or None
+    raise FieldError("restart_ms", f"{said!r:.40}, expected milliseconds, 0 to {_MOST_RESTART_MS}; 0: it stays off the bus")

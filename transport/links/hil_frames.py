@@ -8,17 +8,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 from time import monotonic, monotonic_ns, time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.node import State
-from transport.can_bus_model.planned_faults import BusFault
 from transport.links.can_datagram import BITRATE_SWITCH, ERROR, FD_FRAME, FRAME, LOOK, OWN, frame_of
 from transport.links.can_errors import BUS_ERROR, changed, destroyed
-from transport.links.held_bus import StateChange
 from transport.links.link import LOOK_S, TransportError
-from transport.links.timed_sender import TimedSender
 from transport.links.unix_mesh import Mesh
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.planned_faults import BusFault
+    from transport.links.held_bus import StateChange
+    from transport.links.timed_sender import TimedSender
 
 _SKIPPED: Final = 64
 """So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
@@ -60,6 +62,8 @@ class HilFrames:
         self.timed: TimedSender | None = None
         self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None)
         if rates is not None:
+            from transport.links.timed_sender import TimedSender  # loaded where a bus takes time
+
             callbacks = self._got_through, self._was_destroyed, self._state_changed, self._poke
             try:
                 self.timed = TimedSender(folder, rates, *callbacks, restart_s)

@@ -9,17 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from traceback import extract_tb
-from typing import TYPE_CHECKING, Final, get_args
+from typing import Final, get_args
 from urllib.parse import urlencode
 
+from transport.installed import Point, points
 from transport.links.can_identifiers import BASE
 from transport.links.link import FORMS, Link, Role, TransportError, key_file, split_uri
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
-
-
-"""Schemes of ours whose address may be any text."""
 
 
 def _for_the_plugin(uri: str) -> str:
@@ -34,7 +29,7 @@ def is_foreign(uri: str) -> bool:
     return not find_link(uri).value.startswith("transport.")
 
 
-def find_link(uri: str) -> EntryPoint:
+def find_link(uri: str) -> Point:
     """Return the plug-in that a URI names; nothing is opened or imported.
 
     Raises:
@@ -44,9 +39,7 @@ def find_link(uri: str) -> EntryPoint:
     Traceback (most recent call last):
     transport.links.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
     """
-    from importlib.metadata import entry_points  # 20 ms that importing the package does not need
-
-    found = {plugin.name: plugin for plugin in entry_points(group="hil.links")}
+    found = {plugin.name: plugin for plugin in points("hil.links") if plugin.group == "hil.links"}
     scheme, colon, rest = uri.partition(":")
     if not colon or not scheme:
         raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -16,7 +15,6 @@ from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import State
 from transport.can_bus_model.planned_faults import BusFault
-from transport.errors import FieldError
 from transport.links.held_bus import Ended, StateChange
 from transport.links.shared_bus import Seen, SharedBus
 
@@ -29,62 +27,10 @@ _IN_VAIN_S: Final = 0.005  # no node acknowledges: the bus repeats without being
 _SWEEP_S: Final = 0.5
 _IDLE_S: Final = 0.25
 _SPELLS: Final = 16
-_MOST_RESTART_MS: Final = 1_000_000
 
 Deliver = Callable[[object, int, bool], None]
 Destroyed = Callable[[object, int, bool], None]
 Changed = Callable[[State, StateChange], None]
-
-
-def rate(said: object, field: str) -> int:
-    """Return a bit rate that was written as a number or as text, in bit/s.
-
-    Raises:
-        ValueError: it is none.
-
-    >>> rate("500k", "bitrate"), rate("2M", "dbitrate"), rate(125000, "bitrate"), rate("83.333k", "bitrate")
-    (500000, 2000000, 125000, 83333)
-    """
-    text = str(said).strip()
-    scale = {"k": 1_000, "M": 1_000_000}.get(text[-1:], 1)
-    with suppress(ValueError):
-        number = float(text[:-1] if scale > 1 else text) * scale
-        if number == round(number) and not isinstance(said, bool):
-            return round(number)
-    raise FieldError(field, f"{said!r:.40}, expected bit/s such as 500000, 500k or 2M")
-
-
-def timed_rates(timed: object, bitrate: object, dbitrate: object) -> BitRates | None:
-    """Return the rates of a bus that takes time, None for one that does not; a rate that times nothing is warned of.
-
-    Raises:
-        ValueError: a rate that no controller has, or none.
-    """
-    if timed in (False, 0, None):
-        if bitrate is not None:
-            warnings.warn("hil: bitrate times nothing on this bus; add timed=True for a bus that takes time", stacklevel=3)
-        return None
-    if timed is not True and timed != 1:
-        raise FieldError("timed", f"{timed!r:.40}, expected True or False")
-    if bitrate is None:
-        raise FieldError("bitrate", "missing; a bus that takes time has one, such as 500k")
-    return BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
-
-
-def restart(said: object) -> float | None:
-    """Return from bus-off to when recovery begins, s; None for never.
-
-    Raises:
-        ValueError: no time.
-
-    >>> restart(100), restart("0"), restart(None)
-    (0.1, None, None)
-    """
-    with suppress(ValueError):
-        number = float(str(said)) if said is not None and not isinstance(said, bool) else 0.0
-        if 0 <= number <= _MOST_RESTART_MS:
-            return number / 1000 or None
-    raise FieldError("restart_ms", f"{said!r:.40}, expected milliseconds, 0 to {_MOST_RESTART_MS}; 0: it stays off the bus")
 
 
 class TimedSender:

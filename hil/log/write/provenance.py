@@ -11,7 +11,6 @@ from typing import Any, Final, Literal
 
 from msgspec import Struct, field
 
-from hil.files.installed import versions_of
 from hil.log.events import to_json
 from hil.log.write import frame_length
 
@@ -35,6 +34,8 @@ PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-
 @cache
 def package_versions() -> dict[str, str]:
     """Versions of hilrig, of Python and of the packages that can change a result, read without importing them."""
+    from transport.installed import versions_of  # `hil doctor` says, without it, that something stands in the place of transport
+
     found = dict.fromkeys(("hilrig", "python", *PACKAGES), "absent")
     return found | versions_of(("hilrig", *PACKAGES)) | {"python": python_version()}
 

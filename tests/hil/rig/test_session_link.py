@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, EntryPoints, entry_points
-
 import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.session_link import SessionLink
 from hil.session.run import CARRIED, _assuming
+from transport.installed import Folder, Point, points
 from transport.links.traits import LinkTraits
 
 
 def test_a_link_of_ones_own_without_codes_is_one_that_a_certificate_assumes_to_carry_what_it_is_given(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    ours = entry_points(group="hil.links")
-    mine = EntryPoint("mine", "my_module:Link", "hil.links")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([*ours, mine]))
+    ours = points("hil.links")
+    mine = Point("hil.links", "mine", "my_module:Link", Folder(""))
+    monkeypatch.setattr("transport.links.opening.points", lambda begin: [*ours, mine])
     links = ("mine:x", "mine:x?auth=frames.key", "can:hil:rig0", "zenoh:tcp/127.0.0.1:7447", "local:")
     traits = [LinkTraits(commanders="anybody", keyed="auth=" in uri) for uri in links]
     unproved = [SessionLink(uri=uri, traits=each, identifiers=None).unproved for uri, each in zip(links, traits)]

@@ -6,13 +6,13 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 
 import pytest
 
 import transport
 from transport import Link, LinkCounters, TransportError, memory_pair, open_link
+from transport.installed import Folder, Point
 from transport.links.memory import QUEUE_LIMIT
 
 
@@ -53,15 +53,18 @@ def test_a_bad_uri_is_refused_with_the_uri_and_a_hint(uri: str, hint: str) -> No
     assert hint in str(caught.value) and repr(uri) in str(caught.value)
 
 
+def link_point(name: str, value: str) -> Point:
+    return Point("hil.links", name, value, Folder(""))
+
+
 def test_a_role_that_is_none_is_refused() -> None:
     with pytest.raises(TransportError, match="'observer', expected 'rig' or 'controller'"):
         open_link("can:hil:rig0", "observer")  # type: ignore[arg-type]
 
 
 def test_a_users_link_comes_in_by_the_same_door(monkeypatch: pytest.MonkeyPatch) -> None:
-    mine = EntryPoint("mine", "transport.links.memory:MemoryLink", "hil.links")
-    broken = EntryPoint("broken", "nowhere:Link", "hil.links")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([mine, broken]))
+    mine, broken = link_point("mine", "transport.links.memory:MemoryLink"), link_point("broken", "nowhere:Link")
+    monkeypatch.setattr("transport.links.opening.points", lambda begin: (mine, broken))
 
     def begin(self: object, uri: str, role: str) -> None:
         self.uri, self.counters = uri + role, LinkCounters()  # type: ignore[attr-defined]
@@ -80,8 +83,8 @@ def test_a_users_link_that_raises_when_it_is_asked_what_it_has_is_one_message(
     key.write_text("00" * 16)
     key.chmod(0o600)
     asked = []
-    mine = EntryPoint("mine", "transport.links.memory:MemoryLink", "hil.links")
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: EntryPoints([mine]))
+    mine = link_point("mine", "transport.links.memory:MemoryLink")
+    monkeypatch.setattr("transport.links.opening.points", lambda begin: (mine,))
 
     def fails(self: object) -> str:
         asked.append(1)

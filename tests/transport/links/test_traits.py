@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, EntryPoints
-
 import pytest
 
 from transport import CanFraming, Link, LinkTraits, Role, TransportError
+from transport.installed import Folder, Point
 from transport.links.traits import traits_of
 
 
@@ -61,10 +60,10 @@ class Liar(Bus):
 
 def test_a_plug_in_says_what_its_links_are(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {"bus": Bus(), "liar": Liar(), "mute": print}
-    points = EntryPoints(EntryPoint(name, f"nowhere:{name}", "hil.links") for name in (*found, "gone"))
-    load = EntryPoint.load
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: points)
-    monkeypatch.setattr(EntryPoint, "load", lambda point: found[point.name] if point.name in found else load(point))
+    points = [Point("hil.links", name, f"nowhere:{name}", Folder("")) for name in (*found, "gone")]
+    load = Point.load
+    monkeypatch.setattr("transport.links.opening.points", lambda begin: points)
+    monkeypatch.setattr(Point, "load", lambda point: found[point.name] if point.name in found else load(point))
     said = traits_of("bus:7")
     assert (said.commanders, said.can, said.own_threads) == ("whoever holds the cable", CanFraming(base=0x300), True)
     for name in ("mute", "gone"):

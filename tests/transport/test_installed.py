@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.files.installed import points, said_by, versions_of
+from transport.installed import points, said_by, versions_of
 
 INFO = {
     "METADATA": "Metadata-Version: 2.1\nName: Rising_Tank\nVersion: 1.5\n\nA page.\nVersion: 9\n",
