@@ -40,7 +40,7 @@ _NAMES: Final = {
     "design.semi_markov_loop.stability": "analyse largest_decay",
     "design.semi_markov_loop.system": "DelayedJumpSystem JumpSystem NormBounded VertexUncertainty",
     "design.tracking.design_file": "load_design solve_cached",
-    "design.tracking.gain_parametrisation": "TrackingProblem",
+    "design.tracking.problem": "TrackingProblem",
     "design.tracking.synthesis": "Design solve",
 }
 """Module to the public names that it brings; `__init__.pyi` has the same ones for type checkers."""

@@ -18,7 +18,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.random_streams import JUMPS, uniforms
+from design.monte_carlo.parallel_runs import JUMPS, uniforms
 from design.monte_carlo.studies import settling_times
 from design.processes.elementary import log
 from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate

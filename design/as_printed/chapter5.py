@@ -1,13 +1,4 @@
-"""Chapter 5 as printed: the gains of Section 5.4, and Theorem 5.1 with its functional.
-
-The printed gains of Section 5.4, (5.16) and (5.17); the plant that they are for is `plants.delayed_states`.
-
-Theorem 5.1 as printed: its functional, and why its own example cannot meet it.
-
-Block (0, 0) of (5.9) needs (A + B K(i,0))' P (A + B K(i,0)) < P - sum Q_j - Xi < P: A + B K(i,0) must be Schur stable for every
-phase i, whatever P. The zero-element constraints (5.8) leave one number in K(i,0), so that the set of stabilising numbers is a
-set of intervals that can be computed; where it is empty the theorem is infeasible for every controller.
-"""
+"""Chapter 5 as printed: the gains of Section 5.4, and Theorem 5.1, which its own example cannot meet."""
 
 from __future__ import annotations
 
@@ -21,7 +12,10 @@ Array = npt.NDArray[np.float64]
 
 
 def historical_gains() -> Array:
-    """The printed gains (5.16), (4, 6, 1, 4): sensor i + 1 has just sent, x(k - j)."""
+    """The printed gains (5.16), (4, 6, 1, 4): sensor i + 1 has just sent, x(k - j).
+
+    The plant that they are for is `plants.delayed_states`.
+    """
     rows = [
         [
             [0.0077, 0.0, 0.0, 0.0],
@@ -79,6 +73,10 @@ def printed_functional(P: Array, Q: Array, history: Sequence[Array]) -> float:
 
 def stabilising_intervals(A: Array, B: Array, state: int) -> list[tuple[float, float]]:
     """Return the open intervals of k for which A + B k e' is Schur stable, e the unit vector of one state.
+
+    Block (0, 0) of (5.9) needs (A + B K(i,0))' P (A + B K(i,0)) < P - sum Q_j - Xi < P: A + B K(i,0) must be Schur stable for
+    every phase i, whatever P. The zero-element constraints (5.8) leave one number in K(i,0), so that the set of stabilising
+    numbers is a set of intervals that can be computed; where it is empty the theorem is infeasible for every controller.
 
     The characteristic polynomial is linear in k. A root crosses the unit circle only where it is 1, -1 or a pair e^(+-it):
     at finitely many k. Between two neighbouring ones nothing changes, so that one k of each interval decides all of it.

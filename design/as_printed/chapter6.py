@@ -1,15 +1,11 @@
-"""Chapter 6 as it stands, not sound: coupler, wall and conditions as they are printed.
-
-Chapter 6 as it stands, not sound: Lambda, the coupler of Theorem 6.1, the function that (6.10) calls positive real.
-
-Reference: Chapter 6, (6.9), (6.10), (6.11), Section 6.5; what replaces it: `design.passivity`.
-
-The conditions of Chapter 6 as printed, each with ``method = "printed"`` and ``sound = False``, whatever it says.
+"""Chapter 6 as printed, not sound: the coupler of Theorem 6.1, and the conditions (6.9), (6.10) and (6.17).
 
 - (6.9): the coupler's condition, which has no delay in it.
 - (6.17): the attenuation of (6.14), in which nothing drives the weight; it does not know how long the delay is.
 
-Reference: Chapter 6, (6.9), (6.14)-(6.17); ERRATA 22, 26.
+A verdict has ``method = "printed"`` and ``sound = False``, whatever it says; what replaces it is `design.passivity`.
+
+Reference: Chapter 6, (6.9)-(6.11), (6.14)-(6.17), Section 6.5; ERRATA 22, 26.
 """
 
 from __future__ import annotations

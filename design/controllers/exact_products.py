@@ -1,9 +1,4 @@
-"""Products and inverses of small matrices whose bits are the same on every machine.
-
-Products that are summed in one order, so that their bits are the same on every machine: no BLAS, nothing fused.
-
-The pseudo-inverse of a small matrix, rounded once, from whole numbers: the same bits on every machine.
-"""
+"""Products and inverses of small matrices whose bits are the same on every machine: no BLAS, nothing fused."""
 
 from __future__ import annotations
 
@@ -26,6 +21,8 @@ def dot(a: Sequence[float], b: Sequence[float]) -> float:
 
 def product(rows: Sequence[Sequence[float]], x: Sequence[float]) -> list[float]:
     """Return a matrix of rows times x, each entry as `dot` gives it.
+
+    Products are summed in one order.
 
     >>> product([[1.0, 2.0], [0.0, 1.0]], [3.0, 4.0])
     [11.0, 4.0]
@@ -53,6 +50,8 @@ LARGEST: Final = 24
 
 def pseudo_inverse(N: Matrix) -> Matrix:
     """Return the pseudo-inverse of N, (columns, rows).
+
+    It is computed in whole numbers, and rounded once.
 
     A matrix of full rank has it exactly, and correctly rounded. Of one that is not, or is larger than `LARGEST`, it comes from
     LAPACK, rounded to 2^-30 of its largest entry: the same everywhere but where a tie lies between two machines.

@@ -4,8 +4,6 @@ r"""Gains over the historical data of scheduled sensor nodes, in the loop (Chapt
 
 The phase I(k) is a turn of the schedule, which the controller knows from the slot; over random turns it is the node whose
 packet came. An entry of K may differ from zero only where x_l(k - j) has arrived: the zero-element constraints (5.8).
-
-Gains over historical data in many runs at once, each bit for bit what `HistoricalRun` computes alone.
 """
 
 from __future__ import annotations
@@ -27,6 +25,8 @@ Integers = NDArray[np.intp]
 
 class BatchHistorical:
     """u(k) = sum over j of K[phase, j] x(k - j) in many runs, in the order of the gains that are not zero.
+
+    Each run has bit for bit what `HistoricalRun` computes alone.
 
     Args:
         K: gains, (phases, j, m, p).

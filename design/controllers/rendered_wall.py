@@ -1,14 +1,6 @@
-"""What renders a wall in the loop: the coupler, and what a controller states of itself to who judges or draws its loop.
+"""What renders a wall in the loop: the coupler, and what a controller states of itself to the certifiers and pages of its loop.
 
-The virtual coupler: how far the avatar stays behind the device while the wall pushes back.
-
-The avatar stands at x_v(k) = x(k) - (C f)(k), where f is the force of the wall on it and
-
-    C(z) = c_0 + c_1 z^-1 + ... + c_L z^-L + d z/(z - 1).
-
-Reference: Chapter 6, Figure 6.4 and the form of C_i(z) before (6.13).
-
-What a controller that renders a wall is seen as by who judges or draws its loop; a loop without a wall imports no wall.
+A loop without a wall imports no wall.
 """
 
 from __future__ import annotations
@@ -33,6 +25,14 @@ MAX_TAPS = 512
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Coupler:
     """A coupler with a finite impulse response and, if d is not 0, an integrator.
+
+    It says how far the avatar stays behind the device while the wall pushes back.
+
+    The avatar stands at x_v(k) = x(k) - (C f)(k), where f is the force of the wall on it and
+
+        C(z) = c_0 + c_1 z^-1 + ... + c_L z^-L + d z/(z - 1).
+
+    Reference: Chapter 6, Figure 6.4 and the form of C_i(z) before (6.13).
 
     Args:
         taps_m_per_n: c_0, c_1, ... in m/N, 1 to 512 of them.

@@ -1,4 +1,4 @@
-r"""Theorem 5.1 with its functional put right, and a scheme that never leaves its feasible set.
+r"""Theorem 5.1 with its functional put right: what it proves, and two schemes that find gains by it.
 
 .. math:: V = x^T P x + \sum_{j=1}^{\tau} \sum_{h=-j}^{-1} x(k+h)^T Q_j x(k+h)
 
@@ -7,16 +7,9 @@ proves J < V(0) if, for every phase i,
 .. math:: \begin{bmatrix} -P^{-1} & \bar A_c(i) \\ \bar A_c(i)^T & -\Omega \end{bmatrix} < 0,
     \qquad \Omega = \mathrm{diag}(P - \textstyle\sum_j Q_j - \Xi, Q_1, \dots, Q_\tau)
 
-P^{-1} >= 2 X - X P X for every X, so that the inequality with 2 X - X P X in its place is sufficient, and convex in (P, Q, K).
-With X the inverse of the last P every iterate is feasible and the bound falls.
+`tangent_scheme` never leaves its feasible set; `cone_complementarity` is the thesis's own scheme, with every answer checked.
 
 DEVIATION: the printed functional sums h from j - tau - 1, which pairs Q_j with the lag tau + 1 - j (ERRATA).
-
-Theorem 5.1, its functional put right, by cone complementarity: the thesis's own scheme, with every answer checked.
-
-.. math:: \min \operatorname{tr}(P_k X + X_k P), \qquad \begin{bmatrix} P & I \\ I & X \end{bmatrix} \ge 0
-
-under (5.9) with X in the place of the inverse of P. An answer counts only where (5.9) holds with the inverse itself.
 """
 
 from __future__ import annotations
@@ -79,6 +72,9 @@ def largest_eigenvalue(plant: DelayedPlant, gains: Array, P: Array, Q: Array) ->
 
 def tangent_scheme(plant: DelayedPlant, mask: Mask, x0: Array, *, iterations: int = 8) -> BlockDiagonalProof:
     """Return gains under a mask and a proof of their cost by the corrected Theorem 5.1, from x(0) with a zero history.
+
+    P^{-1} >= 2 X - X P X for every X, so that the inequality with 2 X - X P X in its place is sufficient, and convex in (P, Q,
+    K). With X the inverse of the last P every iterate is feasible and the bound falls.
 
     Args:
         plant: the plant; without gains it must meet the theorem, as the scheme starts there.
@@ -180,7 +176,13 @@ def solve_quietly(problem: Any) -> None:
 
 
 def cone_complementarity(plant: DelayedPlant, mask: Mask, x0: Array, bound: float, *, iterations: int = 30) -> BlockDiagonalProof:
-    """Return gains under a mask and a proof that they cost no more than a bound, from x(0) with a zero history.
+    r"""Return gains under a mask and a proof that they cost no more than a bound, from x(0) with a zero history.
+
+    It solves
+
+    .. math:: \min \operatorname{tr}(P_k X + X_k P), \qquad \begin{bmatrix} P & I \\ I & X \end{bmatrix} \ge 0
+
+    under (5.9) with X in the place of the inverse of P. An answer counts only where (5.9) holds with the inverse itself.
 
     Args:
         plant: the plant; without gains it must meet the theorem, as the scheme starts there.

@@ -1,30 +1,6 @@
-r"""What no controller can go below over scheduled sensors: with the whole state known, and with what its packets bring.
+"""What a run over scheduled sensors costs at least, for any controller, and how its cost is spread over random schedules.
 
-The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: which packet comes,
-and what is lost, depends neither on the state nor on the input, so separation holds over a random schedule as over a cycle. It
-costs
-
-.. math:: J = \operatorname{tr} S W + \sum_k E \operatorname{tr} K^T (\Xi_u + B^T S B) K \, \Sigma(k)
-
-with S the regulator's cost-to-go, K its gain, and Sigma(k) the error covariance after the packets of slot k. The plant has no
-process noise: Sigma(k) = F F', and a packet that shows the entries y of X takes F to F Z, Z a basis of the kernel of F_y. Where
-the schedule is random the expectation is the sum over the tree of outcomes. A branch is left where nothing is unknown or where it
-hardly ever comes: every term is at least 0, so that the sum stays a lower bound.
-
-The full-state bound holds for any schedule, loss, trigger or delay: each only takes knowledge or freedom away.
-
-Mean and variance of the cost over the runs of a random schedule, from a known start: exact, by fourth moments.
-
-A run costs J = sum of X(k)'Q X(k). With S the cost-to-go, J less its mean is the sum of the increments
-
-.. math:: D(k) = Y^T \Big(S_j - \sum_l p_{il} S_l\Big) Y, \qquad Y = L_i X(k),\ i = i(k),\ j = i(k+1),
-
-each of mean zero given the past, hence uncorrelated. So Var J is the sum over k of E D(k)^2, and that of the first phase:
-a quartic form of X(k), whose fourth moments follow the linear recursion
-
-.. math:: Z_j(k+1) = \sum_i p_{ij} (L_i \otimes L_i) Z_i(k) (L_i \otimes L_i)^T, \qquad Z_i = E[(X \otimes X)(X \otimes X)^T; i]
-
-on the symmetric part of X x X, N (N + 1) / 2 numbers. The sum ends where the loop is stable in the fourth moment.
+The bounds are those with the whole state known, and with what its packets bring.
 """
 
 from __future__ import annotations
@@ -135,6 +111,8 @@ def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing |
 def full_state_bound(plant: DelayedPlant, history: Array) -> float:
     """Return the least cost from a known past, for any controller over any network: X(0)' S X(0).
 
+    The full-state bound holds for any schedule, loss, trigger or delay: each only takes knowledge or freedom away.
+
     Args:
         plant: the plant (5.1) and its weights.
         history: x(0), x(-1), ..., (h, n); zero before.
@@ -153,7 +131,18 @@ def mean_full_state_bound(plant: DelayedPlant, moment: Array) -> float:
 
 
 def bounds(plant: DelayedPlant, hearing: Hearing, moment: Array) -> CostBounds:
-    """Return lower bounds of the mean cost.
+    r"""Return lower bounds of the mean cost.
+
+    The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: which packet comes,
+    and what is lost, depends neither on the state nor on the input, so separation holds over a random schedule as over a cycle.
+    It costs
+
+    .. math:: J = \operatorname{tr} S W + \sum_k E \operatorname{tr} K^T (\Xi_u + B^T S B) K \, \Sigma(k)
+
+    with S the regulator's cost-to-go, K its gain, and Sigma(k) the error covariance after the packets of slot k. The plant has no
+    process noise: Sigma(k) = F F', and a packet that shows the entries y of X takes F to F Z, Z a basis of the kernel of F_y.
+    Where the schedule is random the expectation is the sum over the tree of outcomes. A branch is left where nothing is unknown
+    or where it hardly ever comes: every term is at least 0, so that the sum stays a lower bound.
 
     Args:
         plant: the plant (5.1) and its weights.
@@ -225,7 +214,21 @@ class CostMoments(NamedTuple):
 
 
 def cost_moments(loop: LiftedLoop, x0: npt.ArrayLike, phases: Array) -> CostMoments:
-    """Return mean and variance of the cost over all paths, from a known past.
+    r"""Return mean and variance of the cost over all paths, from a known past.
+
+    They are exact, by fourth moments.
+
+    A run costs J = sum of X(k)'Q X(k). With S the cost-to-go, J less its mean is the sum of the increments
+
+    .. math:: D(k) = Y^T \Big(S_j - \sum_l p_{il} S_l\Big) Y, \qquad Y = L_i X(k),\ i = i(k),\ j = i(k+1),
+
+    each of mean zero given the past, hence uncorrelated. So Var J is the sum over k of E D(k)^2, and that of the first phase:
+    a quartic form of X(k), whose fourth moments follow the linear recursion
+
+    .. math:: Z_j(k+1) = \sum_i p_{ij} (L_i \otimes L_i) Z_i(k) (L_i \otimes L_i)^T,
+        \qquad Z_i = E[(X \otimes X)(X \otimes X)^T; i]
+
+    on the symmetric part of X x X, N (N + 1) / 2 numbers. The sum ends where the loop is stable in the fourth moment.
 
     Args:
         loop: the lifted loop of order N; it takes N^4 numbers a phase.

@@ -1,20 +1,7 @@
-r"""A history with gaps, as the theory takes it: what is known where packets of a round robin get lost, and what is held.
+"""Gains over a history with gaps as the theory takes them: one set for each phase of a chain of outcomes.
 
-The controller keeps the samples of the last tau slots and the newest one of each node. A gain on x_l(k - j) that is missing acts
-on the newest sample before it; none is left where a packet of the node has come since, and the gain then acts on 0. The outcomes
-of the packets of these slots are the phase: they say which samples are known. A node that none of them brought is held from its
-last sample, of any age; it is an entry h_l of the state, taken from the oldest sample as its packet leaves the window:
-
-.. math:: h_l(k+1) = x_l(k - \tau) \ \text{if slot } k - \tau \text{ was node}(l)\text{'s and its packet came, else } h_l(k)
-
-So finitely many phases are exact, however many packets in a row get lost.
-
-The last packets over a schedule that loses or draws, as the theory takes them: the chain of the windows of outcomes.
-
-With the outcomes of w slots as the phase, the loop is jump-linear for every w: what each phase knows is fixed. Over random turns
-a lost packet hides whose turn it was; the chain then stays exact for turns that are independent.
-
-Gains over historical data as the theory takes them: one set for each phase of a chain, whatever the controller looks at.
+A phase says which of the last packets came, and so which samples are known: over a round robin that loses packets
+(`gapped_gains`), and over any schedule that loses or draws (`window_chain`).
 """
 
 from __future__ import annotations
@@ -75,7 +62,17 @@ def gaps_undecided(nodes: SensorNodes, memory: int, delayed: int = 0) -> str:
 
 
 def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
-    """Return the gains that act on the plant's own past, by outcome.
+    r"""Return the gains that act on the plant's own past, by outcome.
+
+    The controller keeps the samples of the last tau slots and the newest one of each node. A gain on x_l(k - j) that is missing
+    acts on the newest sample before it; none is left where a packet of the node has come since, and the gain then acts on 0. The
+    outcomes of the packets of these slots are the phase: they say which samples are known. A node that none of them brought is
+    held from its last sample, of any age; it is an entry h_l of the state, taken from the oldest sample as its packet leaves the
+    window:
+
+    .. math:: h_l(k+1) = x_l(k - \tau) \ \text{if slot } k - \tau \text{ was node}(l)\text{'s and its packet came, else } h_l(k)
+
+    So finitely many phases are exact, however many packets in a row get lost.
 
     Args:
         K: (turns, memory + 1, p, n), as the controller has them.
@@ -129,7 +126,11 @@ def window_mask(nodes: SensorNodes, window: PacketWindow, memory: int) -> Mask:
 
 
 def window_chain(window: PacketWindow) -> Array:
-    """Return the transition matrix of the phases, (phases, phases)."""
+    """Return the transition matrix of the phases, (phases, phases).
+
+    With the outcomes of w slots as the phase, the loop is jump-linear for every w: what each phase knows is fixed. Over random
+    turns a lost packet hides whose turn it was; the chain then stays exact for turns that are independent.
+    """
     turns, base, count = window.turns, window.base, max(len(window.turns.order), 1)
     chain = np.zeros((window.phases, window.phases))
     for i in range(window.phases):

@@ -1,4 +1,4 @@
-r"""What scheduled gains cost, and the gains that cost least.
+r"""What scheduled gains cost, and the gains that cost least: freely, or with the largest input at a given peak.
 
 .. math:: J = E \sum_k x(k)^T \Xi x(k) + u(k)^T \Xi_u u(k) = \sum_i \operatorname{tr}(S_i W_i)
 
@@ -9,10 +9,6 @@ phase i,
 
 DEVIATION: Theorem 5.1 bounds J by a functional that is block diagonal in the past; its conditions are infeasible on the chapter's
 own example (see `design.as_printed.chapter5`). The Lyapunov equation on the stacked state is necessary and sufficient.
-
-Gains of least cost whose largest input stays at a given peak, by the input weight of (5.18).
-
-.. math:: \min_K \sum_k x^T \Xi x + \omega u^T u, \qquad \omega \text{ the least with } \max_k |u(k)| \le \text{peak}
 """
 
 from __future__ import annotations
@@ -279,7 +275,11 @@ def largest_input(plant: DelayedPlant, gains: Array, x0: npt.ArrayLike, phase: i
 
 
 def match_peak(plant: DelayedPlant, mask: Mask, x0: npt.ArrayLike, phase: int, peak: float) -> PeakMatch:
-    """Return the gains of least cost from x(0) whose input reaches at most the peak, by bisection over the weight.
+    r"""Return the gains of least cost from x(0) whose input reaches at most the peak, by bisection over the weight.
+
+    The input weight is that of (5.18).
+
+    .. math:: \min_K \sum_k x^T \Xi x + \omega u^T u, \qquad \omega \text{ the least with } \max_k |u(k)| \le \text{peak}
 
     Args:
         plant: the plant and its state weight; its input weight is replaced.

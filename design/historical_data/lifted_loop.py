@@ -2,8 +2,6 @@
 
 With X(k) = (x(k), x(k-1), ..., x(k-tau)) the loop (5.5) is X(k+1) = L_i X(k), where phase i follows a chain: a cycle for a
 fixed schedule, any stochastic matrix for a random one. Everything that follows from Lyapunov equations is exact.
-
-One Lyapunov matrix for every order of the sensors: stability and a bound of the cost whoever sends next.
 """
 
 from __future__ import annotations
@@ -247,6 +245,8 @@ MARGINS = (1e-6, 1e-5, 1e-4, 1e-3)
 
 def common_bound(loop: LiftedLoop, X0: Array) -> tuple[float, Array]:
     """Return the least X0' P X0 with P > 0 and L_i' P L_i - P + Q_i <= 0 for every phase i, and P.
+
+    One P for every order of the sensors: stability and a bound of the cost, whichever node sends next.
 
     The inequalities are asked for with a margin and evaluated at the returned matrix: the bound holds for that matrix.
 

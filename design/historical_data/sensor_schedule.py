@@ -1,17 +1,7 @@
-r"""Sensor nodes of a rig as the theory of Chapter 5 takes them: what is known in each phase, and the chain of the phases.
+"""Sensor nodes of a rig as the theory of Chapter 5 takes them: what is known in each phase, and the chain of the phases.
 
 Over a cycle the phase is the turn, and a turn whose packet may get lost has a twin in which nothing came. Over random turns the
 phase is the node whose packet came.
-
-Which past samples the controller has, by phase of the schedule: the zero-element constraints (5.8), in general.
-
-A schedule of L phases names the node that sends in each. In a slot of phase i the packet sent e slots ago (phase i - e) has
-arrived if e >= delay, and it holds the m newest samples that its node had then. So x_l(k - j) is known iff
-
-.. math:: \exists\, e \ge \text{delay}:\quad \text{order}[(i - e) \bmod L] = \text{node}(l), \qquad 0 \le j - e \le m - 1 .
-
-DEVIATION: Remark 5.2 sets K(., 0) = 0 for a delay of one sample. The whole mask shifts instead: what was sent one slot later is
-known one slot later.
 """
 
 from __future__ import annotations
@@ -109,7 +99,17 @@ Array = npt.NDArray[np.float64]
 
 
 def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
-    """Return which gains may differ from zero, (phases, memory + 1, outputs).
+    r"""Return which gains may differ from zero, (phases, memory + 1, outputs).
+
+    They are the zero-element constraints (5.8), in general.
+
+    A schedule of L phases names the node that sends in each. In a slot of phase i the packet sent e slots ago (phase i - e) has
+    arrived if e >= delay, and it holds the m newest samples that its node had then. So x_l(k - j) is known iff
+
+    .. math:: \exists\, e \ge \text{delay}:\quad \text{order}[(i - e) \bmod L] = \text{node}(l), \qquad 0 \le j - e \le m - 1 .
+
+    DEVIATION: Remark 5.2 sets K(., 0) = 0 for a delay of one sample. The whole mask shifts instead: what was sent one slot later
+    is known one slot later.
 
     Args:
         nodes: the sensor nodes.

@@ -1,4 +1,4 @@
-"""The axis y'' + p y' = g u under held inputs, exact at the samples, with its derivatives.
+"""The axis y'' + p y' = g u under held inputs: its motion, exact at the samples, its records, and what a record will show of it.
 
     y = y_0 + v_0 phi_v(t; p) + g phi_u(t; p),     phi_v = (1 - exp(-p t))/p
 
@@ -6,10 +6,6 @@ It is linear in g, y_0 and v_0, so that p is the only parameter to be searched f
 for the motor of Section 7.4.2 they are gain and pole.
 
 Reference: thesis (6.1), (6.2), sec. 6.2.1; variable projection: Golub and Pereyra, 1973.
-
-One recorded experiment on an axis: what was put in, what was measured.
-
-What moves an axis so that its parameters can be estimated, and how well, before anything runs.
 """
 
 from __future__ import annotations
@@ -119,7 +115,7 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Record:
-    """Input and output over consecutive slots.
+    """One recorded experiment on an axis: input and output over consecutive slots.
 
     Args:
         u: input (n,), u[k] held over [k T, (k + 1) T), in the input's unit.
@@ -161,6 +157,8 @@ WORST_CONDITION = 1e7
 
 def square_wave(slots: int, period_s: float, frequency_hz: float, amplitude: float) -> Array:
     """Return a square wave r (slots,) that begins with +amplitude.
+
+    It moves an axis so that its parameters can be estimated.
 
     Args:
         slots: how many samples.

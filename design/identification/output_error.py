@@ -5,19 +5,6 @@
 For noise on the measured output this is maximum likelihood, also where that output is fed back, as the input is known.
 
 Reference: thesis sec. 6.2.1; Ljung, System Identification, 1999, sec. 7.4, 9.4.
-
-Plain least squares on differences, for comparison: it is biased as soon as the output carries noise.
-
-    dy(k+1) = a dy(k) + b_1 u(k) + b_2 u(k-1),     p = -ln(a)/T,     g = (b_1 + b_2) p / (T (1 - a))
-
-Reference: thesis sec. 6.2.1; Ljung, System Identification, 1999, sec. 7.3.
-
-State-variable filter: derivatives of filtered signals instead of differences, the start of a fit.
-
-With L = l^2/(s + l)^2 and y'' = -p y' + g u it holds that s^2 L y = -p (s L y) + g (L u), up to what decays with exp(-l t).
-
-References: Young, Parameter estimation for continuous-time models, 1981; Garnier and Wang (eds.), Identification of
-Continuous-time Models from Sampled Data, 2008, ch. 1.
 """
 
 from __future__ import annotations
@@ -38,6 +25,12 @@ from design.identification.residual_test import ResidualTest, residual_test
 
 def plain_least_squares(records: Sequence[Record]) -> tuple[float, float] | None:
     """Return g and p, None where the fitted a is not between 0 and 1 or the gain not above 0.
+
+    It is for comparison: it is biased as soon as the output carries noise.
+
+        dy(k+1) = a dy(k) + b_1 u(k) + b_2 u(k-1),     p = -ln(a)/T,     g = (b_1 + b_2) p / (T (1 - a))
+
+    Reference: thesis sec. 6.2.1; Ljung, System Identification, 1999, sec. 7.3.
 
     Args:
         records: of one sample period.
@@ -63,6 +56,13 @@ SKIPPED = 8.0
 
 def state_variable_filter(records: Sequence[Record], cutoff: float) -> tuple[float, float] | None:
     """Return g and p by least squares on filtered signals; None where too little is left or the gain is not above 0.
+
+    It is the start of a fit: derivatives of filtered signals take the place of differences.
+
+    With L = l^2/(s + l)^2 and y'' = -p y' + g u it holds that s^2 L y = -p (s L y) + g (L u), up to what decays with exp(-l t).
+
+    References: Young, Parameter estimation for continuous-time models, 1981; Garnier and Wang (eds.), Identification of
+    Continuous-time Models from Sampled Data, 2008, ch. 1.
 
     The output counts as a straight line between its samples, missing ones too; the input as held.
 

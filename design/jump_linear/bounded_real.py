@@ -20,13 +20,6 @@ Newton's method starts at the fold of a system nearby. Where that is too far, it
 larger gamma predicts (`predict_fold`).
 
 References: Theorem 7.4; Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 2000 (bordered fold).
-
-Coupled bounded-real (Riccati) equations of a jump-linear system at one gamma, and their smallest solution.
-
-    P_i = A_i' E_i(P) A_i + C_i' C_i + G_i' V_i^-1 G_i,   G_i = B_i' E_i(P) A_i + D_i' C_i,
-    V_i = gamma^2 I - B_i' E_i(P) B_i - D_i' D_i > 0
-
-Reference: (7.28) with equality; the smallest gamma for which they have a solution is found by `bounded_real`.
 """
 
 from __future__ import annotations
@@ -59,6 +52,8 @@ class Policy(NamedTuple):
 
 def solve_bounded_real(matrices: Matrices, square: float, extra: float = 0.0, near: Policy | None = None) -> Policy | None:
     """Smallest solution of the bounded-real equations at gamma^2 = `square`, or None if gamma is not above the norm.
+
+    They are (7.28) with equality; the smallest gamma for which they have a solution is found by `hinf_norm`.
 
     Newton's method from w = 0, every step one coupled Lyapunov equation; its iterates rise to the solution.
     `extra` adds extra * I to C_i' C_i, which makes (7.28) strict at the result. `near` is a solution at a larger gamma:

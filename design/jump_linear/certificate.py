@@ -1,27 +1,7 @@
-r"""What is known of a closed loop, computed from its gains and from nothing else.
+"""What is known of a closed loop, computed from its gains and nothing else: stability, norms, where bounded signals push it.
 
 A solver's word is not used: the matrices of every inequality are found again for the given gains, and the inequality's
 eigenvalues are computed at these matrices.
-
-The part of a jump-linear system that its output ever shows.
-
-A predictor that carries a model of an integrator beside the plant has an offset that neither the plant nor the input knows: a
-state with factor 1. With the rows of T an orthonormal basis of
-
-.. math:: \operatorname{span} \{ C_{i_0}' ,\ A_{i_1}' C_{i_0}',\ A_{i_2}' A_{i_1}' C_{i_0}',\ \ldots \}
-
-T A_i = A^T_i T, so that z = T x is a jump-linear system of its own with the same output.
-
-Where a stable jump-linear system ends that bounded signals push, whatever they are.
-
-.. math:: x(k+1) = A_i x(k) + \sum_q E_i^q e_q(k), \qquad |e_q(k)| \le 1, \qquad z = C x
-
-By Minkowski's inequality in the mean square, with M_0 = C'C and M_{t+1} = L M_t, the cost operator of `second_moment`,
-
-.. math:: \limsup_k \sqrt{E |z(k)|^2} \le \sum_q \sum_t \sqrt{\max_i E_i^{q\prime} (\textstyle\sum_j p_{ij} M_t^j) E_i^q}
-
-whatever e(k) knows of the modes and states up to slot k. The sum over t is ended where what follows is known to be small: with
-P - L P >= I, L P <= (1 - 1/|P|) P.
 """
 
 from __future__ import annotations
@@ -206,7 +186,16 @@ GROWS = 1.0 + 1e-9
 
 
 def observed_part(system: MJLS, shown: Array) -> tuple[MJLS, int]:
-    """Return the system in the coordinates that its output and more rows show, and how many directions are left out.
+    r"""Return the system in the coordinates that its output and more rows show, and how many directions are left out.
+
+    It is the part of a jump-linear system that its output ever shows.
+
+    A predictor that carries a model of an integrator beside the plant has an offset that neither the plant nor the input knows: a
+    state with factor 1. With the rows of T an orthonormal basis of
+
+    .. math:: \operatorname{span} \{ C_{i_0}' ,\ A_{i_1}' C_{i_0}',\ A_{i_2}' A_{i_1}' C_{i_0}',\ \ldots \}
+
+    T A_i = A^T_i T, so that z = T x is a jump-linear system of its own with the same output.
 
     None is left out unless what is left out does not grow by any factor: its second-moment radius is at most 1.
 
@@ -240,7 +229,18 @@ TERMS = 100_000
 
 
 def ultimate_bound(A: Array, transition: Array, E: Array, C: Array) -> Array:
-    """Return what the root mean square of C x ends within, the share of each signal, (q,); their sum is the bound.
+    r"""Return what the root mean square of C x ends within, the share of each signal, (q,); their sum is the bound.
+
+    It holds for a stable system, whatever the bounded signals are that push it.
+
+    .. math:: x(k+1) = A_i x(k) + \sum_q E_i^q e_q(k), \qquad |e_q(k)| \le 1, \qquad z = C x
+
+    By Minkowski's inequality in the mean square, with M_0 = C'C and M_{t+1} = L M_t, the cost operator of `second_moment`,
+
+    .. math:: \limsup_k \sqrt{E |z(k)|^2} \le \sum_q \sum_t \sqrt{\max_i E_i^{q\prime} (\textstyle\sum_j p_{ij} M_t^j) E_i^q}
+
+    whatever e(k) knows of the modes and states up to slot k. The sum over t is ended where what follows is known to be small:
+    with P - L P >= I, L P <= (1 - 1/|P|) P.
 
     Args:
         A: (N, n, n) mode matrices of a mean-square stable system.

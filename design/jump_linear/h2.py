@@ -7,14 +7,6 @@ alpha acts at k = 0, when the impulse enters.
 
 DEVIATION: (7.19) prints || E z ||^2 and a sum over s twice; what (7.20)-(7.21) compute, and what is meant, is the sum
 over k of E |z(k)|^2. Both definitions can be computed: `definition="mean"` sums |E z(k)|^2 as printed.
-
-Squared H2 norm and its derivative along a descent over many modes: every solve starts where the last one ended.
-
-The solutions E = E(S) and X of the two Lyapunov equations are found to a tolerance t only. The value takes both of them,
-
-    ||H||_2^2 = <C'C, X> + <S, V + L* X - X>,    V_j = sum_i p_ij alpha_i B_i B_i',
-
-whose error is the product of theirs, of the order t^2; the derivative has the error t.
 """
 
 from __future__ import annotations
@@ -114,6 +106,14 @@ TOLERANCE = 1e-10
 
 class H2Nearby:
     """Squared H2 norm and derivative of loops that differ little from one call to the next.
+
+    It is for a descent over many modes: every solve starts where the last one ended.
+
+    The solutions E = E(S) and X of the two Lyapunov equations are found to a tolerance t only. The value takes both of them,
+
+        ||H||_2^2 = <C'C, X> + <S, V + L* X - X>,    V_j = sum_i p_ij alpha_i B_i B_i',
+
+    whose error is the product of theirs, of the order t^2; the derivative has the error t.
 
     Args:
         B, C: (N, n, q), (N, l, n).

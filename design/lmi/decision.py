@@ -3,12 +3,6 @@
 A doubt is: Clarabel's matrices prove nothing and its dual matrices exclude nothing; the margin at its matrices is as small as
 what rounding changes; or the proof in fractions fails at them. Whatever answers, the answer is the matrices, put into the
 inequalities here.
-
-A second opinion on matrix inequalities: modelled by cvxpy, solved by SCS, judged by their eigenvalues.
-
-The program's own route (`design.lmi.program`) writes triangles for Clarabel by hand. Here cvxpy gets matrix variables and
-semidefinite constraints, and translates them itself; the two share the functions of the inequalities and nothing else. The
-answer is not cvxpy's word either: the matrices that it returns are put into the inequalities.
 """
 
 from __future__ import annotations
@@ -61,6 +55,10 @@ def second_opinion(
     time_limit_s: float = 20.0,
 ) -> SecondOpinion:
     """Maximise the margin t <= largest_margin of F_i(X) <= -t I (strict) and F_i(X) <= 0 (the others), by cvxpy and SCS.
+
+    The program's own route (`design.lmi.program`) writes triangles for Clarabel by hand. Here cvxpy gets matrix variables and
+    semidefinite constraints, and translates them itself; the two share the functions of the inequalities and nothing else. The
+    answer is not cvxpy's word either: the matrices that it returns are put into the inequalities.
 
     Args:
         inequalities: affine in the matrices that they name.

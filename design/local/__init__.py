@@ -1,6 +1,6 @@
-"""Designs for a plant without a network, by python-control: what a networked design is compared with.
+"""Designs for a plant without a network: LQR, LQG and H-infinity, by python-control, which only these functions import.
 
-LQR, LQG and H-infinity for a sampled plant without a network, by python-control, which only these functions import.
+A networked design is compared with them.
 
     z = [C x; rho u],    y = C x + v,    x(k+1) = A x + B (u + w)
 

@@ -1,4 +1,4 @@
-"""Confidence intervals for a mean, a standard deviation and paired differences, and when to stop without spoiling them.
+"""What a sample of runs shows, with a stated error: confidence intervals, when to stop, and a sequential test of a probability.
 
 Mean: Student's t with Hall's correction for skewness. With g the sample's skewness and a = g / sqrt(n),
 
@@ -22,18 +22,6 @@ each single interval has its level (asymptotic in n_k; ``first_look`` keeps n_1 
 Reference: P. Hall, "On the removal of skewness by transformation", J. R. Statist. Soc. B 54 (1992) 221-228. D. G. Bonett,
 "Approximate confidence interval for standard deviation of nonnormal distributions", Comput. Stat. Data Anal. 50 (2006) 775-782.
 E. C. Fieller, "Some problems in interval estimation", J. R. Statist. Soc. B 16 (1954) 175-185.
-
-Wald's sequential test of a probability: it looks after every run, and stops as soon as its two errors allow.
-
-After n runs with s successes the logarithm of the likelihood ratio of p_1 against p_0 < p_1 is
-
-    L = s log(p_1 / p_0) + (n - s) log((1 - p_1) / (1 - p_0)).
-
-It is a martingale's logarithm under p_0, and its negative under p_1, so that by Ville's inequality the bounds
-L >= log(1 / alpha) and L <= log(beta) are crossed wrongly with at most alpha and beta, whenever one looks. For p < p_0
-and p > p_1 the errors are smaller still. (Wald's own bounds, log((1 - beta) / alpha), hold only nearly.)
-
-Reference: A. Wald, Sequential Analysis, 1947, chapter 3.
 """
 
 from __future__ import annotations
@@ -217,6 +205,18 @@ Decision = Literal["at least p1", "at most p0"]
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SequentialTest:
     """A sequential test of p <= p_0 against p >= p_1.
+
+    It is Wald's: it looks after every run, and stops as soon as its two errors allow.
+
+    After n runs with s successes the logarithm of the likelihood ratio of p_1 against p_0 < p_1 is
+
+        L = s log(p_1 / p_0) + (n - s) log((1 - p_1) / (1 - p_0)).
+
+    It is a martingale's logarithm under p_0, and its negative under p_1, so that by Ville's inequality the bounds
+    L >= log(1 / alpha) and L <= log(beta) are crossed wrongly with at most alpha and beta, whenever one looks. For p < p_0
+    and p > p_1 the errors are smaller still. (Wald's own bounds, log((1 - beta) / alpha), hold only nearly.)
+
+    Reference: A. Wald, Sequential Analysis, 1947, chapter 3.
 
     Args:
         p0: the probability that is too low.

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.monte_carlo.jump_paths import MatrixFlow, Visits, fault_detection_visits, semi_markov_visits
-from design.monte_carlo.random_streams import PARAMETERS, uniforms
+from design.monte_carlo.parallel_runs import PARAMETERS, uniforms
 from design.processes.elementary import log
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty

@@ -1,20 +1,11 @@
-"""Paths of semi-Markov processes for a whole batch of runs at once: one event of every run per step.
+"""Paths of semi-Markov processes and of the states between their jumps, for a whole batch of runs at once.
 
 A *visit* is a time interval in which no process jumps. Batches of visits come in order: the k-th batch holds the k-th
 visit of every run that is not at its end yet, sampled exactly from one draw of Exp(1) and one of U(0, 1) per jump.
 
+Between two jumps a state moves by `MatrixFlow`, with no Python per point.
+
 References: thesis Section 2.2 (one process), Section 4.2 (failure and detection); design.processes.semi_markov for the sampling.
-
-exp(M s) x for thousands of pairs (M, s) at once, and on every point of a time grid, with no Python per point.
-
-Matrices are stacked with the runs innermost, shape (n, n, W), so that every operation is one numpy call over all runs.
-With a base step b, ||M b|| <= 1/8, and s = j b + r, 0 <= r < b:
-
-    exp(M s) x = prod_{bits k of j} exp(M b 2^k) * (Taylor polynomial of exp(M r), order 10) x
-
-The remainder of the polynomial is below 3e-18; the powers come from repeated squaring. On the grid s = 0, dt, 2 dt, ...
-the number of known points is doubled in every step, X[L:2L] = exp(M dt L) X[0:L]: log2 of the length numpy calls.
-No eigenvectors are used, so defective and nearly defective matrices lose no digits.
 """
 
 from __future__ import annotations
@@ -26,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.random_streams import JUMPS, DrawTable
+from design.monte_carlo.parallel_runs import JUMPS, DrawTable
 from design.processes.elementary import log
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
@@ -142,6 +133,15 @@ def norm_bound(m: FloatArray) -> FloatArray:
 
 class MatrixFlow:
     """The flows x -> exp(M_w s) x of a stack of matrices.
+
+    Matrices are stacked with the runs innermost, shape (n, n, W), so that every operation is one numpy call over all runs.
+    With a base step b, ||M b|| <= 1/8, and s = j b + r, 0 <= r < b:
+
+        exp(M s) x = prod_{bits k of j} exp(M b 2^k) * (Taylor polynomial of exp(M r), order 10) x
+
+    The remainder of the polynomial is below 3e-18; the powers come from repeated squaring. On the grid s = 0, dt, 2 dt, ...
+    the number of known points is doubled in every step, X[L:2L] = exp(M dt L) X[0:L]: log2 of the length numpy calls.
+    No eigenvectors are used, so defective and nearly defective matrices lose no digits.
 
     Args:
         matrices: shape (n, n, W) (1/s).

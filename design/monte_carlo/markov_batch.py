@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.monte_carlo.random_streams import CHAIN, NOISE, DrawTable, Workers, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel_runs import CHAIN, NOISE, DrawTable, Workers, chunk_numbers, inside_chunk, spread
 from design.processes.elementary import normal_quantile
 
 FloatArray = npt.NDArray[np.float64]

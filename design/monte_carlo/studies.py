@@ -2,8 +2,8 @@
 
     settling_times   T_s of (2.28) per run       mean_states   E x(t), E x(t)x(t)' on a grid       trajectories   for plots
 
-Every run has its own streams of random numbers (``design.monte_carlo.random_streams``), and the runs are computed in chunks that
-are always cut at the same places (``design.monte_carlo.random_streams``), so the numbers do not depend on how the work is split.
+Every run has its own streams of random numbers (``design.monte_carlo.parallel_runs``), and the runs are computed in chunks that
+are always cut at the same places (``design.monte_carlo.parallel_runs``), so the numbers do not depend on how the work is split.
 
 References: thesis Section 2.5 and (2.28); ERRATA 5 and 8.
 """
@@ -21,7 +21,7 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
 from design.monte_carlo.jump_paths import MatrixFlow
-from design.monte_carlo.random_streams import Workers, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel_runs import Workers, chunk_numbers, inside_chunk, spread
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]

@@ -1,14 +1,8 @@
-"""How stiff a wall can be that is safe for every passive hand: over rate, delay and hand damping.
+"""How stiff a wall can be: by a coupler that is safe for every passive hand, over rate, delay and hand damping; and without.
 
-The shape of the stiffest coupler depends on the delays alone, so that one proof holds for every rate and damping: it is made for
-taps that are half the margin smaller, which is far more than rounding the taps of a cell takes away.
-
-Reference: Theorem 6.1; ERRATA 22.
-
-How stiff a wall can be without a coupler: the anchors of the field, and the exact boundary without a hand.
-
-References: Colgate and Schenkel, Passivity of a class of sampled-data systems, 1997; Gil, Sanchez, Hulin, Preusche and Hirzinger,
-Stability boundary for haptic rendering: influence of damping and delay, 2009.
+Reference: Theorem 6.1; ERRATA 22; for a wall without a coupler Colgate and Schenkel, Passivity of a class of sampled-data
+systems, 1997; Gil, Sanchez, Hulin, Preusche and Hirzinger, Stability boundary for haptic rendering: influence of damping and
+delay, 2009.
 """
 
 from __future__ import annotations
@@ -180,6 +174,9 @@ def certified_coupler(delay: int, *, period_s: float, damping_n_s_per_m: float) 
 @lru_cache(maxsize=128)
 def proved_shape(delay: int) -> tuple[float, ...]:
     """Return taps in units of T/(2 b) that are safe at every delay from 0 to nd, with half the margin left for rounding.
+
+    The shape of the stiffest coupler depends on the delays alone, so that one proof holds for every rate and damping: it is made
+    for taps that are half the margin smaller, which is far more than rounding the taps of a cell takes away.
 
     Args:
         delay: nd in samples.

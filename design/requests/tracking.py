@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
     from design.tracking.design_file import DesignFile
-    from design.tracking.gain_parametrisation import TrackingProblem
+    from design.tracking.problem import TrackingProblem
     from design.tracking.synthesis import Design, Progress
 
 

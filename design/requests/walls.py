@@ -1,8 +1,6 @@
-"""What an experiment may ask of a wall over a network: ``[controller] kind = "virtual-wall"`` and ``"model-following"``.
+"""Walls that an experiment asks for: ``kind = "virtual-wall"`` renders by a coupler, ``"model-following"`` by MJLS-LQG.
 
-``[controller] kind = "virtual-wall"``: what an experiment may ask of a wall over a network; what runs is taps.
-
-``[controller] kind = "model-following"``: a wall by MJLS-LQG model following, as a comparison with couplers.
+What runs is the taps or the gains that come out. Model following is a comparison with couplers.
 """
 
 from __future__ import annotations

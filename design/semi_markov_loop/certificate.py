@@ -3,11 +3,6 @@
 The verdict is never a solver's word. ``certified``: the eigenvalues of every inequality at the returned matrices are on the
 right side. ``refused``: dual matrices prove (weak duality) that no solution of this form exists with entries up to
 ``reach``, or the exact second moments grow. ``undecided``: neither could be shown.
-
-Requests that no gain can meet, found before any solver is asked.
-
-If mode i has an eigenvalue mu that the input cannot reach (uncontrollable) and 2 Re mu is at least the largest total rate out
-of the mode, then E|x|^2 has no finite value already within the first stay in that mode, whatever the gains.
 """
 
 from __future__ import annotations
@@ -86,6 +81,9 @@ class JumpCertificate:
 
 def check_stabilisable(system: JumpSystem, process: SemiMarkov) -> None:
     """Raise Infeasible, with the mode, the eigenvalue and the rate, where the nominal system cannot be stabilised.
+
+    If mode i has an eigenvalue mu that the input cannot reach (uncontrollable) and 2 Re mu is at least the largest total rate out
+    of the mode, then E|x|^2 has no finite value already within the first stay in that mode, whatever the gains.
 
     The test (Popov-Belevitch-Hautus, relative tolerance 1e-9) finds certain cases only; passing it promises nothing.
     """

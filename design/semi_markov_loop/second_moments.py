@@ -14,12 +14,6 @@ Where the rates never settle, the integral exists if the growth 2 max Re eig(A) 
 not if it is above; it is followed until what is left is about e^(-69) of the whole.
 
 Reference: ERRATA 1 and 7.
-
-exp(M) of many small matrices at once.
-
-Scaling to a 1-norm of at most 1/4, a Taylor polynomial of order 12 (remainder below 1e-16 relative), repeated squaring, all
-in stacked products: on stacks of 200 to 10000 matrices of 2 x 2 to 6 x 6 it takes a third to a fifteenth of the time of
-``scipy.linalg.expm`` (1.17), which goes through a stack matrix by matrix.
 """
 
 from __future__ import annotations
@@ -43,6 +37,10 @@ ORDER = 12
 
 def exponential(matrices: FloatArray) -> FloatArray:
     """exp of the last two axes.
+
+    Scaling to a 1-norm of at most 1/4, a Taylor polynomial of order 12 (remainder below 1e-16 relative), repeated squaring, all
+    in stacked products: on stacks of 200 to 10000 matrices of 2 x 2 to 6 x 6 it takes a third to a fifteenth of the time of
+    ``scipy.linalg.expm`` (1.17), which goes through a stack matrix by matrix.
 
     >>> exponential(np.array([[0.0, 1.0], [0.0, 0.0]])).tolist()
     [[1.0, 1.0], [0.0, 1.0]]

@@ -1,4 +1,4 @@
-"""The cells of the sojourn axis on which a Lyapunov function is linear, with the rate vertices that hold there.
+"""The cells of one sojourn clock, or of two, on which a Lyapunov function is linear, with the rate vertices that hold there.
 
 A cell is [h_r, h_{r+1}) of one mode, the last one [h_R, inf). Within it every rate stays between its bounds, so that an
 inequality that is affine in the rates holds if it holds at all 2^(N-1) corners of the box.
@@ -6,11 +6,7 @@ inequality that is affine in the rates holds if it holds at all 2^(N-1) corners 
 Products of two functions that are linear in h are quadratic; they are negative definite on the cell if their three
 Bernstein coefficients are (``along``).
 
-References: thesis (2.13); ERRATA 1 and 3.
-
-The cells of two sojourn clocks, of the failure eta and of the detection r: a section of each, and the rates that hold there.
-
-Reference: thesis (4.14), (4.26); ERRATA 12.
+References: thesis (2.13), (4.14), (4.26); ERRATA 1, 3 and 12.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from design.controllers import LoopModel
 from design.errors import DesignError, FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
-from design.tracking.gain_parametrisation import TrackingProblem
+from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, Progress, certified, solve
 
 MAX_BYTES: Final = 20_000_000

@@ -18,7 +18,7 @@ from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.closed_loop import LoopStructure
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Descent, bfgs
-from design.tracking.gain_parametrisation import GainParametrisation
+from design.tracking.problem import GainParametrisation
 
 FLATTEST = 1e-8
 """Least curvature that a descent starts with, as a share of the largest."""

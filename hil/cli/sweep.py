@@ -75,7 +75,7 @@ def command(
     from rich.markup import escape
     from rich.progress import Progress, TimeRemainingColumn
 
-    from design.monte_carlo.random_streams import Workers
+    from design.monte_carlo.parallel_runs import Workers
     from hil.cli.sweep_parameters import as_points, csv_of, points_of, run_points
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment

@@ -14,7 +14,7 @@ from hil.cli.terminal import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from design.monte_carlo.random_streams import Workers
+    from design.monte_carlo.parallel_runs import Workers
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
     from hil.sweeps.sweep import Sweep

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from design.controllers import LinearLaw, LoopModel
 from design.processes.delay_chain import DelayChain
-from design.tracking.gain_parametrisation import TrackingProblem
+from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_gains

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import StopRule
-from design.monte_carlo.random_streams import Workers, spread
+from design.monte_carlo.parallel_runs import Workers, spread
 from hil.compose.fourth_moments import caution
 from hil.compose.loop import compose
 from hil.errors import HilError

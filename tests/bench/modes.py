@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from design.tracking.gain_parametrisation import TrackingProblem
+    from design.tracking.problem import TrackingProblem
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
@@ -53,7 +53,7 @@ def bench_modes(
 
 def motor_problem(most: int, objective: str) -> TrackingProblem:
     """Return the motor's design with both delays from 0 to `most`, the gain knowing both."""
-    from design.tracking.gain_parametrisation import TrackingProblem
+    from design.tracking.problem import TrackingProblem
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
 
@@ -64,7 +64,7 @@ def motor_problem(most: int, objective: str) -> TrackingProblem:
 
 def large_problem(states: int, objective: str) -> TrackingProblem:
     """Return the design for a plant of many states (fixed random numbers, spectral radius 0.97), with 6 modes."""
-    from design.tracking.gain_parametrisation import TrackingProblem
+    from design.tracking.problem import TrackingProblem
 
     rng = np.random.default_rng(0)
     A = rng.standard_normal((states, states))

@@ -21,7 +21,7 @@ import click
 import numpy as np
 
 from design.tracking.design_file import kept_design, load_design
-from design.tracking.gain_parametrisation import TrackingProblem
+from design.tracking.problem import TrackingProblem
 from hil.cli.dbc import _database, _decode
 from hil.cli.option_types import NumberList
 from hil.cli.terminal import message_lines

@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.random_streams import safe_path
+from design.monte_carlo.parallel_runs import safe_path
 from design.networked_loop.steady_state import steady_state
 from hil.measure.batch_measure import BatchValues, BatchView
 from hil.reproduce.chapter import ReportProgress

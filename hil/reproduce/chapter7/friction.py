@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.random_streams import safe_path
+from design.monte_carlo.parallel_runs import safe_path
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_measure import BatchView, tracking_of_batch

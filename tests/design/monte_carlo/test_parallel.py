@@ -14,7 +14,7 @@ from design.errors import DesignError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.random_streams import Workers, spread
+from design.monte_carlo.parallel_runs import Workers, spread
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov

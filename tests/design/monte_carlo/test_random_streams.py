@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from design.monte_carlo.random_streams import JUMPS, NOISE, DrawTable, uniforms
+from design.monte_carlo.parallel_runs import JUMPS, NOISE, DrawTable, uniforms
 
 
 def test_a_run_has_its_numbers_whatever_else_is_drawn() -> None:

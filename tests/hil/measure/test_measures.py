@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from design.monte_carlo.random_streams import Workers
+from design.monte_carlo.parallel_runs import Workers
 from hil.errors import HilError
 from hil.experiment import load as loading
 from hil.experiment import load_experiment

@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from design.monte_carlo.random_streams import Workers
+from design.monte_carlo.parallel_runs import Workers
 from hil.cli import main
 from hil.cli.sweep import command
 from hil.compose.loop import compose

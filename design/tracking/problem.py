@@ -1,4 +1,4 @@
-"""The gains that a design may choose: which information they may depend on, which are equal, how large they may be.
+"""What a tracking design is asked for: plant, network, objective; and what its gains may depend on, and how large they may be.
 
 Information pattern        selection    free gains
 constant                   constant     one for all
@@ -137,11 +137,13 @@ MOST_STARTS = 10_000
 class TrackingProblem:
     """A static output feedback design over a network, (7.26), (7.31) or (7.33).
 
+    It is validated once.
+
     Args:
         A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
         sc, ca: S-C and C-A delay chains, or Lambda and Pi.
         objective: "h2", "hinf", or "mixed": smallest H2 norm with the H-infinity norm at most `hinf_bound`.
-        information: what the gain may depend on, see `design.tracking.gain_parametrisation`.
+        information: what the gain may depend on, see `design.tracking.problem`.
         Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
         output: "stacked" or "sum".
         hinf_bound: bound of a mixed design; default 1.05 times the smallest H-infinity norm.

@@ -1,24 +1,7 @@
-"""One stream of random numbers per run, addressed by (seed, run, draw): the same for every split of the runs.
+"""The same numbers however many runs are split over cores and machines: a random stream per run, and workers.
 
-The streams are cut out of one counter-based generator (Philox4x64-10, numpy's). A run owns ``blocks`` consecutive
-values of the counter's lowest word; the second word counts pages, for runs that need more; the third says what the
-numbers are for:
-
-    counter = (run * blocks + b, page, purpose, 0),   key = SeedSequence(seed),   4 numbers of 64 bits per value.
-
-So the streams of consecutive runs are consecutive output, which one call fetches for a whole batch: making a generator
-for every run (SeedSequence.spawn) costs 15 us a run, which is more than the run itself takes.
-
-``random_raw`` is used and not a Generator method, because numpy promises the former's output for ever.
-
-Python processes that import nothing from the folder they are started in.
-
-Where a Monte Carlo study is computed: one core, all cores, many machines, with the same numbers on all of them.
-
-The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
-computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
-differently, not by an iteration that stops when all members of a batch have converged. Draws and motions use plain operations
-alone (`design.processes.elementary`), so that processors of different instruction sets agree, too.
+A stream is addressed by (seed, run, draw), see `uniforms`; runs are computed in chunks that are always cut at the same places,
+see `spread`.
 """
 
 from __future__ import annotations
@@ -46,6 +29,17 @@ JUMPS, PARAMETERS, CHAIN, NOISE = range(4)
 
 def uniforms(seed: int, first: int, runs: int, *, blocks: int, purpose: int, page: int = 0) -> FloatArray:
     """Uniform numbers of the runs first, ..., first + runs - 1: shape (4 blocks, runs), all strictly between 0 and 1.
+
+    The streams are cut out of one counter-based generator (Philox4x64-10, numpy's). A run owns ``blocks`` consecutive
+    values of the counter's lowest word; the second word counts pages, for runs that need more; the third says what the
+    numbers are for:
+
+        counter = (run * blocks + b, page, purpose, 0),   key = SeedSequence(seed),   4 numbers of 64 bits per value.
+
+    So the streams of consecutive runs are consecutive output, which one call fetches for a whole batch: making a generator
+    for every run (SeedSequence.spawn) costs 15 us a run, which is more than the run itself takes.
+
+    ``random_raw`` is used and not a Generator method, because numpy promises the former's output for ever.
 
     >>> whole = uniforms(7, 0, 100, blocks=2, purpose=JUMPS)
     >>> bool((whole[:, 60:63] == uniforms(7, 60, 3, blocks=2, purpose=JUMPS)).all())
@@ -145,6 +139,11 @@ class Workers:
 
 def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers) -> Iterator[Result]:
     """Results of task(job) for every job, in order, each as soon as it and those before it are there.
+
+    The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
+    computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
+    differently, not by an iteration that stops when all members of a batch have converged. Draws and motions use plain operations
+    alone (`design.processes.elementary`), so that processors of different instruction sets agree, too.
 
     Closing the iterator (or Ctrl-C) cancels what has not begun.
 
