@@ -1,8 +1,6 @@
-"""A plant that is given by its matrices, with saturated actuators and noise where these are asked for.
+"""Linear plants, by matrices or by a transfer function, with saturated actuators and noise where these are asked for.
 
-A plant that is given by the transfer function from its one input to its one output.
-
-Plants from and to python-control, which only these functions import: no loop does.
+Only `from_control` and `to_control` import python-control: no loop does.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
-"""The one place for certificates: what is claimed of the loop that will run, by what proof.
+"""The one place for certificates: what is claimed of the loop that will run, by what proof, under what assumptions.
 
 Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
 kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.certifier.Certifier` over the
 protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
 protocols is judged like ours.
-
-Network laws that are not ours: which of them a run is compared with, and what a verdict assumes of them.
 """
 
 from __future__ import annotations
@@ -104,6 +102,8 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
 
 def own_laws(rig: RigSpec) -> tuple[tuple[int, ...], tuple[str, ...]]:
     """Return the places of the laws that draw modes of a chain, among `RigSpec.laws`, and the assumptions on all own laws.
+
+    A run is compared with these laws, and its verdict names the assumptions.
 
     Args:
         rig: the rig that runs.

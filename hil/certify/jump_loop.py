@@ -1,9 +1,4 @@
-"""The certifier of Chapters 2 to 4: state feedback by mode and sojourn time over a plant that jumps.
-
-A plant that jumps, in the words of the theory: its own matrices and rates, handed over and nowhere typed again.
-
-What the record of a plant that jumps fulfils in a slot in which its mode stays: the flow of that mode.
-"""
+"""The certifier of Chapters 2 to 4: state feedback by mode and sojourn time over a plant that jumps."""
 
 from __future__ import annotations
 
@@ -33,6 +28,8 @@ if TYPE_CHECKING:
 
 def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
     """Return the matrices of a plant as a system of Chapters 2 to 4.
+
+    Its matrices are the plant's own, handed over and nowhere typed again.
 
     Raises:
         ValueError: matrices that do not fit each other, a delay that grows as fast as time (3.2), or both a delay inside and
@@ -231,6 +228,8 @@ Array = NDArray[np.float64]
 
 def jump_step(plant: JumpPlant, model: LoopModel) -> JumpStep | None:
     r"""Return what the record of a plant that jumps fulfils; None where it does not show the state: a delay, sensors that fail.
+
+    In a slot in which its mode stays it is the flow of that mode.
 
     What is uncertain lies within +-D_A, +-D_B. With M(A) for A with the absolute values beside its diagonal, the deviation e of
     the motion from that of the mode is bounded by the flow of

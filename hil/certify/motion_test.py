@@ -1,15 +1,10 @@
-"""Whether a plant moves as its model says: two runs of one seed that differ in their inputs alone, beside the model's answer.
+"""Whether a plant moves as its model says: with inputs, and without any.
 
 With the same seed a plant draws the same noise and carries the same load, so the difference of two runs is free of both, and
 
     dx(k+1) = A dx(k) + A_1 dx(k-1) + ... + B u(k),    dy(k) = C dx(k)
 
 must hold to rounding, at inputs of every size. What the plant does without any input is judged apart: see `free_motion`.
-
-What a plant does without any input, beside what its model foretells from the state in which it starts.
-
-A load moves the point of rest and noise scatters around it: neither touches stability. A motion of its own that is neither may
-be a state that the model does not know, and nothing in a linear model says whether that state dies out.
 """
 
 from __future__ import annotations
@@ -164,6 +159,9 @@ def free_motion(
     model: LoopModel, delayed: Array, history: Array, track: Track, other: Track, names: tuple[list[tuple[str, str]], ...]
 ) -> FreeMotion:
     """Return what a plant does beyond its model without inputs.
+
+    A load moves the point of rest and noise scatters around it: neither touches stability. A motion of its own that is neither
+    may be a state that the model does not know, and nothing in a linear model says whether that state dies out.
 
     Args:
         model: what it says of itself.

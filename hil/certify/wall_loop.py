@@ -1,9 +1,4 @@
-"""The certifiers of Chapter 6: a wall behind a coupler, and a wall by model following.
-
-The certifier of Chapter 6: a wall behind a coupler, felt over a network with a device that a hand holds.
-
-The certifier of walls by model following: stable for one hand, and for which passive hand it is not.
-"""
+"""The certifiers of Chapter 6: a wall behind a coupler, and a wall by model following."""
 
 from __future__ import annotations
 
@@ -21,6 +16,8 @@ from hil.plugins.protocols import HasPassiveElements
 
 def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     """Return the verdict on a rendered wall: passive for every passive hand, or what decides otherwise; None for other loops.
+
+    It is felt over a network with a device that a hand holds.
 
     What the plant says to be passive at its port is no more than another passive hand: a proof for every passive hand holds with
     it. A refusal is on the model alone.

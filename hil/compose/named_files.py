@@ -1,9 +1,4 @@
-"""Files that an experiment names, read from beside it: recorded ages, latencies, traffic.
-
-The files that network laws name (recorded ages, latencies), read from beside the experiment.
-
-The traffic of a recorded CAN log, in the table of an experiment: it needs nothing but itself then.
-"""
+"""Files that an experiment names, read from beside it: recorded ages, latencies, traffic. It then needs no other file."""
 
 from __future__ import annotations
 

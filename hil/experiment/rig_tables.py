@@ -1,10 +1,6 @@
-"""The tables `limits`, `[[fault]]` and `[links.keys]` of an experiment.
+"""What an experiment's file says of its rig beside nodes and networks: `limits`, `[[fault]]` and `[links.keys]`.
 
-The table `limits`: what the rig allows, whatever the controller does.
-
-Faults on the time line of an experiment, as its file names them: `[[fault]]`.
-
-Keys and certificates of a link, as tables of an experiment file: each stands for options of the link's URI.
+Each key or certificate of a link stands for an option of the link's URI.
 """
 
 from __future__ import annotations

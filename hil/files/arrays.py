@@ -1,8 +1,7 @@
 """Matrices and gains from files: ``A = { file = "cart.mat", key = "A" }`` in the place of the numbers.
 
-The files may come from anywhere: nothing is unpickled, and no file makes more numbers than `MOST_NUMBERS`.
-
-One matrix of real numbers from a MATLAB file, read by scipy in a process of its own, under limits.
+The files may come from anywhere: nothing is unpickled, no file makes more numbers than `MOST_NUMBERS`, and scipy reads a MATLAB
+file in a process of its own, under limits.
 """
 
 from __future__ import annotations

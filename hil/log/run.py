@@ -1,11 +1,6 @@
 """A finished run in memory: one numpy array per topic, the events, and where it all came from.
 
 What reads one from a file is `hil.log.read.run`: a run in virtual time keeps its columns, and needs none of it.
-
-The SHA-256 of what a run recorded: in virtual time the same on every machine, for one experiment and one seed.
-
-A log also says which packages and commit made it, and holds a certificate, of which a solver may have made numbers; the SHA-256
-of the file covers these too.
 """
 
 from __future__ import annotations
@@ -107,7 +102,13 @@ class _Arrays(dict[str, StructuredArray]):
 
 
 def records_sha256(run: Run) -> str:
-    """Return the SHA-256 of every record of every topic but ``/events``: topic, field and bits, in the order of their names."""
+    """Return the SHA-256 of every record of every topic but ``/events``: topic, field and bits, in the order of their names.
+
+    In virtual time it is the same on every machine, for one experiment and one seed.
+
+    A log also says which packages and commit made it, and holds a certificate, of which a solver may have made numbers; the
+    SHA-256 of the file covers these too.
+    """
     digest = hashlib.sha256()
     for topic in sorted(run.schemas):
         records = run.numbers(topic)

@@ -1,8 +1,6 @@
 """Avatar and material of a haptic run, computed again: the wall is deterministic in what the log holds.
 
 Packets carry single precision: the wall saw the measured values rounded to it, and its forces are logged rounded to it.
-
-The composed loop of a run: made at most once for a view, `view.once(composed)`.
 """
 
 from __future__ import annotations
@@ -23,7 +21,10 @@ from hil.rig.loop import Loop
 
 
 def composed(view: RunView) -> Loop | None:
-    """Return the loop that ran, without its certificate; None where it cannot be composed any more."""
+    """Return the loop that ran, without its certificate; None where it cannot be composed any more.
+
+    It is made at most once for a view: `view.once(composed)`.
+    """
     if view.experiment is None:
         return None
     try:

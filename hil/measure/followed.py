@@ -1,9 +1,4 @@
-"""Outputs and the reference that they shall follow, read in blocks: a long run is never whole in memory.
-
-The sum of a column that is never whole in memory, bit for bit what numpy's sum of it would be.
-
-Against what a tracking error counts, and over which parts of a run it is judged.
-"""
+"""Outputs and the reference that they shall follow, read in blocks: a long run is never whole in memory."""
 
 from __future__ import annotations
 
@@ -21,6 +16,8 @@ LEAF: Final = 1 << 15
 
 def pairwise_sum(of: Callable[[int, int], npt.NDArray[np.floating[Any]]], n: int, begin: int = 0) -> float:
     """Return the sum of n numbers by halves: s(n) = s(m) + s(n - m), m = n/2 less n/2 mod 8, as `numpy.sum` adds a column.
+
+    It is bit for bit numpy's sum of a column that is never whole in memory.
 
     Args:
         of: returns the entries from i to j - 1.

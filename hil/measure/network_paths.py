@@ -1,9 +1,4 @@
-"""The emulated networks of a run: from every sensor node to the controller, and from the controller to the actuator.
-
-How much each sensor node puts on the network: packets and bits per second, lost ones included.
-
-What the emulated network did, counted from the records of its draws.
-"""
+"""The emulated networks of a run, from sensor nodes to controller and from there to the actuator: what they did and carried."""
 
 from __future__ import annotations
 
@@ -44,6 +39,8 @@ def network_metrics(
     slot: tuple[float, float] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Return the network part of a summary, for one direction.
+
+    It is counted from the records of the draws.
 
     Args:
         draws: records of `/network/sc` or `/network/ca`; None if they were not kept.
@@ -232,6 +229,8 @@ def node_loads(
     rig: RigSpec, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()
 ) -> tuple[Load, ...]:
     """Return the load of every sensor node from what it sent.
+
+    It counts packets and bits per second, lost ones included.
 
     Args:
         rig: whose nodes they are.

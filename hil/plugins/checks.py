@@ -1,9 +1,7 @@
-"""What every controller must keep, as functions that its author can run; each raises AssertionError with a sentence.
+"""What every controller and every network law must keep, as functions that its author can run: `check_controller`, `check_law`.
 
-Network laws have theirs in :mod:`hil.plugins.checks`, measures in :mod:`hil.measure.check`, plants in
-:mod:`plants.parts.check`, links in :mod:`transport.links.contract`.
-
-What every network law must keep, as a function that its author can run: `check_law`.
+Each raises AssertionError with a sentence. Measures have theirs in :mod:`hil.measure.check`, plants in :mod:`plants.parts.check`,
+links in :mod:`transport.links.contract`.
 """
 
 from __future__ import annotations

@@ -2,8 +2,6 @@
 
 The module runs under a name that holds the digest of its text: two experiments may have modules of one name, a file that was
 changed is another module, and a verdict on its class is a verdict on that text.
-
-Whether `design`, `plants` and `transport` are ours: a module of that name in a user's folder takes their place.
 """
 
 from __future__ import annotations
@@ -153,6 +151,8 @@ def shadows() -> dict[str, str]:
 
 def refuse_shadowed_packages() -> None:
     """Refuse to go on with a foreign `design`, `plants` or `transport`.
+
+    A module of the name `design`, `plants` or `transport` in a user's folder takes their place.
 
     Raises:
         HilError: a line for each file that shadows one of ours, with what helps.

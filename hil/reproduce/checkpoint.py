@@ -3,7 +3,7 @@
 The file belongs to one process at a time, and to the code that computed it: what other code found is not taken over. A last
 line that was torn is cut off. When everything is done the file goes, so that a new call computes anew.
 
-What a stage found as plain JSON and back: only the classes listed here are ever made from a file.
+Only the classes that this file lists are ever made from a checkpoint.
 """
 
 from __future__ import annotations

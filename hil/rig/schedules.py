@@ -1,9 +1,4 @@
-"""Schedules of a rig: faults on its time line, and packets on a bus with arbitration.
-
-The faults on the time line of an experiment: what is wrong with them, and what they break in which slots.
-
-Which packets a bus with arbitration carries in which slot, where the clocks of its nodes draw nothing: a cycle.
-"""
+"""What happens in which slot of a rig: faults on its time line, and packets on a bus with arbitration."""
 
 from __future__ import annotations
 
@@ -144,6 +139,8 @@ BusCycle = tuple[tuple[tuple[int, int], ...], ...]
 
 def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle | str:
     """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries; or why there is no such cycle.
+
+    There is one where the clocks of its nodes draw nothing.
 
     The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots
     may lack samples from before slot 0 only, which were zero and are not needed.

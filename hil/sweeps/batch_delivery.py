@@ -1,9 +1,7 @@
-"""What a controller receives of its sensor nodes in many runs: known before a plant moves, as no node waits for an event.
+"""What controllers and actuators receive in many runs at once: known before a plant moves, as no node waits for an event.
 
 Where every node has a channel of its own and only the newest packet counts, it is computed for all runs at once. Where nodes
 share a medium, have clocks, or every packet counts, the medium of a session is asked run by run, with packets that carry nothing.
-
-What a receiver holds in every slot of many runs, and which row an actuator applies: known before a plant moves.
 """
 
 from __future__ import annotations

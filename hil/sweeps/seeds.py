@@ -1,10 +1,4 @@
-"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files.
-
-Whether a sweep has the numbers of single runs, where a part of the loop is not ours: of those the first run is made alone.
-
-That ours have them, bit for bit, tests hold. An own plant may inherit `start_batch` from one of ours and move otherwise, or be
-another one once it was pickled for a worker.
-"""
+"""Many seeds of one experiment on one core, all cores or many machines: same loop, same code, no log files."""
 
 from __future__ import annotations
 
@@ -57,6 +51,10 @@ def copied(loop: Loop) -> Loop:
 
 def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[str, float]) -> None:
     """Refuse a sweep whose first run has other numbers than it has alone.
+
+    It is for a loop with a part that is not ours: its first run is made alone. Tests hold that a loop of our own parts has the
+    same numbers, bit for bit. A user's plant may inherit `start_batch` from one of ours and move otherwise, or
+    be another one once it was pickled for a worker.
 
     Args:
         loop: what is swept.

@@ -1,9 +1,4 @@
-"""Actuators: what becomes of a commanded input before it reaches the plant.
-
-Many runs of one motor at once, each bit for bit what `DCMotorRun` computes alone.
-
-Sensors: what a rig measures of a state.
-"""
+"""Actuators and sensors: what becomes of a commanded input before it reaches the plant, and what a rig measures of a state."""
 
 from __future__ import annotations
 
@@ -109,6 +104,8 @@ class FreeAxes:
 
 class MotorRuns:
     """Running motors: an axis under driver(u) + w - load, y = encoder(angle).
+
+    Each run has bit for bit what `DCMotorRun` computes alone.
 
     Args:
         axes: what the drive moves.

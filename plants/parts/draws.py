@@ -1,11 +1,9 @@
-"""Random draws that give the same bits on every machine.
+"""Random draws, and the sine, that give the same bits on every machine.
 
 numpy's own normal and exponential draws ask ``libm`` for logarithms and exponentials, whose last bit differs from one processor
 to the next. Here a draw is a quantile of a uniform number, by +, -, *, / and the square root alone, which IEEE 754 fixes.
 
 Reference: Wichura, Algorithm AS 241 (PPND16), Applied Statistics 37 (1988), relative accuracy 1e-16.
-
-The sine by plain operations: that of ``libm`` differs from one processor to the next in the last bit.
 """
 
 from __future__ import annotations
@@ -114,6 +112,8 @@ TURN: Final = 2.0 * math.pi
 
 def sine(turns: float) -> float:
     """Return sin(2 pi turns), to 2e-16 for what the argument is.
+
+    That of ``libm`` differs from one processor to the next in the last bit.
 
     Args:
         turns: the angle in full turns, finite; in rad over `TURN`.

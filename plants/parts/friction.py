@@ -4,8 +4,6 @@ Between two events (the speed reaches zero, or a corner of the friction curve) t
 instant of the event has a closed form. So there is no step size, no tolerance, no smoothing of sign(v), and nothing to
 chatter: at zero speed the body either sticks, which leaves the angle untouched to the last bit, or it leaves in the
 direction of the drive.
-
-Many axes with dry friction at once, each bit for bit what `friction.RubbingAxis` computes alone.
 """
 
 from __future__ import annotations
@@ -169,6 +167,8 @@ FEW = 24
 
 class RubbingAxes:
     """Axes of one kind, from event to event: those that have none left rest while the others go on.
+
+    Each has bit for bit what `RubbingAxis` computes alone.
 
     Args:
         gain: acceleration per volt, rad/s^2 per V.

@@ -1,12 +1,4 @@
-"""What was measured of packets: when each was sent, and how long it took; of one that has not come, by when it had not.
-
-Two clocks: how fast one runs away from the other, and how far apart they are, from time stamps alone.
-
-A packet sent at s of one clock came at r of the other: r - s = L + offset + drift s, L >= least latency. The smallest of r - s
-in each of 32 pieces of the record lie near a line, whose slope is the drift (Paxson 1998), by the median of Theil and Sen;
-whether there is one says Kendall's rank test. The offset cannot be seen in one direction: of both it is half the difference
-of the smallest ones, if the least latency is the same in both.
-"""
+"""What was measured of packets: when each was sent, how long it took or that it never came, and how two clocks run apart."""
 
 from __future__ import annotations
 
@@ -130,6 +122,11 @@ class Drift(NamedTuple):
 
 def drift_of(sent_s: Array, difference_s: Array) -> Drift:
     """Estimate the drift between two clocks.
+
+    A packet sent at s of one clock came at r of the other: r - s = L + offset + drift s, L >= least latency. The smallest of r -
+    s in each of 32 pieces of the record lie near a line, whose slope is the drift (Paxson 1998), by the median of Theil and Sen;
+    whether there is one says Kendall's rank test. The offset cannot be seen in one direction: of both it is half the difference
+    of the smallest ones, if the least latency is the same in both.
 
     Args:
         sent_s: (n,) instants at the sender's clock.

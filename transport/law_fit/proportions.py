@@ -1,14 +1,4 @@
-"""Confidence intervals of counted probabilities: Wilson's, and Clopper and Pearson's for guarantees.
-
-Whether a law explains a record: its residuals must be independent and normal.
-
-Every law says, of the next packet or slot and given the past, Pr(X < x) and Pr(X <= x). A uniform number between both of what
-came is uniform on [0, 1] and independent of all before, if the law is right (Rosenblatt 1952; randomised where there are atoms,
-Dunn and Smyth 1996); its normal quantile is the residual. That of |2 u - 1|, uniform and independent as well, is large where x is
-far from the middle, whichever side: it sees changes of spread, and bursts. Both are normal whatever the latencies are, so that no
-heavy tail spoils a test. Five tests, each at a fifth of the level (Bonferroni): of both kinds the correlation of neighbours, and
-the statistic of Ljung and Box (1978) over `LAGS` lags; and the table of neighbours' thirds.
-"""
+"""What counts and residuals prove of a law: intervals of counted probabilities, and whether a law explains a record."""
 
 from __future__ import annotations
 
@@ -98,6 +88,15 @@ class Fitness(NamedTuple):
 
 def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) -> Fitness:
     """Test residuals.
+
+    They must be independent and normal.
+
+    Every law says, of the next packet or slot and given the past, Pr(X < x) and Pr(X <= x). A uniform number between both of what
+    came is uniform on [0, 1] and independent of all before, if the law is right (Rosenblatt 1952; randomised where there are
+    atoms, Dunn and Smyth 1996); its normal quantile is the residual. That of |2 u - 1|, uniform and independent as well, is large
+    where x is far from the middle, whichever side: it sees changes of spread, and bursts. Both are normal whatever the latencies
+    are, so that no heavy tail spoils a test. Five tests, each at a fifth of the level (Bonferroni): of both kinds the correlation
+    of neighbours, and the statistic of Ljung and Box (1978) over `LAGS` lags; and the table of neighbours' thirds.
 
     Args:
         low, high: (n,) Pr(X < x) and Pr(X <= x) of what came, given the past.

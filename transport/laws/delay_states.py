@@ -1,10 +1,10 @@
-"""The Markov chain of the age that a receiver measures, which is what a loop over an age law runs with.
+"""What a law says of its modes: the Markov chain of the age that a receiver measures, and how often and how long each mode lasts.
+
+A loop over an age law runs with that chain.
 
 A receiver keeps the newest packet, so that what it measures is min(age drawn, age measured before + 1). Where the law's
 age grows by at most one per slot, that is the age drawn; where it may grow faster, (mode drawn, age measured) is a Markov
 chain with more states.
-
-What a network law states of its modes: their transitions, their shares of the slots, and how long they last.
 """
 
 from __future__ import annotations

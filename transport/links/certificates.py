@@ -1,6 +1,4 @@
-"""Whether a certificate of this end can be accepted by the other: in time, of its authority, called as it must be.
-
-Names whose certificates are let in no more: a file beside the authority's certificate, read whenever a link opens.
+"""Whether a certificate of this end can be accepted by the other: in time, of its authority, called as it must be, not revoked.
 
 zenoh reads no list of revoked certificates, and shows of a peer's certificate its common name alone. So a *name* is revoked:
 its end gets another name and a certificate for it, and zenoh's access-control list, which names one peer, keeps the old one out.

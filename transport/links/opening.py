@@ -1,8 +1,6 @@
 """How a link is opened: the plug-in that a URI names, and around it the codes that the URI asks for.
 
 A link of any scheme carries packets with a code or without; the plug-in knows nothing of it.
-
-A link for each of several processes that test at once, from one URI.
 """
 
 from __future__ import annotations
@@ -129,6 +127,8 @@ _BASES: Final = range(0, 0x800, 0x100)
 
 def worker_channel(uri: str, number: int) -> str:
     """Return the link of one of several workers: a channel, a range of identifiers or a port of its own.
+
+    The workers test at once, from one URI.
 
     Args:
         uri: of the link that they would share.

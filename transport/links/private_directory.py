@@ -1,9 +1,4 @@
-"""A directory that is one user's alone, and the lock by which processes that meet in it take turns.
-
-A file that holds a secret: regular, small, and its owner's alone to read.
-
-Be the only one in a role: a locked file in a directory that is one user's alone, so that no other user can hold it.
-"""
+"""What one user keeps from all others: directories, locks by which processes take turns, secrets, and roles on a link."""
 
 from __future__ import annotations
 
@@ -100,6 +95,8 @@ MOST_BYTES = 65_536
 def read_secret(path: str, what: str) -> bytes:
     """Return the bytes of a secret file.
 
+    The file is regular, small, and its owner's alone to read.
+
     Type and mode are asked of the open file, so that no other can be put in its place between question and reading.
 
     Args:
@@ -134,6 +131,8 @@ def claim_directory() -> Path:
 
 class Claim(Closing):
     """A role on a link that one process of this user holds; it goes with the process.
+
+    It is a locked file in a directory that is one user's alone, so that no other user can hold it.
 
     Processes that see different directories `/tmp`, as in two containers, do not see each other's claims.
 

@@ -1,11 +1,11 @@
-"""What a link says of itself by its URI alone, before anything is opened. No other room reads the text of a URI.
+"""What a link says of itself by its URI alone, before anything is opened, and who could command a rig over it.
 
 Our schemes say it here. A plug-in says it where what opens its links, the object of its entry point, also has `traits`.
 
-Who could command the rig at the other end of a link, in one line: what `transport.links.traits` says of our schemes.
-
 What is hidden from others by this machine (a user's own directory, the loopback) and what is proved by a key or a certificate
 are distinguished; root of this machine is left aside.
+
+No other room reads the text of a URI.
 """
 
 from __future__ import annotations

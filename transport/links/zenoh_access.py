@@ -1,4 +1,4 @@
-"""Who may speak on a link over zenoh: certificates, passwords, and the access-control list that follows from them.
+"""Who may speak on a link over zenoh: certificates, passwords, the access-control list that follows, one controller at a time.
 
 With ``tls/`` both ends show a certificate of one authority, and zenoh's access-control list denies whatever it does not name:
 the peer whose certificate is called *controller* may write the control key at the rig and read the sensor key, the one called
@@ -8,15 +8,6 @@ controller, which connects, knows its rig by the endpoint alone.
 A rule must cover the subscriber's own key expression, so both ends subscribe to exactly what the list names. Whoever
 else connects is given what this end listens to and answers, and that it is there: a zenoh program sends only what another
 listens to, and so what it writes comes to this end and is denied here, where `transport.links.zenoh_refusals` counts it.
-
-One controller of a rig, over zenoh, from whatever machine: the rig says by a token which one it hears.
-
-A controller of ours has a liveliness token ``hil/<name>/controller/<session>/<host>/<pid>``, which zenoh takes away when it
-ends, dies or is not heard of for a lease. The rig hears the first of them and says so with a token of its own,
-``hil/<name>/hears/<session>/<host>/<pid>``. A controller that sees another one's there takes no packet, and says whose it is;
-what it has sent already, the rig throws away. The rig decides, so two that come at once cannot both win.
-
-A program without such a token is no controller of ours: what it answers shows in the answers.
 """
 
 from __future__ import annotations
@@ -205,6 +196,15 @@ def own_name(session: str) -> str:
 
 class Claims:
     """What one end of a link knows of the controllers on it.
+
+    One controller commands a rig, from whatever machine: the rig says by a token which one it hears.
+
+    A controller of ours has a liveliness token ``hil/<name>/controller/<session>/<host>/<pid>``, which zenoh takes away when it
+    ends, dies or is not heard of for a lease. The rig hears the first of them and says so with a token of its own,
+    ``hil/<name>/hears/<session>/<host>/<pid>``. A controller that sees another one's there takes no packet, and says whose it is;
+    what it has sent already, the rig throws away. The rig decides, so two that come at once cannot both win.
+
+    A program without such a token is no controller of ours: what it answers shows in the answers.
 
     Args:
         session: zenoh's, open.

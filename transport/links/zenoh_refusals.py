@@ -1,16 +1,10 @@
-"""Whom zenoh turns away, counted: it keeps no statistics, and a denied message reaches no callback, but its log has a line.
+"""What a link over zenoh needs of its package: whom it turns away, counted from its log; threads of its own that call Python.
+
+zenoh keeps no statistics, and a denied message reaches no callback, but its log has a line.
 
 zenoh writes its log to standard output and to nothing else. So refusals are counted only in a process that says its standard
 output is not read by it, as a rig's process does. A line is counted by what it says and goes nowhere. A pipe of 1 MiB holds what
 refused peers cause between two looks; a flood that fills it waits for the next look, 20 ms at most.
-
-The package of ``hilrig[zenoh]``, which only a link over zenoh imports.
-
-Threads that do not belong to Python, and call it: what one of them costs with every call, and how to pay it once.
-
-A thread that was not started by Python gets a thread state when it calls, and loses it when the call returns. The memory of the
-state's stack is mapped and unmapped each time: four page faults, and a word to every CPU that runs this process. Under a
-hypervisor that is most of what a callback costs.
 """
 
 from __future__ import annotations
@@ -47,6 +41,10 @@ def require_zenoh(uri: str) -> None:
 
 class CallbackThreads:
     """Keeps the thread state of every thread that calls, from its first call on, as long as the process lives.
+
+    A thread that was not started by Python gets a thread state when it calls, and loses it when the call returns. The memory of
+    the state's stack is mapped and unmapped each time: four page faults, and a word to every CPU that runs this process. Under a
+    hypervisor that is most of what a callback costs.
 
     Reference: Python/C API, "Non-Python created threads", ``PyGILState_Ensure``: calls nest, and only the outermost release
     takes the state away. One that is never released keeps it, as every thread of Python's own has one.

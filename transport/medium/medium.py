@@ -1,9 +1,4 @@
-"""What nodes share on their way: a medium takes what they offer in a slot and says what arrives at the receiver.
-
-Several media side by side, each with nodes of its own.
-
-The clock of a sensor node: in which slots it has a packet to send.
-"""
+"""What nodes share on their way: a medium takes what they offer in a slot, as their clocks say, and says what arrives."""
 
 from __future__ import annotations
 

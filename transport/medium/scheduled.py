@@ -1,12 +1,4 @@
-"""A medium on which nodes take turns: in every slot one of its nodes may send, by a fixed cycle or by chance.
-
-What a node sends in its turn travels through the node's own channel; what it offers out of turn is not sent.
-
-A bus on which the lowest identifier wins: a frame that loses waits, and a newer sample of its node takes its place.
-
-In a slot the bus carries a stated number of frames. How long a frame takes on the wire is not modelled: a bus that counts bits
-replaces `Arbitration.winners` and nothing else.
-"""
+"""Media on which nodes wait for each other: by turns, in a fixed cycle or by chance, or by arbitration on a bus."""
 
 from __future__ import annotations
 
@@ -84,6 +76,8 @@ class RandomTurns:
 
 class ScheduledMedium:
     """Nodes with channels of their own, some of which take turns; see `transport.medium.medium.Medium`.
+
+    What a node sends in its turn travels through the node's own channel; what it offers out of turn is not sent.
 
     Args:
         channels: the emulated network of each node.
@@ -175,6 +169,11 @@ class Arbitration:
 
 class ArbitratedBus:
     """Nodes that share a bus with arbitration; see `transport.medium.medium.Medium`.
+
+    A bus on which the lowest identifier wins: a frame that loses waits, and a newer sample of its node takes its place.
+
+    In a slot the bus carries a stated number of frames. How long a frame takes on the wire is not modelled: a bus that counts
+    bits replaces `Arbitration.winners` and nothing else.
 
     A packet that wins travels through its node's own channel from that slot on. It arrives under the slot in which it was
     offered: the age of its sample counts the wait.

@@ -1,9 +1,4 @@
-"""Logs that other programs wrote: CAN logs frame by frame, tables of signals over time as CSV.
-
-A CAN log that another program wrote, frame by frame: candump's or Vector's text, or BLF with a bound on what it unpacks to.
-
-A table of signals over time that another program wrote as CSV.
-"""
+"""Logs that other programs wrote: CAN logs frame by frame, tables of signals over time as CSV."""
 
 from __future__ import annotations
 
@@ -41,6 +36,8 @@ _PLAIN: Final = struct.Struct("<4sHHIIH6xL4x")
 
 def can_frames(path: Path) -> Iterator[can.Message]:
     """Yield the frames of a file that ends in .log, .asc or .blf.
+
+    It is candump's or Vector's text, or BLF with a bound on what it unpacks to.
 
     Raises:
         HilError: it cannot be read, is no regular file, or is no such log.

@@ -1,9 +1,4 @@
-"""Files of packets by their endings: our logs, tables, CAN logs of one bus seen twice, captures of ping.
-
-Packets in our own logs: what `hil probe` measured, or what the emulated network of a run did with every packet.
-
-One CAN bus seen twice: the same frames in two logs, the sender's and the receiver's, by identifier and data.
-"""
+"""Files of packets by their endings: our logs, tables, CAN logs of one bus seen twice, captures of ping."""
 
 from __future__ import annotations
 
@@ -86,6 +81,8 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
 def read_own_log(path: Path) -> Recording:
     """Read a log of `hil probe`, or of a run.
 
+    It holds what `hil probe` measured, or what the emulated network of a run did with every packet.
+
     Raises:
         HilError: it is no log, or has no packets.
     """
@@ -144,6 +141,8 @@ MOST_FRAMES = 5_000_000
 
 def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int) -> Recording:
     """Pair the frames of two logs.
+
+    They are the same frames in two logs of one bus, the sender's and the receiver's, by identifier and data.
 
     Args:
         sender, receiver: the logs (.log, .asc, .blf).

@@ -1,11 +1,6 @@
-"""Many runs of a loop of Section 7.4 at once, packet by packet: whose law the printed sums of squares are ranked in.
+"""Many runs of a loop of Section 7.4, packet by packet or on the rig: in their law the printed sums of squares are ranked.
 
-Sensor, controller and actuator exchange packets as in Figure 7.1; modes start stationary. ``design.networked_loop`` predicts mean
-and deviation exactly; the sums of squares are skewed, so a printed run is judged by its rank among the runs.
-
-The same work for several arguments on all cores; every split gives the same numbers.
-
-Numbers of many seeded runs of a loop on the rig, all at once.
+Every split over cores gives the same numbers.
 """
 
 from __future__ import annotations
@@ -89,7 +84,11 @@ def _next(drawn: Array, total: Array, mode: npt.NDArray[np.intp]) -> npt.NDArray
 
 
 def sums_of_squares(error: Array, period_s: float, start: int = 0) -> Array:
-    """T sum_{k >= start} |e(k)|^2 per run, (runs,); infinite where a run diverges."""
+    """T sum_{k >= start} |e(k)|^2 per run, (runs,); infinite where a run diverges.
+
+    Sensor, controller and actuator exchange packets as in Figure 7.1; modes start stationary. ``design.networked_loop`` predicts
+    mean and deviation exactly; the sums of squares are skewed, so a printed run is judged by its rank among the runs.
+    """
     with np.errstate(over="ignore", invalid="ignore"):
         total = period_s * (error[start:] ** 2).sum(axis=0)
     return np.asarray(np.where(np.isfinite(total), total, np.inf))
@@ -123,6 +122,8 @@ Numbers = Callable[[BatchView], Sequence[BatchValues]]
 
 def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers) -> BatchValues:
     """Numbers of every run.
+
+    They are runs of a loop on the rig with many seeds, all at once.
 
     Args:
         loop: a loop that can be run in lockstep; the numbers of a run are those that it has alone, bit for bit.

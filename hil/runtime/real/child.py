@@ -1,6 +1,4 @@
-"""The processes of a session, and the sequence that ends them: asked, given a moment together, killed.
-
-How a Python process of ours starts: no folder of the user stands on its path before what is installed.
+"""The processes of a session: how they start, and the sequence that ends them: asked, given a moment together, killed.
 
 Such a process runs ``python -m hil.runtime.real.child MODULE``, with its job, pickled, on standard input.
 """
@@ -27,6 +25,8 @@ PYTHON: Final = (sys.executable, "-P")
 
 def python_module(module: str, *arguments: str) -> list[str]:
     """Return the command that runs a module that is installed.
+
+    No folder of the user stands on its path before what is installed.
 
     Args:
         module: its full name.

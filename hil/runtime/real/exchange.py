@@ -1,9 +1,4 @@
-"""Question and answer: over a real link, bounded in time and in frames; or within the rig's own process.
-
-``local:``: the controller in the rig's own process, so that nothing but its computing lies between question and answer.
-
-Question and answer over a real link: bounded in time and in frames, whatever arrives.
-"""
+"""Question and answer: over a real link, bounded in time and in frames; or within the rig's own process."""
 
 from __future__ import annotations
 
@@ -24,6 +19,8 @@ from transport.wire.tags import echo
 
 class LocalLink(Closing):
     """The rig's end of a link whose other end is a controller node: a question is answered while it is sent.
+
+    The controller runs in the process of the rig (``local:``): nothing but its computing lies between question and answer.
 
     Args:
         node: the controller node.

@@ -1,9 +1,4 @@
-"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log.
-
-Memory that is free, given back to the system: a process that runs for days holds what it uses, and not what it once used.
-
-The session's own watchdog: a rig from which nothing comes any more is given up, within a bounded time.
-"""
+"""Real time: rig and controller as separate processes over a real link, watched by this one, which keeps the log."""
 
 from __future__ import annotations
 
@@ -44,6 +39,8 @@ EVERY_NS: Final = 1_000_000_000
 class FreeMemory:
     """Gives back what the C library keeps of freed memory, once a second; without glibc it does nothing.
 
+    A process that runs for days then holds what it uses, and not what it once used.
+
     Args:
         now_ns: monotonic time, ns.
     """
@@ -70,6 +67,8 @@ _LONGEST_LOOK_S: Final = 0.1
 
 class HeartbeatTimeout:
     """Counts for how long no record has come while this process looked.
+
+    A rig from which nothing comes any more is given up, within a bounded time.
 
     The time in which this process did not run itself (it was stopped, or the machine slept) counts for little: what the rig
     did in it still lies in the pipe.
