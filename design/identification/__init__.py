@@ -1,1 +1,1 @@
-"""Plants from logs: the axis g / (s (s + p)) of device and motor, its start, its fit, its intervals, its residual test."""
+"""From logs: the axis g / (s (s + p)) of device and motor, its fit, intervals, residual test; rates of faults and detection."""

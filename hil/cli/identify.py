@@ -1,4 +1,4 @@
-"""``hil identify``: what logs tell of a plant, and of a network.
+"""``hil identify``: what logs tell of a plant, of its faults, and of a network.
 
 ``hil identify law``: which network law explains recorded packets, or none.
 """
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.identify_rates import rates
 from hil.cli.option_types import Duration
 from hil.cli.terminal import json_option, print_facts, print_json
 from hil.errors import HilError
@@ -148,6 +149,7 @@ def command() -> None:
 
 
 command.add_command(law)
+command.add_command(rates)
 
 
 @command.command()

@@ -110,7 +110,7 @@ def trigger_page(name: str, kind: str, points: Sequence[TriggerPoint], best: Seq
     )
     figure = Figure(
         title="Squared error against packets", series=tuple(each for each in groups if len(each.x)), x_label="sensor packets",
-        x_unit="1/s", y_label="squared error", y_log=True, sync=None, height_px=320, note="means over the runs",
+        x_unit="1/s", y_label="squared error", x_log=True, y_log=True, sync=None, height_px=320, note="means over the runs",
     )  # fmt: skip
     rows: list[list[Cell]] = [
         [
