@@ -1,6 +1,6 @@
-"""A discrete plant with several delays of its own state (5.1), by default the example of Section 5.4.
+"""A discrete plant with several delays of its own state (5.1), by default the example of Section 5.4; in one run or many.
 
-Many runs of one discrete plant with delays of its state, each bit for bit what `DelayedStatesRun` computes alone.
+Many runs at once have bit for bit what `DelayedStatesRun` computes alone.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Network delays as a finite Markov chain, each mode with its delay and the label by which gains are looked up.
+"""Network delays as a finite Markov chain, of one sensor node or of several: each mode with its delays and its label.
 
-The delay chains of several sensor nodes as one: every mode of the product says how old each output's newest sample is.
+Gains are looked up by the label. Every mode of several nodes together says how old each output's newest sample is.
 """
 
 from __future__ import annotations

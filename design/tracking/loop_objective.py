@@ -1,6 +1,6 @@
-"""Norms of the closed loop as functions of the free gains, with exact derivatives, for a descent.
+"""What a descent over the free gains needs: norms of the closed loop with exact derivatives, and first gains that make it stable.
 
-First gains that make the loop mean-square stable, found by discounting, or the number that says why there are none.
+First gains are found by discounting; where there are none, a number says why.
 """
 
 from __future__ import annotations

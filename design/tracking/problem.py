@@ -8,8 +8,6 @@ applied, both
 total                      applied      one per total age tau + d
 
 A bound G on every entry is kept by K = G sin(v): smooth, and the bound can be reached.
-
-What is asked of a tracking design: plant, network, information, objective; validated once.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which experiment a program asks for: a name, a file or one that was loaded, with changes, and objects in place of tables.
 
-Experiments of objects: a plant or a controller that was built in Python takes the place of its table.
+A plant or a controller that was built in Python takes the place of its table.
 """
 
 from __future__ import annotations

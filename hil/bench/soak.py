@@ -1,6 +1,6 @@
-"""How a rig at 1 kHz keeps for long: memory of each process, log, overruns beside cyclictest; and many sessions.
+"""How a rig at 1 kHz keeps for long, beside cyclictest: whether it holds, does not, or the machine was too busy to tell.
 
-What a soak showed: it holds, it does not, or the machine was too busy to tell.
+It measures memory of each process, log and overruns of a long session, and many short sessions.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What a controller says that it is, as one that runs in the loop's own arithmetic; and the comparison of both.
-
-What a controller of gains by mode, and one that renders a wall, are asked when their answers are compared.
-"""
+"""What a controller says that it is, as one that runs in the loop's own arithmetic; what both are asked; and how they differ."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""``hil doctor``: what this machine offers for real-time runs, each line with its remedy.
+"""``hil doctor``: what this machine is and offers: for real-time runs, each line with its remedy, and for numbers.
 
-Which kind of machine this is, to what computes: its processor, and what numpy, OpenBLAS and libm choose by it.
+What numbers depend on is its processor, and what numpy, OpenBLAS and libm choose by it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""``hil identify``: what logs tell of a plant, of its faults, and of a network.
-
-``hil identify law``: which network law explains recorded packets, or none.
-"""
+"""``hil identify``: what logs tell of a plant, of its faults, and of a network: which law explains recorded packets, if any."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Raw TOML to a checked experiment: table by table, plug-in by plug-in, so that no fault hides another.
 
-A network law in a file of its own, as `hil identify law` writes one: ``law = { file = "law.toml" }``.
+A network law may stand in a file of its own, as `hil identify law` writes one: ``law = { file = "law.toml" }``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Sensor nodes and the media that they share, as a file names them: `[network.nodes.NAME]`, `[network.media.NAME]`.
 
-A CAN bus that takes time, as an experiment file describes it: its bit rates, and what else travels on it.
+A medium may be a CAN bus that takes time: with its bit rates, and what else travels on it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What every table of an experiment file is made of: fields that are checked, and durations with a unit.
-
-Values of an experiment as plain JSON values, for its resolved form.
-"""
+"""What every table of an experiment file is made of: checked fields, durations with a unit, and plain JSON values of both."""
 
 from __future__ import annotations
 

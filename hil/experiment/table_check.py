@@ -1,6 +1,6 @@
 """One table of TOML to the class that it fills, field by field, every fault with its path.
 
-Which tables a field takes, whatever its annotation wraps them in: `X | None`, lists, dicts and unions of them.
+A field takes tables whatever its annotation wraps them in: `X | None`, lists, dicts and unions of them.
 """
 
 from __future__ import annotations

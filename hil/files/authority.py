@@ -1,7 +1,4 @@
-"""What follows on `hil.files.keys.make_keys` where the authority's key is: certificates of new names, a list of revoked ones.
-
-New certificates for keys that are there: of the authority and of all ends.
-"""
+"""What follows on `hil.files.keys.make_keys` where the authority's key is: certificates for keys or names, and revocations."""
 
 from __future__ import annotations
 

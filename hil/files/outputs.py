@@ -1,6 +1,6 @@
-"""Places to write to, checked before the work is done whose result goes there, and written in one step.
+"""Files that a command writes: their places checked before the work, written whole or not at all.
 
-Files that a command writes: whole or not at all, never through a symbolic link, never over a file unasked.
+They never go through a symbolic link, and never over a file unasked.
 """
 
 from __future__ import annotations

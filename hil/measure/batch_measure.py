@@ -1,6 +1,6 @@
 """Many runs of one experiment with what measures need of them: arrays over all runs instead of one log each.
 
-How well the outputs of many runs followed one reference: `tracking_metrics` for all of them at once, bit for bit.
+What they give is bit for bit what the measures of a single run do, such as `tracking_metrics`.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What a measure is: the numbers of one kind that a run is judged by, a plug-in of the group `hil.measures`.
+"""What a measure is: the numbers of one kind that a run is judged by, by name; a plug-in of the group `hil.measures`.
 
-Numbers by name, where a name that is not there is answered with those that are.
+A name that is not there is answered with those that are.
 """
 
 from __future__ import annotations

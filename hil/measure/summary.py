@@ -1,6 +1,6 @@
-"""The summary of a run: what `hil run --json` prints, computed from the log alone.
+"""The summary of a run: what `hil run --json` prints, computed from the log alone; and whether the rig kept its times.
 
-How well the rig kept its times, and whether that is good enough to believe the run.
+The latter says whether the run can be believed.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Pages of many runs: a comparison of experiments, a sweep over parameters.
-
-The page of a comparison: distributions of every quantity, and paired differences.
-
-The page of a sweep over parameters: heat maps over two keys, lines with intervals over one, and all points in a table.
-"""
+"""Pages of many runs: a comparison of experiments, a sweep over parameters."""
 
 from __future__ import annotations
 
@@ -70,6 +65,8 @@ def axis_for(groups: Sequence[NDArray[np.float64]]) -> Axis:
 
 def compare_page(comparison: Comparison) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
+
+    It shows the paired differences, too.
     """
     found, names = comparison.values, list(comparison.values)
     sections = []
@@ -153,6 +150,8 @@ def _difference(gap: Interval, first: bool) -> tuple[float | None, str]:
 
 def parameter_page(sweep: ParameterSweep) -> str:
     """Return the page.
+
+    It shows heat maps over two keys, lines with intervals over one, and all points in a table.
 
     Args:
         sweep: what was found.

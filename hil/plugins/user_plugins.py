@@ -1,7 +1,4 @@
-"""What a plug-in of a user has to be before it runs, said in one sentence instead of a traceback.
-
-What a plug-in of a user lacks or does wrong, in its author's words: never an error or a line of our own code.
-"""
+"""What a plug-in of a user lacks or does wrong, in its author's words: one sentence instead of a traceback of our own code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
 """What an experiment says of its rig, derived: sensor nodes, media, CAN identifiers, delay chains, faults in time, port.
 
-The loop that every process of a run receives, and what it is compared with.
+A run's processes receive it with the loop, and with what the loop is compared with while it runs.
 """

@@ -1,6 +1,6 @@
-"""Background traffic from a file: a table as CSV, or a DBC whose messages say their cycle time (GenMsgCycleTime).
+"""Background traffic from a file: a CSV table, a DBC whose messages say their cycle time (GenMsgCycleTime), or recorded frames.
 
-A recorded CAN frame as a line of an experiment: ``12000000 123#1122``, nanoseconds and the frame as candump writes it.
+A recorded frame is a line of an experiment: ``12000000 123#1122``, nanoseconds and the frame as candump writes it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What a sweep has found: the numbers of its runs, and what a notebook shows of them.
+"""What a sweep has found: the numbers of its runs, in its file and for a notebook.
 
-The file of a sweep: one line per finished run, so that a sweep that was interrupted goes on where it was.
+The file has one line per finished run, so that a sweep that was interrupted goes on where it was.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Which user-mode kernel to boot: the small one from the cache, built there when it is missing, or Debian's.
 
-What a build needs of the machine: Debian's packages, installed only where that was asked for.
+A build needs packages of Debian, installed only where that was asked for.
 """
 
 from __future__ import annotations

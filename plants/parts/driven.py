@@ -1,7 +1,4 @@
-"""A running linear plant whose actuators saturate, and that random forces drive.
-
-A running plant whose sensors add white noise.
-"""
+"""A running linear plant whose actuators saturate, that random forces drive, and whose sensors add white noise."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Instants at which something happens inside an advance: a mode jumps, a noise sample changes.
+"""What happens inside an advance: instants at which a mode jumps or a noise sample changes, and what a plant that jumps states.
 
-What a plant that jumps says of itself: the matrices of its modes and the rates at which they change, as plain data.
+It states the matrices of its modes and the rates at which they change, as plain data.
 """
 
 from __future__ import annotations

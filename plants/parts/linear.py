@@ -1,6 +1,6 @@
-"""Linear time-invariant models, and a plant that runs one exactly in plain floats.
+"""Linear time-invariant models, and plants that run one exactly, in plain floats: one run, or many at once.
 
-Many runs of one linear plant at once, each bit for bit what `LinearRun` computes alone.
+Many runs at once have bit for bit what `LinearRun` computes alone.
 """
 
 from __future__ import annotations

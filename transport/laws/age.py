@@ -1,6 +1,6 @@
-"""Age laws with at most one step of memory: constant, iid and Markov (the thesis's model, (7.34)).
+"""Age laws with at most one step of memory: constant, iid and Markov (the thesis's model, (7.34)), with checks of their fields.
 
-What the fields of an age law may hold: ages in slots, ages of modes without gaps, and the law of slot 0.
+A field may hold ages in slots, ages of modes without gaps, and the law of slot 0.
 """
 
 from __future__ import annotations

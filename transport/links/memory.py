@@ -1,6 +1,6 @@
 """The link inside one process: two deques, as fast as a link can be, for virtual time and for tests.
 
-The scheme ``local:``: the controller runs in the rig's own process, so that there is nothing to open.
+The scheme ``local:`` has nothing to open: the controller runs in the rig's own process.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""One connection of the mesh: what it carries, and what it missed.
+"""One connection of the mesh: what it carries and what it missed, and what killed processes left of theirs.
 
-What killed processes left of their channels: sockets that nothing listens at, and the folders of them.
+They leave sockets that nothing listens at, and the folders of them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""An MCAP file that is open for reading: what it is, and how long, is asked of the open file.
+"""An MCAP file that is open for reading: what it is, how long it is, and what it holds, without a copy of each message.
 
-What an MCAP file holds, gathered without copying message by message: for reading a run and for recovering one.
+It serves the reading of a run and the recovery of one.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A log, read back: every record checked, nothing of it run.
 
-Whether a log holds what hil's own recorder writes, checked once where it is read: behind this no type is in doubt.
+Whether it holds what hil's own recorder writes is checked once, here: behind this no type is in doubt.
 """
 
 from __future__ import annotations

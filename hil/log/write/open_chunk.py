@@ -1,6 +1,6 @@
-"""The messages of an MCAP chunk while it is open: rows as they come, which become messages when it ends.
+"""The messages of an MCAP chunk while it is open: rows that become messages when it ends, and columns that a summary needs.
 
-What a summary needs of a log, kept as columns while the log is written: nothing is read back.
+Nothing of the log is read back for the summary.
 """
 
 from __future__ import annotations

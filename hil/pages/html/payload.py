@@ -1,7 +1,4 @@
-"""What a page's script draws and saves, as one JSON text: arrays, each stored once, figures, and columns of numbers.
-
-The numbers of bars, histograms, heat maps and maps as columns, as a page saves them in CSV.
-"""
+"""What a page's script draws and saves, as one JSON text: arrays, each stored once, figures, and columns of numbers for CSV."""
 
 from __future__ import annotations
 

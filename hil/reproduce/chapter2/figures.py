@@ -1,7 +1,4 @@
-"""Figures 2.2 to 2.4, and what the sound forms certify.
-
-Settling times (2.28): their means and deviations, Table 2.1, and one run of both controllers (Figures 2.2 to 2.4).
-"""
+"""Figures 2.2 to 2.4, Table 2.1 and what the sound forms certify: settling times (2.28), and one run of both controllers."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Equations and remarks of Chapter 6 that are not claims of a theorem: device, wall, loop, block diagrams, delays.
+"""Equations and remarks of Chapter 6 that are not claims of a theorem: device, mixed wall, loop, block diagrams, delays.
 
-Section 6.2.2: the mixed wall, its transition matrix, and the assumption that sliding has no memory.
+Of the mixed wall (Section 6.2.2): its transition matrix, and the assumption that sliding has no memory.
 """
 
 from __future__ import annotations

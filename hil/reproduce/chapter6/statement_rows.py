@@ -1,6 +1,6 @@
-"""Statements of Chapter 6 beside its theorem: pattern, speed, the two minima, what a coupler is for and what it needs.
+"""Statements of Chapter 6 beside its theorem: pattern, speed, the two minima, what a coupler is for, and what the rig shows.
 
-What the rig itself shows: the identification of Section 6.2.1, and the slide of Figures 6.9 and 6.10.
+The rig shows the identification of Section 6.2.1, and the slide of Figures 6.9 and 6.10.
 """
 
 from __future__ import annotations

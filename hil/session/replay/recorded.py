@@ -1,6 +1,6 @@
 """What a log recorded of the link: the nonces of the questions, and the answers that came in time, slot by slot.
 
-Whether the answers that a log holds carry the codes of a key: who had no key can have made none of them.
+Answers may carry the codes of a key: who had no key can have made none of them.
 """
 
 from __future__ import annotations

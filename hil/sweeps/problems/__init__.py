@@ -1,6 +1,6 @@
-"""Ten loops of networked control: plant, network, objective and seeds, the best controller that is known, and a lower bound.
+"""Ten loops of networked control, of `problems.toml`, as experiments; and what a controller reaches on one of them.
 
-The problem set: what stands in `problems.toml`, as experiments; and what a controller reaches on one of them.
+A problem is a plant, a network, an objective and seeds, with the best controller that is known, and a lower bound.
 """
 
 from __future__ import annotations
