@@ -68,6 +68,8 @@ def joint_stays(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Arra
 def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
     s, c, before = np.array(modes, dtype=np.int64).T
+    if before[0] < 0 and len(modes) == len(sc) * len(ca):  # every pair: the same products, without two matrices that are picked
+        return np.asarray(np.kron(sc, ca), dtype=np.float64)
     joint = np.asarray(sc[np.ix_(s, s)] * ca[np.ix_(c, c)], dtype=np.float64)
     return joint if before[0] < 0 else np.where(before[None, :] == c[:, None], joint, 0.0)
 

@@ -95,7 +95,7 @@ def command(
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
-    from hil.cli.design_answers import experiment_over_history, measured_network, show_historical
+    from hil.cli.design_answers import experiment_over_history, show_historical
     from hil.cli.design_trade_off import SHAPES, show_trade_off
     from hil.cli.terminal import Working
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
@@ -139,6 +139,8 @@ def command(
         return
     over = None
     if network is not None:
+        from hil.cli.design_network import measured_network
+
         with Working(f"network of {network}"):
             over = measured_network(network, target)
         target = over.target
@@ -213,7 +215,6 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from hil.cli.design_answers import network_lines
     from hil.cli.terminal import print_facts, visible
 
     console, c, problem = Console(), design.certificate, design.problem
@@ -252,6 +253,8 @@ def _show(design: Design, document: dict[str, Any]) -> None:
             lines.append(("guaranteed H2 norm", f"{found['h2_norm']:.6g}", ""))
             lines.append(("guaranteed H-infinity", f"{found['hinf_norm']:.6g}", ""))
     if "network" in document:
+        from hil.cli.design_network import network_lines
+
         lines += network_lines(document["network"])
     if "file" in document:
         lines.append(("written", visible(document["file"]), ""))

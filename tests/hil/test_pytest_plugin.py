@@ -21,6 +21,12 @@ for words in {commands!r}:
 OUR_GATES = (Path(__file__).parents[1] / "conftest.py").read_text()
 
 
+@pytest.fixture(autouse=True)
+def without_hypothesis(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its plug-in imports all of it at the end of each pytest that a test starts: a third of its start."""
+    monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:hypothesispytest")
+
+
 def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_more(pytester: pytest.Pytester) -> None:
     """One child for three properties: what a run gives, what a failure says, and the assertions of the fixture."""
     pytester.makepyfile(
@@ -169,7 +175,7 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
 
         @pytest.mark.parametrize("seed", range(2))
         def test_runs(hil, seed):
-            assert hil.run("dc-motor-hinf", seed=seed, duration=3).status == 0
+            assert hil.run("dc-motor-hinf", seed=seed, duration=1).status == 0
         """
     )
     link = f"--hil-link=can:hil:two{os.getpid()}"
@@ -221,7 +227,7 @@ def test_a_controller_that_is_late_fails_where_timing_is_required_and_nowhere_el
     pytester.makepyfile(
         """
         def test_runs(hil):
-            hil.run("e.toml", duration="3s", controller={"kind": "slow:Slow"}, allow_uncertified=True,
+            hil.run("e.toml", duration="1.5s", controller={"kind": "slow:Slow"}, allow_uncertified=True,
                     **{"limits.watchdog_slots": 1000})
         """
     )

@@ -13,6 +13,9 @@ import pytest
 from tests.waiting import ended, until
 
 HIL = str(Path(sys.executable).with_name("hil"))
+PYTEST = [HIL.replace("/hil", "/pytest"), "-q", "-p", "no:hypothesispytest"]
+"""Without a plug-in that imports all of hypothesis at the end."""
+
 MODULE = '''
 import ctypes, os, pathlib, signal, subprocess, sys, threading, time
 from dataclasses import dataclass
@@ -125,7 +128,7 @@ def test_a_pytest_is_not_ended_by_a_module(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(
         "def test_it(hil):\n    hil.run('dc-motor-hinf', plant={'kind': 'mine:Mine'}, duration='0.5 s')\n"
     )
-    done = subprocess.run([HIL.replace("/hil", "/pytest"), "-q"], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    done = subprocess.run(PYTEST, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1 and "os._exit would end" in done.stdout, done.stdout
 
 
@@ -148,7 +151,7 @@ def test_a_worker_of_pytest_that_c_code_of_a_module_ends_is_one_failed_test_and_
         "def test_it(hil):\n    hil.run('dc-motor-hinf', plant={'kind': 'mine:Mine'}, duration='0.5 s')\n"
         "def test_other(hil):\n    assert hil.run('dc-motor-hinf', duration='0.5 s').status == 0\n"
     )
-    asked = [HIL.replace("/hil", "/pytest"), "-q", "-n", "2", "-p", "no:cacheprovider"]
+    asked = [*PYTEST, "-n", "1", "-p", "no:cacheprovider"]
     done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1 and "crashed while running 'test_it.py::test_it'" in done.stdout, done.stdout
     assert "1 failed, 1 passed" in done.stdout

@@ -7,6 +7,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from hil.errors import HilError
 from hil.experiment import shipped
 from hil.files import arrays as array_files
 from hil.files.arrays import numbers_from_file
+from tests.hil.files.test_mat_file import npy_here
 
 A = np.array([[0.0, 1.0], [0.0, -2.0]])
 
@@ -35,7 +37,8 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_numbers_of_files_run_and_stand_in_the_log(folder: Path) -> None:
+def test_the_numbers_of_files_run_and_stand_in_the_log(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(array_files, "npy_of_mat", cache(array_files.npy_of_mat))  # a process for each matrix, not for each use
     plant = {"kind": "state-space"} | {name: {"file": file} for name, file in (("A", "cart.npz"), ("B", "cart.npz"))}
     plant["C"] = {"file": "cart.mat", "key": "C"}
     gains = []
@@ -96,8 +99,10 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_file_that_is_none_is_refused_by_its_name_and_key(tmp_path: Path, name: str) -> None:
+def test_a_file_that_is_none_is_refused_by_its_name_and_key(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     make, told = HOSTILE[name]
+    if name != "bomb.mat":  # nothing of the others is unpacked
+        monkeypatch.setattr(array_files, "npy_of_mat", npy_here)
     make(tmp_path / name)
     with pytest.raises(HilError, match=rf"{name}.*: {told}|'{name}': {told}"):
         numbers_from_file({"file": name}, "A", str(tmp_path), 2)
