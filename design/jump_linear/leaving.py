@@ -106,14 +106,20 @@ class Leaving:
         found = np.zeros(size)
         if self.probability((0, np.zeros(size)), degree=degree) > probability:
             return found
+        free, pushed = next((free, b) for d, free, b in zip(self.degrees, self.free, self.pushed) if d == degree)
         for i, axis in enumerate(np.eye(size)):
+            response = _value(free, at(axis, degree)).max(axis=2) ** (1.0 / degree)  # it grows with y
+            tail = max(float(self.rest[:, i, i].max()), 0.0)
+
+            def inside(far: float, response: Array = response, tail: float = tail) -> bool:
+                return float(((far * response + pushed) ** degree).sum() + far**2 * tail) <= probability
+
             low, high = 0.0, 1.0
-            while high < 1e12 and self.probability((0, high * axis), degree=degree) <= probability:
+            while high < 1e12 and inside(high):
                 low, high = high, 4.0 * high
             for _ in range(40):
                 middle = 0.5 * (low + high)
-                inside = self.probability((0, middle * axis), degree=degree) <= probability
-                low, high = (middle, high) if inside else (low, middle)
+                low, high = (middle, high) if inside(middle) else (low, middle)
             found[i] = low
         return found
 

@@ -81,17 +81,46 @@ def robust_norms(
     Raises:
         Infeasible: the loop does not bear |Delta| <= 1; `value` is the margin, below 1.
     """
+    c, grid, alpha = _checked(structure, gains, M, N1, N2, initial)
+    h2 = _least_h2(c, grid, alpha)
+    hinf = _search(grid, lambda exponent, best: _hinf_bound(c, 10.0**exponent, best))
+    return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
+
+
+def robust_h2(
+    structure: LoopStructure,
+    gains: npt.ArrayLike,
+    M: npt.ArrayLike,
+    N1: npt.ArrayLike,
+    N2: npt.ArrayLike,
+    initial: npt.ArrayLike | None = None,
+) -> tuple[float, float]:
+    """The H2 norm of `robust_norms` with its multiplier, in a quarter of the time.
+
+    Raises:
+        Infeasible: as `robust_norms`.
+    """
+    multiplier, square = _least_h2(*_checked(structure, gains, M, N1, N2, initial))
+    return float(np.sqrt(square)), multiplier
+
+
+def _checked(
+    structure: LoopStructure, gains: npt.ArrayLike, M: npt.ArrayLike, N1: npt.ArrayLike, N2: npt.ArrayLike,
+    initial: npt.ArrayLike | None,
+) -> tuple[_Channel, Array, Array]:  # fmt: skip
+    """The channel of a loop that bears |Delta| <= 1, exponents of its multipliers, and the mode's distribution at the impulse."""
     margin = uncertainty_margin(structure, gains, M, N1, N2)
     if margin <= 1.0:
         raise Infeasible(f"uncertainty: the loop bears |Delta| up to {margin:.6g}, expected more than 1", value=margin)
     c = _channel(structure, gains, M, N1, N2)
     system = MJLS(A=c.A, B=c.B, C=c.C, transition=c.transition)
-    alpha = system.alpha(structure.default_initial if initial is None else initial)
     centre = float(np.log10(np.abs(c.C).max() ** 2 / max(np.abs(c.of_state).max() ** 2, 1e-300)))
-    grid = centre + np.arange(-8.0, 12.5, 0.5)
-    h2 = _search(grid, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
-    hinf = _search(grid, lambda exponent, best: _hinf_bound(c, 10.0**exponent, best))
-    return RobustNorms(float(np.sqrt(h2[1])), h2[0], hinf[1], hinf[0])
+    alpha = system.alpha(structure.default_initial if initial is None else initial)
+    return c, centre + np.arange(-8.0, 12.5, 0.5), alpha
+
+
+def _least_h2(c: _Channel, grid: Array, alpha: Array) -> tuple[float, float]:
+    return _search(grid, lambda exponent, _: _h2_bound(c, alpha, 10.0**exponent))
 
 
 def guaranteed_h2(

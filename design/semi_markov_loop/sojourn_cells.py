@@ -63,15 +63,17 @@ class _Side:
         maps = period_moments(
             loop.system, [each.over(0, 0) for each in self._ages], self._step, loop.delay, upper, self._slack, held=True
         )  # fmt: skip
-        self._still, self._jumped = maps.still, maps.jumped
-        self._stays = np.zeros((modes, self._cells))
-        self._leaves = np.zeros((modes, self._cells, modes, len(maps.nodes_s)))
+        q, nodes = maps.still.shape[-1], len(maps.nodes_s)
+        self._still = np.ascontiguousarray(np.swapaxes(maps.still, 1, 2))
+        self._jumped = np.transpose(maps.jumped, (0, 5, 1, 3, 2, 4)).reshape(-1, modes * q)  # from (l, q, j, g) to (k, p)
+        self._stays, leaves = np.zeros((modes, self._cells)), np.zeros((modes, self._cells, modes, nodes))
         for i, each in enumerate(self._ages):
             for a in range(self._cells):
                 box = each.over(a, a + 1)
                 leave = box.leave(upper)
                 self._stays[i, a] = math.exp(-leave * self._step)
-                self._leaves[i, a] = np.multiply.outer(box.jump(upper), maps.weights_s * np.exp(-leave * maps.nodes_s))
+                leaves[i, a] = np.multiply.outer(box.jump(upper), maps.weights_s * np.exp(-leave * maps.nodes_s))
+        self._leaves = leaves.reshape(modes, self._cells, -1)
         self._lift = np.array([congruence(loop.sampled(i, c)) for i, c in self.seen])
         size, m = loop.size + loop.system.inputs, loop.system.inputs
         self._drop = congruence(np.eye(size)[: size - m])
@@ -93,13 +95,12 @@ class _Side:
         Z = np.zeros((count, modes, self._cells, self._lift.shape[1]))
         Z[np.arange(count), self._own] = X @ np.swapaxes(self._lift, 1, 2)
         for _ in range(self._parts):
+            stay = self._stays[:, :, None] * (Z @ self._still)
+            leaving = np.swapaxes(Z, 2, 3) @ self._leaves  # (states, modes, q, next and nodes)
             moved = np.zeros_like(Z)
-            for l in range(modes):
-                stay = self._stays[l][None, :, None] * (Z[:, l] @ self._still[l].T)
-                moved[:, l, 1:] += stay[:, :-1]
-                moved[:, l, -1] += stay[:, -1]
-                leaving = np.tensordot(Z[:, l], self._leaves[l], axes=(1, 0))  # (states, q, next, nodes)
-                moved[:, :, 0] += np.einsum("sqjg,jkgpq->skp", leaving, self._jumped[l], optimize=True)
+            moved[:, :, 1:] = stay[:, :, :-1]
+            moved[:, :, -1] += stay[:, :, -1]
+            moved[:, :, 0] += (leaving.reshape(count, -1) @ self._jumped).reshape(count, modes, -1)
             Z = moved
         out = np.zeros_like(X)
         np.add.at(out, self._later, Z @ self._drop.T)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from design.errors import DesignError
 from design.jump_linear.mjls import STABILITY_MARGIN
-from design.networked_loop.uncertainty import guaranteed_h2, robust_norms, uncertainty_margin
+from design.networked_loop.uncertainty import guaranteed_h2, robust_h2, uncertainty_margin
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Objective, bfgs
 from design.tracking.synthesis import Design, Progress, certified
@@ -71,8 +71,8 @@ def robust(
         v = found.x
         report("margin", 1, 1, 1.0 / found.value if found.value else np.inf)
     if channel(v) < 1.0:
-        begin = robust_norms(structure, space.gains(v), M, N1, N2, problem.initial)
-        x = np.append(v, np.log10(begin.h2_multiplier))
+        _, multiplier = robust_h2(structure, space.gains(v), M, N1, N2, problem.initial)
+        x = np.append(v, np.log10(multiplier))
         for _ in range(2):  # once more with a forgotten Hessian
             x = bfgs(_with_slope(cost), x, value_tolerance=1e-9, iterations=200).x
         report("guaranteed h2", 1, 1, cost(x))

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from design.errors import DesignError
-from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
+from design.networked_loop.uncertainty import robust_h2, uncertainty_margin
 from design.requests.tracking import solve_tracking
 from design.tracking.synthesis import Design
 from hil.design_questions.design_problem import problem_for, tracking_target
@@ -44,7 +44,7 @@ def _margin(design: Design, plants: PlantSet) -> float:
 
 def _guaranteed(design: Design, plants: PlantSet) -> float:
     try:
-        return robust_norms(design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2).h2
+        return robust_h2(design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2)[0]
     except DesignError:
         return math.inf
 

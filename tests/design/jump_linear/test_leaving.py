@@ -75,7 +75,7 @@ def worst_share(A: Array, P: Array, U: Array, y: Array, E: Array, slots: int, ru
 
 @pytest.mark.parametrize("seed", range(8))
 def test_runs_from_the_edge_leave_less_often_than_said_and_from_far_outside_more_often(seed: int) -> None:
-    """4000 runs: a share of 0.13 is passed at 0.1 by chance with probability 1e-9; from 6 times as far out most runs leave."""
+    """2000 runs: a share of 0.13 is passed at 0.1 by chance with probability 1e-5; from 6 times as far out most of 300 leave."""
     rng = np.random.default_rng(seed)
     N, n = 3, 3
     P, A = rng.dirichlet(np.ones(N), size=N), rng.normal(size=(N, n, n))
@@ -88,6 +88,7 @@ def test_runs_from_the_edge_leave_less_often_than_said_and_from_far_outside_more
             pytest.skip("this one is not mean-square stable")
         _, radii = found.radii(0.1)
         for axis, radius in zip(np.eye(n), radii):
-            shares = [worst_share(A, P, U, k * radius * axis, push * E, 150, 4000, seed) for k in (1.0, 6.0)]
+            both = ((1.0, 2000), (6.0, 300))
+            shares = [worst_share(A, P, U, k * radius * axis, push * E, 150, runs, seed) for k, runs in both]
             assert shares[0] <= 0.13
             assert radius == 0.0 or shares[1] > 0.13

@@ -20,16 +20,15 @@ def test_a_weight_lowers_what_it_weighs_and_the_coupler_stays_proved():
     assert all(is_passive_over(found.coupler, 0.001, 7.0, d) for d in range(7))
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_no_other_safe_coupler_weighs_less(seed):
+def test_no_other_safe_coupler_weighs_less():
     """The program is convex: a safe coupler near the answer, moved in any direction and made safe again, is no better."""
     found = stiffest_coupler(range(4), weight=RISING, **SET).coupler
-    rng, least = np.random.default_rng(seed), RISING.peak(found)
+    rng, least = np.random.default_rng(0), RISING.peak(found)
     for _ in range(20):
         taps = np.array(found.taps_m_per_n) * (1.0 + 0.05 * rng.standard_normal(24))
         for _ in range(200):
             moved = type(found)(taps_m_per_n=tuple(taps.tolist()))
-            if all(is_passive_over(moved, 0.001, 7.0, d) for d in range(4)):
+            if all(is_passive_over(moved, 0.001, 7.0, d) for d in (3, 2, 1, 0)):  # the longest delay asks for most
                 break
             taps[0] *= 1.01
         assert RISING.peak(moved) > 0.9998 * least

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +28,13 @@ TWO_SAMPLES: dict[str, Any] = {
 
 
 def composed(name: str = "dc-motor-h2", **changes: Any) -> Loop:
-    calm = {"reference": [], "disturbance": [], "duration": 4, "allow_uncertified": True}
-    return compose(load_experiment(name, **calm | {"plant.driver": {"saturation_v": SUPPLY}} | changes))
+    calm = {"reference": [], "disturbance": [], "duration": 2, "allow_uncertified": True}
+    return _composed(name, json.dumps(calm | {"plant.driver": {"saturation_v": SUPPLY}} | changes))
+
+
+@cache
+def _composed(name: str, changes: str) -> Loop:
+    return compose(load_experiment(name, **json.loads(changes)))
 
 
 def verdict_of(loop: Loop) -> Verdict:

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 from hil.cli import cli
 from hil.cli.laws import command
+from hil.design_questions import bus_law
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
 from transport.law_tests import analysis
@@ -118,10 +119,12 @@ def test_the_law_of_the_busy_bus_is_estimated_with_a_bound_and_an_experiment_inc
         bus_laws("-o", str(tmp_path / "law.toml"))
 
 
-def test_laws_of_a_bus_need_a_bus(tmp_path: Path) -> None:
+def test_laws_of_a_bus_need_a_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(HilError, match="no medium of kind 'can'"):
         laws("--from-bus")
     with pytest.raises(HilError, match="-o: belongs to --from-bus"):
         laws("-o", str(tmp_path / "law.toml"))
-    unbounded = json.loads(bus_laws("--set", "network.media.bus.bit_error_rate=1e-5", "--json"))["laws"]["sc"]
+    monkeypatch.setattr(bus_law, "LEAST_SLOTS", 300)
+    disturbed = ("--set", "network.media.bus.bit_error_rate=1e-5", "--set", "duration=15", "--json")
+    unbounded = json.loads(bus_laws(*disturbed))["laws"]["sc"]
     assert unbounded["worst_ms"] is None and "bit_error_rate" in unbounded["no_bound"]

@@ -16,7 +16,7 @@ from hil.compose import loop as composing
 from hil.errors import HilError
 from hil.measure import avatar, measure, network_paths
 from hil.measure.view import RunView, view_of
-from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text
+from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
 from hil.pages.html.plain_section import plain_section
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections import sections_of
@@ -129,6 +129,7 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
         counting(normal_form, name)
     counting(delay_chains, "chains_of")
     counting(network_paths, "draws_of")
+    monkeypatch.setattr(paper, "ENDINGS", (".svg",))  # a PDF of it asks for nothing else
     assert composing.compose is not avatar.compose
     hil.report(tmp_path / "run.mcap", figures=tmp_path / "figures")
     assert asked == dict.fromkeys(asked, 1)
