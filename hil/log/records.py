@@ -18,6 +18,7 @@ from functools import partial
 from struct import Struct
 from typing import Any, Final
 
+import msgspec
 import numpy as np
 
 from hil.errors import HilError
@@ -54,8 +55,7 @@ _SCHEMA_NAME: Final = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
 _LINE: Final = re.compile(r"(?P<type>\S+) (?P<name>\S+)(?:  # (?P<unit>[^,]*)(?:, (?P<doc>.*))?)?")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
+class Field(msgspec.Struct, frozen=True, kw_only=True):
     """One field of a record.
 
     Args:
@@ -166,8 +166,7 @@ def _raw_packer(pack: Callable[..., bytes]) -> Callable[..., bytes]:
     return packer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Channel:
+class Channel(msgspec.Struct, frozen=True, kw_only=True):
     """A topic of the log.
 
     Args:

@@ -13,17 +13,15 @@ import sys
 import threading
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar
-from dataclasses import dataclass
 from functools import wraps
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from hil.plugins.first_instants import ENDING
 
 STREAMS: Final = {0: "standard input", 1: "standard output", 2: "standard error"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ProcessState:
+class ProcessState(NamedTuple):
     """What other code of this process leans on."""
 
     folder: str | None

@@ -6,7 +6,7 @@ the matrices by which it moves, where a designer sees others.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -75,8 +75,7 @@ def motion_of(plant: Plant, model: LoopModel) -> LoopModel:
     return replace(model, A=np.asarray(moves.A), B=np.asarray(moves.B), C=np.asarray(moves.C))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RigSpec:
+class RigSpec(Struct, frozen=True, kw_only=True):
     """What an experiment says of its rig: signals and port of the plant, sensor nodes, media, network laws, link, clocks, faults.
 
     Args:
@@ -133,4 +132,4 @@ class RigSpec:
     def tabulated(self) -> RigSpec:
         """Return the same rig with its laws tabulated: no process that keeps time computes their distributions."""
         sensors = tuple(structs.replace(sensor, law=prepare(sensor.law)) for sensor in self.sensors)
-        return replace(self, sensors=sensors, ca_law=prepare(self.ca_law))
+        return structs.replace(self, sensors=sensors, ca_law=prepare(self.ca_law))

@@ -8,7 +8,8 @@ and what it was computed from; the actuator node what it applied, and what its p
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from hil.log.records import STATUS, Field
 from hil.log.topics.topic import PACKET_TICK, TICK, Curve, Logged, Topic, f64, floats, i32, i64, u8

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Final, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 from mcap.opcode import Opcode
@@ -45,8 +45,7 @@ Integers = npt.NDArray[np.uint64]
 Voids = npt.NDArray[np.void]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class Layout(msgspec.Struct, frozen=True, eq=False):
     """What is known of a row, and how rows become messages.
 
     Args:

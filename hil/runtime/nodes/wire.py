@@ -13,9 +13,10 @@ TESLA broadcast authentication protocol, RSA CryptoBytes 5 (2002) 2-13.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from hashlib import sha256
 from typing import Final
+
+from msgspec import Struct
 
 KEY_BYTES: Final = 16
 SEGMENT: Final = 1 << 18
@@ -33,8 +34,7 @@ def before(nonce: int) -> int:
     return int.from_bytes(sha256(nonce.to_bytes(_BYTES, "little")).digest()[:_BYTES], "little")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Wire:
+class Wire(Struct, frozen=True, kw_only=True):
     """How a rig speaks.
 
     Args:

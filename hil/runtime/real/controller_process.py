@@ -11,9 +11,11 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from types import FrameType
+
+from msgspec import Struct
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
@@ -30,8 +32,7 @@ from transport.links.zenoh_refusals import standard_output_is_free
 IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class Job(Struct, frozen=True, kw_only=True):
     """What the controller process needs."""
 
     loop: Loop

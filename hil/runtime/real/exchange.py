@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
+
+from msgspec import Struct
 
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.wire import Wire
@@ -81,8 +82,7 @@ class Listener(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class HandshakeResult:
+class HandshakeResult(Struct, frozen=True, kw_only=True):
     """What came of the hello.
 
     Args:

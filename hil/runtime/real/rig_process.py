@@ -9,9 +9,11 @@ import os
 import signal
 import sys
 import threading
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from types import FrameType
 from typing import NoReturn
+
+from msgspec import Struct
 
 from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe import PipeSink
@@ -49,8 +51,7 @@ REHEARSED = 1000
 """Slots that are rehearsed at most."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Job:
+class Job(Struct, frozen=True, kw_only=True):
     """What the rig process needs."""
 
     loop: Loop
