@@ -121,3 +121,16 @@ def test_a_child_that_ends_is_noticed_by_who_waits_and_leaves_no_descriptor(
     hanging = Child("rig", "time", 60.0, dump=lambda job, stream: None)
     hanging.kill()
     assert len(os.listdir("/proc/self/fd")) == before and hanging.how().endswith("was killed by SIGKILL")
+
+
+@pytest.mark.parametrize(("own", "expected"), [(None, "1"), ("3", "3")])
+def test_a_child_has_one_blas_thread_where_its_user_says_nothing_else(
+    own: str | None, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
+    if own is not None:
+        monkeypatch.setenv("OPENBLAS_NUM_THREADS", own)
+    child = Child("rig", "json.tool", None)
+    said = Path(f"/proc/{child.pid}/environ").read_bytes().split(b"\0")
+    child.kill()
+    assert f"OPENBLAS_NUM_THREADS={expected}".encode() in said
