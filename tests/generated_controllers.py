@@ -36,8 +36,19 @@ PATIENCE_S = 60.0
 FRAME = struct.Struct("=IBBBB64s")  # struct canfd_frame
 
 
-def generate(folder: Path, loop: Loop, language: Language, kind: LinkKind = "can", keyed: bool = False) -> list[str]:
-    """Write the program of a loop's controller, compile it where it is C; return the words that start it, all but the link."""
+def generate(
+    folder: Path, loop: Loop, language: Language, kind: LinkKind = "can", keyed: bool = False, level: str = "-O0"
+) -> list[str]:
+    """Write the program of a loop's controller, compile it where it is C; return the words that start it, all but the link.
+
+    Args:
+        folder: of the program.
+        loop: composed.
+        language: of the program.
+        kind: of its link.
+        keyed: it has a key.
+        level: of the compiler: ``-O2`` takes three times as long, so that it is asked for where it matters.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     files = program_files(external_controller(loop, loop.experiment.name, kind, keyed), "drive", language)
     for name, text in files.items():
@@ -47,7 +58,7 @@ def generate(folder: Path, loop: Loop, language: Language, kind: LinkKind = "can
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler: apt-get install gcc libc6-dev")
-    words = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-O2", "-o", "drive", "drive.c", "hilrig.c"]
+    words = [compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", level, "-o", "drive", "drive.c", "hilrig.c"]
     subprocess.run(words, cwd=folder, check=True)
     return [str(folder / "drive")]
 

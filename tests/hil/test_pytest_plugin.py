@@ -58,10 +58,23 @@ def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_mor
     ])  # fmt: skip
 
 
-def test_the_three_commands_of_a_failure_run(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile("def test_fails(hil):\n    hil.run('dc-motor-h2', duration=1)\n    assert False")
-    lines = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--hil-logs=kept").outlines
-    told = [line.partition("   # ")[0].split() for line in lines if "   # " in line]
+def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_fails(hil):
+            session = hil.run("dc-motor-hinf", seed=7, duration=2)
+            print("sse", repr(session.metrics["sse"]))
+            assert False
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--junitxml=j.xml", "--hil-logs=kept")
+    result.assert_outcomes(failed=1)
+    kept = {p.get("name"): p.get("value") for p in ElementTree.parse(pytester.path / "j.xml").iter("property")}
+    (sse,) = [line.removeprefix("sse ") for line in result.outlines if line.startswith("sse ")]
+    assert kept["hil_seed"] == "7" and kept["hil_verdict"] == "certified" and kept["hil_timing"] == "valid"
+    assert kept["hil_metric_sse"] == sse and str(kept["hil_log"]).endswith(".mcap")
+    result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {sse}"])
+    told = [line.partition("   # ")[0].split() for line in result.outlines if "   # " in line]
     assert [command[1] for command in told] == ["report", "replay", "export"]
     assert pytester.run(sys.executable, "-c", ONE_AFTER_THE_OTHER.format(commands=[words[1:] for words in told])).ret == 0
 
@@ -238,21 +251,3 @@ def test_a_controller_that_is_late_fails_where_timing_is_required_and_nowhere_el
     (found,) = [p for p in ElementTree.parse(pytester.path / "j.xml").iter("property") if p.get("name") == "hil_timing"]
     assert (found.get("value") or "").startswith("NOT VALID: ")
     pytester.runpytest_subprocess(*words).assert_outcomes(passed=1)
-
-
-def test_junit_keeps_seed_verdict_timing_and_metrics_of_a_failing_test(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(
-        """
-        def test_fails(hil):
-            session = hil.run("dc-motor-hinf", seed=7, duration=2)
-            print("sse", repr(session.metrics["sse"]))
-            assert False
-        """
-    )
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--junitxml=j.xml")
-    result.assert_outcomes(failed=1)
-    kept = {p.get("name"): p.get("value") for p in ElementTree.parse(pytester.path / "j.xml").iter("property")}
-    (sse,) = [line.removeprefix("sse ") for line in result.outlines if line.startswith("sse ")]
-    assert kept["hil_seed"] == "7" and kept["hil_verdict"] == "certified" and kept["hil_timing"] == "valid"
-    assert kept["hil_metric_sse"] == sse and str(kept["hil_log"]).endswith(".mcap")
-    result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {sse}"])

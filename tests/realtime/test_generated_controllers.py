@@ -37,10 +37,10 @@ def assert_same_run(run: Run, own: Run) -> None:
             np.testing.assert_array_equal(a[name], b[name], err_msg=f"{topic} {name}")
 
 
-def answered(folder: Path, loop: Loop, language: Language, options: str = "", auth: str = "") -> Run:
+def answered(folder: Path, loop: Loop, language: Language, options: str = "", auth: str = "", level: str = "-O0") -> Run:
     """The run of a rig that a generated program answers over `can:hil`."""
     channel, keyed = f"gen{language}{os.getpid()}", bool(auth)
-    words = generate(folder, loop, language, keyed=keyed) + ([auth] if keyed else [])
+    words = generate(folder, loop, language, keyed=keyed, level=level) + ([auth] if keyed else [])
     uri = f"can:hil:{channel}{options}" + ("?" if not options else "&") * keyed + f"auth={auth}" * keyed
     with runs([*words, channel]) if language == "python" else c_on_hil(words, loop, channel, options):
         return asked_over(loop, SEED, uri)
@@ -67,7 +67,7 @@ def test_it_applies_the_same_inputs_as_our_own(tmp_path: Path, language: Languag
 def test_a_linear_controller_with_a_state_is_the_same(tmp_path: Path, language: Language) -> None:
     law = '{kind="output-feedback", A=[[0.5, 0.1], [0.0, 0.3]], B=[[0.7], [-0.2]], C=[[-0.05, 0.01]], D=[[-0.08]]}'
     loop = loop_of("dc-motor-hinf", *EXACT, f"controller={law}", "allow_uncertified=true")
-    assert_same_run(answered(tmp_path, loop, language), simulate(loop, SEED))
+    assert_same_run(answered(tmp_path, loop, language, level="-O2"), simulate(loop, SEED))
 
 
 @LANGUAGES
@@ -121,7 +121,7 @@ def test_it_drives_the_rig_in_real_time(tmp_path: Path, language: Language, keye
     make_keys(tmp_path / "keys")
     key, channel = str(tmp_path / "keys/frames.key"), f"rt{language}{os.getpid()}"
     loop = loop_of("dc-motor-hinf")
-    words = generate(tmp_path, loop, language, keyed=keyed) + ([key] if keyed else [])
+    words = generate(tmp_path, loop, language, keyed=keyed, level="-O2") + ([key] if keyed else [])
     with runs([*words, channel]) if language == "python" else c_on_hil(words, loop, channel):
         summary = drive(tmp_path, "dc-motor-hinf", f"can:hil:{channel}" + (f"?auth={key}" if keyed else ""))
     assert summary["link_counters"]["refused"] == 0
