@@ -172,6 +172,7 @@ class _Sojourn:
     def __init__(self, loop: SampledLoop, maps: PeriodMoments, mode: int, ages: RatesByAge, upper: bool) -> None:
         self._loop, self._maps, self._mode, self._ages, self._upper = loop, maps, mode, ages, upper
         self._gain, self._still, self._leaps = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0, 0, 0))
+        self._flat = np.zeros((0, 0))
         self._known: dict[tuple[int, int], tuple[float, FloatArray]] = {}  # groups of one width meet the same ages one by one
 
     def out(self) -> FloatArray | None:
@@ -219,6 +220,8 @@ class _Sojourn:
             lift = congruence(self._loop.sampled(self._mode, count))
             self._gain, self._still = gain, self._maps.still[self._mode] @ lift
             self._leaps = self._maps.jumped[self._mode] @ lift
+            modes, p = self._leaps.shape[1], self._leaps.shape[-1]
+            self._flat = np.transpose(self._leaps, (1, 3, 0, 2, 4)).reshape(modes * p, -1)  # (l p, j g q)
 
     def _weights(self, young: IntArray, old: IntArray) -> tuple[FloatArray, FloatArray]:
         # of the still paths, shape (groups,), and of a first jump to j at node g, shape (groups, N, G)
@@ -240,8 +243,10 @@ class _Sojourn:
     def _apply(self, young: IntArray, old: IntArray, moments: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The groups after one period, and the moments after a jump by the mode at its end."""
         still, jump = self._weights(young, old)
-        weighed = np.tensordot(jump, moments, axes=(0, 0))
-        return still[:, None, None] * (self._still @ moments), np.einsum("jlgpq,jgqr->lpr", self._leaps, weighed, optimize=True)
+        groups, p, r = moments.shape
+        weighed = jump.reshape(groups, -1).T @ moments.reshape(groups, -1)  # (modes and nodes, p r)
+        left = self._flat @ weighed.reshape(-1, r)
+        return still[:, None, None] * (self._still @ moments), left.reshape(-1, p, r)
 
     def _endless(self) -> FloatArray | None:
         """(I - map of one period without a jump)^-1 once the rates have settled."""
