@@ -190,6 +190,12 @@ def test_every_goal_is_reached():
     assert [row["design"] for row in bench_design(programmes=0) if not row["reached"]] == []
 
 
+def test_only_a_measured_network_loads_what_fits_laws() -> None:
+    """scipy.stats takes half a second of CPU."""
+    code = "import hil.cli.design, hil.cli.design_answers, sys; assert 'scipy.stats' not in sys.modules"
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)
+
+
 def test_a_plant_of_ones_own_is_designed_for_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     assert CliRunner().invoke(cli, ["new", "plant", "trolley"], catch_exceptions=False).exit_code == 0
