@@ -143,7 +143,12 @@ class Mesh(Closing):
             self._listening = True
 
     def _mark(self) -> bytes:
-        return os.pread(self._joined, _MARK_BYTES, 0)
+        try:
+            return os.pread(self._joined, _MARK_BYTES, 0)
+        except OSError:
+            if self._closed:  # by another thread, while this one sends: python-can's cyclic senders end when they may
+                return self._seen
+            raise
 
     def _add(self, peer: Peer) -> None:
         self._sources[peer.socket.fileno()] = peer

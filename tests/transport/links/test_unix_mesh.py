@@ -79,6 +79,12 @@ def test_who_is_let_in_by_another_thread_hears_what_is_sent_meanwhile(directory:
         assert newcomer.receive(0.01) is not None
 
 
+def test_who_leaves_while_another_thread_sends_ends_that_thread_by_no_error(directory: Path) -> None:
+    with Mesh(directory) as sender, Mesh(directory) as listener:
+        sender.close()
+        assert sender.send(HEAD.pack(0.0, 0)) and listener.receive(0.01) is None
+
+
 def test_who_joined_before_a_datagram_was_sent_hears_it_once_as_those_who_were_there(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as there:
         assert sender.send(HEAD.pack(0.0, 0)) and sender.participants == 2
