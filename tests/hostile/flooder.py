@@ -132,6 +132,12 @@ def main() -> None:
         bus = joined.frames if isinstance(joined, HilBus) else joined
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
+        while isinstance(bus, ZenohPeer) and time.monotonic() < end:  # zenoh connects when it tries again, in a second or two
+            heard = bus.recv_frame(0.0)
+            if heard is not None:
+                flood.hear(heard[0], heard[2])
+                break
+            time.sleep(0.001)
         for turn in count(1):
             if time.monotonic() >= end:
                 break

@@ -164,7 +164,10 @@ def test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(
     told = {name: summary[name] for name in ("problems", "safety", "link_counters")}
     # It tripped; what was flooded is said beside it, and with status 5 where it answers slots.
     assert session.returncode in (3, 5) and summary["safety"], (session.returncode, told)
-    if aim == "rig" or over.startswith("can"):
+    # Where a busy machine kept the controller from a CPU for 200 ms, the run was over before the flood came.
+    counted = summary["link_counters"]
+    flooded = sum(counted.get(each, 0) for each in ("received", "dropped", "malformed", "foreign")) > counted["sent"] + 50
+    if flooded and (aim == "rig" or over.startswith("can")):
         assert summary["problems"].keys() & {"flood", "refused", "second_controller"}, summary["problems"]
     promised_s = run.resolved["limits"]["watchdog_slots"] * run.resolved["period"]
     timed, applied = run.arrays["/timing/tick"], run.arrays["/actuator/applied"]
