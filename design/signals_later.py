@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from typing import Final
 
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Signals that ask a process to end."""
+"""Signals that ask a process to end; `hil.plugins.first_instants`, which imports no package of ours, has them too."""
 
 
 @contextmanager

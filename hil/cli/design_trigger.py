@@ -12,6 +12,7 @@ from hil.errors import HilError
 if TYPE_CHECKING:
     from hil.sweeps.trigger_cost import TriggerPoint
 
+
 def show_trigger(
     subject: str, input_weight: float | None, options: dict[str, Any], path: Path | None, force: bool, as_json: bool
 ) -> None:

@@ -22,11 +22,11 @@ from numpy.typing import NDArray
 
 from design.blas_threads import one_blas_thread
 from design.errors import DesignError
-from design.networked_loop.uncertainty import robust_norms
+from design.networked_loop.uncertainty import robust_h2
 from design.requests.tracking import solve_tracking
 from design.tracking.robust_synthesis import robust
 from design.tracking.synthesis import Design, Progress
-from hil.design_questions.design_problem import TrackingTarget, problem_for
+from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 
@@ -71,8 +71,6 @@ def trigger_question(name: str) -> TriggerQuestion:
     Raises:
         HilError: several nodes, a trigger without bound, or a network that is no chain of delays.
     """
-    from hil.design_questions.design_problem import target_of
-
     experiment = load_experiment(name, ("allow_uncertified=true",))
     nodes = experiment.network.nodes
     if len(nodes) > 1:
@@ -144,7 +142,7 @@ def gains_for_share(target: TrackingTarget, nominal: Design, share: float, progr
 def guaranteed(target: TrackingTarget, design: Design, share: float) -> float | None:
     """Return the H2 norm that holds for every error up to a share; None where none is proved."""
     try:
-        return robust_norms(design.problem.structure(), design.gains, *_error(target, share), design.problem.initial).h2
+        return robust_h2(design.problem.structure(), design.gains, *_error(target, share), design.problem.initial)[0]
     except DesignError:
         return None
 

@@ -94,6 +94,13 @@ class FreeMotion(NamedTuple):
 
 
 def kind_of(mine: Array, its: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
+    """Return what kind of motion is left, of a run and of another one of the same seed.
+
+    Args:
+        mine, its: what is left in every slot of both runs, (slots, q).
+        sizes: of the states, whose rounding is no motion.
+        signals: name and unit of every column.
+    """
     count = min(len(mine), len(its))
     scale = ROUNDING * np.maximum.accumulate(np.abs(sizes)).max(axis=1, keepdims=True)[: len(mine)] + 1e-300
     scale = scale + ROUNDING * np.abs(sizes[0]).max()
