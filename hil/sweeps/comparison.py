@@ -109,11 +109,11 @@ class Comparison(ShownResult):
 
     def _verdict_on_stops(self, name: str) -> str | None:
         """What follows from the runs that safety stopped, None if there are none: McNemar's exact test on the pairs."""
-        from scipy.stats import binomtest
-
         own, other = (self.values[each]["stopped"] > 0.0 for each in (name, self.first))
         if not own.any() and not other.any():
             return None
+        from scipy.stats import binomtest  # half a second of CPU: only where a run was stopped
+
         counts = f"{_of_runs(own)} of its {self.runs} runs, {_of_runs(other)} of {self.first}"
         only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
         p = float(binomtest(only_own, only_own + only_other).pvalue) if only_own + only_other else 1.0
