@@ -13,8 +13,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final
 
-from tests.hil.live.test_live import Page, asked
 from tests.hil.pages import chromium
+from tests.hil.pages.live.test_live import Page, asked
 from tests.waiting import until
 
 COLOURS: Final = 128

@@ -140,7 +140,7 @@ def laws(source: Source, **changes: Any) -> Laws:
     Raises:
         HilError: if the experiment cannot be read.
     """
-    from hil.compose.named_files import with_law_files
+    from hil.rig.named_files import with_law_files
     from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
 

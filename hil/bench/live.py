@@ -13,9 +13,9 @@ from typing import Any, Final
 import numpy as np
 
 from hil.experiment import load_experiment
-from hil.live.watch import watched
 from hil.log.topics import TIMING
 from hil.measure.summary import percentiles
+from hil.pages.live.watch import watched
 from hil.runtime.real.child import PYTHON
 from hil.runtime.time.clock import pause
 from hil.session import run_session

@@ -79,7 +79,7 @@ def _write_codec(database: Any, folder: Path, force: bool) -> None:
 def _decode(database: Any, log: Path) -> None:
     from cantools.database import DecodeError
 
-    from hil.log.read.foreign_logs import can_frames
+    from hil.files.can_logs import can_frames
 
     for frame in can_frames(log):
         try:

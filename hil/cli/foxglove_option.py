@@ -22,12 +22,12 @@ def foxglove_beside(onlooker: Onlooker | None, port: int | None) -> Iterator[Onl
     """Give an onlooker with Foxglove beside it, or it alone where no port is asked for.
 
     Raises:
-        HilError: see `hil.live.foxglove.Foxglove`.
+        HilError: see `hil.pages.live.foxglove.Foxglove`.
     """
     if port is None:
         yield onlooker
         return
-    from hil.live.foxglove import Beside, Foxglove
+    from hil.pages.live.foxglove import Beside, Foxglove
 
     with Foxglove(port) as server:
         click.echo(f"Foxglove: open connection {server.url}", err=True)

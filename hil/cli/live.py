@@ -52,7 +52,7 @@ def command(
     from hil.cli.run import reserve
     from hil.cli.run_summary import show as show_summary
     from hil.experiment import load_experiment
-    from hil.live.watch import Asked, show_log, watch
+    from hil.pages.live.watch import Asked, show_log, watch
 
     def opened(url: str) -> None:
         click.echo(f"open {url}", err=True)
@@ -79,7 +79,7 @@ def command(
         return reserve(output, f"{experiment.name}-live-seed{experiment.seed}", force)
 
     if script is not None:
-        from hil.live.script import Scripted, read_script
+        from hil.pages.live.script import Scripted, read_script
         from hil.session import run_session
 
         scripted = Scripted(read_script(script), real=clock == "real")

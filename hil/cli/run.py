@@ -177,7 +177,7 @@ def command(
             taps = None
             onlooker: Onlooker | None = None
             if live:
-                from hil.live.watch import watched
+                from hil.pages.live.watch import watched
 
                 onlooker = views.enter_context(watched(clock, lambda url: click.echo(f"open {url}", err=True)))  # type: ignore[arg-type]
             if foxglove is not None:

@@ -23,7 +23,6 @@ from hil.certify.historical_loop import delayed_plant_of, known_past, mask_fault
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.fit import changed_meanwhile, check_own, check_references
 from hil.compose.judged import judge
-from hil.compose.named_files import with_law_files, with_recorded_traffic
 from hil.compose.stored_gains import fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import Experiment
@@ -35,9 +34,9 @@ from hil.plugins.user_modules import is_own
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop
+from hil.rig.named_files import with_named_files
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
-from hil.rig.traffic_file import with_traffic_file
 from plants.errors import PlantError
 from transport.packets import MAX_OUTPUTS
 
@@ -100,7 +99,7 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
     lost = [str(part.missing()) for part in (experiment.plant, experiment.controller) if isinstance(part, UnavailablePlugin)]
     if lost:
         raise ExperimentError(experiment.name, lost)
-    experiment = with_traffic_file(with_recorded_traffic(with_law_files(experiment)))
+    experiment = with_named_files(experiment)
     try:
         rig = rig_of(experiment) if known is None else known
         discrete = experiment.plant.model().discretise(float(experiment.period))

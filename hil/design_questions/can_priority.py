@@ -7,12 +7,11 @@ from typing import Final
 
 from msgspec.structs import replace
 
-from hil.compose.named_files import with_recorded_traffic
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.rig.can_bus import can_bus_of
+from hil.rig.named_files import with_traffic_files
 from hil.rig.normal_form import rig_of
-from hil.rig.traffic_file import with_traffic_file
 from transport.can_bus_model.can_frame import BASE_MOST
 
 ROOM: Final = 16
@@ -68,7 +67,7 @@ def places_of(experiment: Experiment) -> list[Place]:
     Raises:
         HilError: it has none, its traffic is recorded, or there is no room.
     """
-    e = with_traffic_file(with_recorded_traffic(experiment))
+    e = with_traffic_files(experiment)
     rig = rig_of(e)
     bus = can_bus_of(rig)
     if bus is None:

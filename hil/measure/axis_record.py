@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.log.read.foreign_logs import read_signal_table
+from hil.files.csv_columns import read_columns
 from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
@@ -112,3 +113,61 @@ def _of_run(path: Path, run: Run, plant: dict[str, Any], u_name: str, y_name: st
     kept = (row >= 0) & (row < slots)
     y[row[kept]] = measured[y_name][kept]
     return AxisRecord(path=str(path), period_s=view_of(run).period_s, u=u, y=y, plant=plant)
+
+
+TIME_COLUMNS = {"t_s": 1.0, "t_ns": 1e-9, "time": 1.0, "t": 1.0}
+JITTER = 0.01
+"""Largest deviation of an instant from a whole number of periods, in periods."""
+
+
+def read_signal_table(path: str | Path, names: Sequence[str]) -> tuple[float, npt.NDArray[np.float64]]:
+    """Return the sample period in s and columns (n, len(names)) over consecutive slots, NaN where nothing was recorded.
+
+    The first line names the columns, with units in brackets or without; the time stands in `t_s`, `t_ns`, `time` or `t`.
+
+    Args:
+        path: the file.
+        names: columns to be read.
+
+    Raises:
+        HilError: it cannot be read, a column is missing, an entry is no number, or the instants are no multiples of a period;
+            the message has the line.
+    """
+    clock = ""
+
+    def picked(header: list[str]) -> list[str]:
+        nonlocal clock
+        clock = next((name for name in TIME_COLUMNS if name in header), "")
+        if not clock:
+            raise HilError(f"{path}: no column of times, expected one of {', '.join(TIME_COLUMNS)}")
+        for name in names:
+            if name not in header:
+                raise HilError(f"{path}: no column {name!r}; it has {', '.join(header)[:200]}")
+        return [clock, *names]
+
+    table = read_columns(Path(path), "a table of signals", picked).values
+    if len(table) < 2:
+        raise HilError(f"{path}: {len(table)} rows, expected at least 2")
+    return _slotted(path, table[:, 0] * TIME_COLUMNS[clock], table[:, 1:])
+
+
+def _slotted(
+    path: str | Path, t: npt.NDArray[np.float64], values: npt.NDArray[np.float64]
+) -> tuple[float, npt.NDArray[np.float64]]:
+    steps = np.diff(t)
+    if not (np.isfinite(t).all() and steps.min() > 0.0):
+        at = int(np.flatnonzero(~(steps > 0.0))[0]) if (~(steps > 0.0)).any() else 0
+        raise HilError(f"{path}: row {at + 2}: the time does not grow")
+    period_s = float(np.median(steps))
+    slots = np.rint((t - t[0]) / period_s)
+    if slots[-1] > 4 * len(t):
+        raise HilError(f"{path}: {len(t)} rows over {slots[-1]:.0f} periods of {period_s:g} s; expected no such gaps")
+    if slots[-1] > 0.0:  # the median of rounded instants drifts over a long table
+        period_s = float((t[-1] - t[0]) / slots[-1])
+    off = np.abs((t - t[0]) / period_s - slots)
+    if off.max() > JITTER or (np.diff(slots) < 1).any():
+        at = int(off.argmax())
+        raise HilError(f"{path}: row {at + 1}: {t[at]:.9g} s is {off[at]:.3g} periods off a multiple of {period_s:g} s")
+    out = np.full((int(slots[-1]) + 1, values.shape[1]), math.nan)
+    out[slots.astype(np.int64)] = values
+    return period_s, out

@@ -1,4 +1,4 @@
-"""Pages and figures: runs, comparisons and sweeps as self-contained HTML, and for paper.
+"""Pages and figures: runs, comparisons and sweeps as self-contained HTML and for paper; and the live page of a run.
 
 What a section of a page is made of, for measures that draw (see `hil.pages.run.drawn.DrawsSection`):
 

@@ -9,14 +9,12 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec.structs import replace
-
-from hil.errors import ExperimentError, HilError
-from hil.experiment.nodes import TrafficTable, can_faults_of
+from hil.errors import HilError
+from hil.experiment.nodes import TrafficTable
 from hil.experiment.table import Seconds
-from hil.experiment.tables import Experiment
 from hil.files.regular import open_regular
 from transport.can_bus_model.can_frame import CanFrame
+from transport.errors import FieldError
 from transport.wire.fields import frame_length
 
 if TYPE_CHECKING:
@@ -29,27 +27,6 @@ _DURATIONS = ("period", "offset", "jitter")
 _FLAGS = {"": False, "0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
 _TOO_LONG: Final = re.compile(r"^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}", re.MULTILINE)
 """cantools keeps every bit of a message in a list."""
-
-
-def with_traffic_file(e: Experiment) -> Experiment:
-    """Return an experiment with the traffic of its file in its table: it needs nothing but itself then.
-
-    Raises:
-        ExperimentError: the file cannot be read, or is faulty.
-    """
-    media = dict(e.network.media)
-    for name, medium in e.network.media.items():
-        if medium.traffic_file:
-            try:
-                more = read_traffic(Path(e.folder) / medium.traffic_file)
-            except HilError as error:
-                raise ExperimentError(e.name, [f"network.media.{name}.traffic_file: {error}"]) from error
-            media[name] = replace(medium, traffic=(*medium.traffic, *more), traffic_file="")
-            fields = media[name].__struct_fields__
-            faults = list(can_faults_of({field: getattr(media[name], field) for field in fields}))
-            if faults:
-                raise ExperimentError(e.name, [f"network.media.{name}.{fault}" for fault in faults])
-    return replace(e, network=replace(e.network, media=media))
 
 
 def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
@@ -154,6 +131,7 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
 
 
 MOST: Final = 100_000
+RECORDINGS: Final = (".log", ".asc", ".blf")
 _LINE: Final = re.compile(r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))")
 
 
@@ -168,6 +146,43 @@ def line_of(at_ns: int, frame: CanFrame) -> str:
         return f"{at_ns} {identifier}#R{frame.dlc or ''}"
     flags = f"#{frame.bitrate_switch | frame.error_state << 1}" if frame.fd else ""
     return f"{at_ns} {identifier}#{flags}{frame.data.hex().upper()}"
+
+
+def read_recorded(path: Path) -> list[str]:
+    """Return the frames of a recording as lines of an experiment, from time 0 on.
+
+    Args:
+        path: ends in one of `RECORDINGS`.
+
+    Raises:
+        HilError: it cannot be read, has no frame, or no time stamps.
+    """
+    from hil.files.can_logs import can_frames  # python-can is imported for a recording alone
+
+    found: list[tuple[float, CanFrame]] = []
+    for i, message in enumerate(can_frames(path)):
+        if message.is_error_frame:
+            continue
+        data = b"" if message.is_remote_frame else bytes(message.data)
+        try:
+            frame = CanFrame(
+                identifier=message.arbitration_id, extended=message.is_extended_id, remote=message.is_remote_frame,
+                dlc=message.dlc if message.is_remote_frame else None, fd=message.is_fd,
+                data=data.ljust(frame_length(len(data)), b"\0") if message.is_fd else data,
+                bitrate_switch=message.is_fd and message.bitrate_switch,
+                error_state=message.is_fd and message.error_state_indicator,
+            )  # fmt: skip
+        except FieldError as error:
+            raise HilError(f"{path}: frame {i + 1}: {error}") from error
+        found.append((message.timestamp, frame))
+        if len(found) > MOST:
+            raise HilError(f"{path}: more than {MOST} frames")
+    if not found:
+        raise HilError(f"{path}: no frame")
+    if len(found) > 1 and all(at == found[0][0] for at, _ in found):
+        raise HilError(f"{path}: every frame has the time stamp {found[0][0]:g}; a recording with time stamps is needed")
+    first = min(at for at, _ in found)
+    return [line_of(round((at - first) * 1e9), frame) for at, frame in sorted(found, key=lambda each: each[0])]
 
 
 def due_of(line: str, node: int = 0) -> Due:

@@ -29,11 +29,11 @@ from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files import mat_child
 from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
-from hil.live.script import read_script
 from hil.log.events import decode_event, encode_event
-from hil.log.read.foreign_logs import read_signal_table
 from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
+from hil.measure.axis_record import read_signal_table
+from hil.pages.live.script import read_script
 from hil.rig.traffic_file import read_traffic
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.sweep import SweepStore

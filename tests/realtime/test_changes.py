@@ -16,16 +16,16 @@ from hil.compose.changed import changed
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import Experiment, load_experiment
-from hil.live.script import Scripted
-from hil.live.side import Side
-from hil.live.watch import Asked as Watched
 from hil.log.read.run import read_run
 from hil.log.topics import channels_of
+from hil.pages.live.script import Scripted
+from hil.pages.live.side import Side
+from hil.pages.live.watch import Asked as Watched
 from hil.runtime.changes import Change
 from hil.session import run_session
 from hil.session.replay.recorded import Asked, changes_of
 from hil.session.replay.replay import verify
-from tests.hil.live.test_live import Page
+from tests.hil.pages.live.test_live import Page
 from tests.waiting import children_of, until
 
 pytestmark = pytest.mark.realtime

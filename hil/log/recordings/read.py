@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from hil.errors import HilError
+from hil.files.can_logs import can_frames
 from hil.log.read.arrays import StructuredArray
-from hil.log.read.foreign_logs import can_frames
 from hil.log.read.run import read_run
 from hil.log.recordings.packet_files import LATEST_S
 from hil.log.recordings.recording import BACK, THERE, Recording, Way

@@ -25,12 +25,12 @@ from design.passivity.transparency import distortion
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.measure.avatar import avatar_path, wall_loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot
 from hil.reproduce.statements import Statement, above, below, exactly, mean, says, within
 from hil.runtime.simulated import simulate
+from hil.session.replay.avatar import avatar_path, wall_loop_of
 
 SIDE_M = 0.02
 STEP_M = 0.15 * math.pi * SIDE_M

@@ -13,10 +13,10 @@ from types import SimpleNamespace
 import pytest
 
 from hil.compose.loop import compose
-from hil.compose.named_files import with_law_files
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Seconds, experiment_from_resolved, load_experiment, parse_experiment, parse_plugin, shipped
 from hil.experiment.schema import experiment_schema
+from hil.rig.named_files import with_law_files
 from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
 from transport.laws.latency import latency

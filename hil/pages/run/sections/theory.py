@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from hil.compose.fourth_moments import caution
-from hil.measure.avatar import composed
 from hil.measure.followed import target_of
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
@@ -16,6 +15,7 @@ from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
+from hil.session.replay.avatar import composed
 from hil.sweeps.lockstep import run_batch, supports_batch
 
 RUNS = 100

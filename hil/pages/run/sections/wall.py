@@ -15,11 +15,11 @@ from design.controllers.rendered_wall import ModelFollower, WallController
 from design.controllers.wall import Wall
 from hil.log.append_column import whole
 from hil.log.topics import PASSIVITY, STATE
-from hil.measure.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 from hil.pages.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
 from hil.pages.run.time_panels import curve, markers
 from hil.rig.loop import Loop
+from hil.session.replay.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
 
 Array = npt.NDArray[np.float64]
 

@@ -11,8 +11,8 @@ import pytest
 from hil.log.read.run import read_run
 from hil.session.replay.recorded import changes_of
 from hil.session.replay.replay import verify
-from tests.hil.live.test_live import Page, asked
 from tests.hil.pages import chromium
+from tests.hil.pages.live.test_live import Page, asked
 from tests.waiting import until
 
 pytestmark = pytest.mark.chromium

@@ -10,12 +10,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.live.scopes import Records, Tail, Trace, traces_of
 from hil.log.events import decode_event
 from hil.log.records import EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
 from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
 from hil.log.write.sinks import PayloadWriter
+from hil.pages.live.scopes import Records, Tail, Trace, traces_of
 from hil.rig.loop import Loop
 from hil.runtime.changes import CHANGE, END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock

@@ -12,11 +12,11 @@ from typing import Any
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.live.about import about
-from hil.live.desk import Desk
-from hil.live.foxglove import Beside
-from hil.live.server import LivePage
-from hil.live.side import Side
+from hil.pages.live.about import about
+from hil.pages.live.desk import Desk
+from hil.pages.live.foxglove import Beside
+from hil.pages.live.server import LivePage
+from hil.pages.live.side import Side
 from hil.runtime.real.ending import StopSignals
 from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Onlooker, Session, run_session

@@ -13,7 +13,7 @@ import numpy as np
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment, shipped
-from hil.live.side import Side
+from hil.pages.live.side import Side
 from hil.plugins.protocols import GoesOn, Plant
 from hil.rig.loop import Loop
 from transport.laws.protocols import ChainLaw, NetworkLaw

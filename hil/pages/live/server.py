@@ -27,10 +27,10 @@ from urllib.parse import parse_qs
 import msgspec
 
 from hil.errors import HilError
-from hil.live.desk import Desk, Wish
-from hil.live.scopes import Window, picture
-from hil.live.script import script_of
 from hil.log.events import plain
+from hil.pages.live.desk import Desk, Wish
+from hil.pages.live.scopes import Window, picture
+from hil.pages.live.script import script_of
 
 HOST: Final = "127.0.0.1"
 MOST_BYTES: Final = 64_000
@@ -43,12 +43,12 @@ TIMEOUT_S: Final = 10.0
 POLICY: Final = "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src data:; base-uri 'none'; \
 form-action 'none'; frame-ancestors 'none'"
 ASSETS: Final = {
-    "/": ("hil.live", "live.html", "text/html"),
-    "/live.css": ("hil.live", "live.css", "text/css"),
-    "/live.js": ("hil.live", "live.js", "text/javascript"),
-    "/scopes.js": ("hil.live", "scopes.js", "text/javascript"),
-    "/devices.js": ("hil.live", "devices.js", "text/javascript"),
-    "/act.js": ("hil.live", "act.js", "text/javascript"),
+    "/": ("hil.pages.live", "live.html", "text/html"),
+    "/live.css": ("hil.pages.live", "live.css", "text/css"),
+    "/live.js": ("hil.pages.live", "live.js", "text/javascript"),
+    "/scopes.js": ("hil.pages.live", "scopes.js", "text/javascript"),
+    "/devices.js": ("hil.pages.live", "devices.js", "text/javascript"),
+    "/act.js": ("hil.pages.live", "act.js", "text/javascript"),
     "/page.css": ("hil.pages.html", "page.css", "text/css"),
     "/uPlot.css": ("hil.pages.html", "uPlot.min.css", "text/css"),
     "/uPlot.js": ("hil.pages.html", "uPlot.iife.min.js", "text/javascript"),
