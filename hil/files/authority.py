@@ -9,17 +9,19 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
-from cryptography import x509
-from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
-
 from hil.errors import HilError
 from hil.files.keys import BEFORE, end_files, new_files
 from hil.files.outputs import written_whole
 from transport.links.certificates import FILE, revoked_names
+from transport.links.cryptography_package import cryptography_needed
 from transport.links.link import TransportError
 from transport.links.private_directory import read_secret
+
+with cryptography_needed():
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.serialization import Encoding, load_pem_private_key
 
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _TAKEN: Final = ("ca", "frames", "signing")

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from hil.errors import HilError
 from hil.files.outputs import written_whole
 from hil.files.regular import read_regular
+from transport.links.cryptography_package import cryptography_needed
 from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:
@@ -41,8 +42,9 @@ class Signer:
     """
 
     def __init__(self, key: Path) -> None:
-        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-        from cryptography.hazmat.primitives.serialization import load_pem_private_key
+        with cryptography_needed():
+            from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+            from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
         data = read_secret(str(key), "the key that signs logs")
         try:
@@ -87,7 +89,8 @@ def check_signature(log: Path, key: Path, file: BinaryIO) -> str:
         BadSignature: other bytes, another key, or a signature that was changed.
         HilError: the key or the signature cannot be read.
     """
-    from cryptography.exceptions import InvalidSignature
+    with cryptography_needed():
+        from cryptography.exceptions import InvalidSignature
 
     public = _public(key)
     path = signature_of(log)
@@ -124,8 +127,9 @@ def make_signing_key(folder: Path) -> list[Path]:
     Raises:
         HilError: one of the files is there, or the folder cannot be written.
     """
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
+    with cryptography_needed():
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+        from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
     key = Ed25519PrivateKey.generate()
     files = (
@@ -157,9 +161,10 @@ def fingerprint(key: Ed25519PublicKey) -> str:
 
 
 def _public(path: Path) -> Ed25519PublicKey:
-    from cryptography.exceptions import UnsupportedAlgorithm
-    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
-    from cryptography.hazmat.primitives.serialization import load_pem_public_key
+    with cryptography_needed():
+        from cryptography.exceptions import UnsupportedAlgorithm
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+        from cryptography.hazmat.primitives.serialization import load_pem_public_key
 
     data = read_regular(path, MOST_BYTES, "a public key")
     try:

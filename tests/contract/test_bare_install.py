@@ -44,15 +44,15 @@ def modules_of(*extras: str) -> set[str]:
 
 
 def bare(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    text = BARE.format(absent=modules_of("design", "zenoh"))
+    text = BARE.format(absent=modules_of("design", "zenoh", "keys"))
     run = [sys.executable, "-c", text, *command]
     return subprocess.run(run, cwd=cwd, capture_output=True, text=True, timeout=240, check=False)
 
 
 def test_nothing_of_the_extras_is_a_dependency_of_the_bare_package() -> None:
     names = {line.partition(">")[0].partition("[")[0] for line in PROJECT["dependencies"]}
-    extras = {line.partition(">")[0] for extra in ("design", "zenoh") for line in PROJECT["optional-dependencies"][extra]}
-    assert extras == {"control", "cvxpy", "clarabel", "scs", "eclipse-zenoh"} and not names & extras
+    extras = {line.partition(">")[0] for extra in ("design", "zenoh", "keys") for line in PROJECT["optional-dependencies"][extra]}
+    assert extras == {"control", "cvxpy", "clarabel", "scs", "eclipse-zenoh", "cryptography"} and not names & extras
 
 
 def test_runs_sweeps_and_pages_need_no_extra(tmp_path: Path) -> None:
@@ -69,6 +69,9 @@ def test_runs_sweeps_and_pages_need_no_extra(tmp_path: Path) -> None:
     [
         (("design", "dc-motor", "--method", "ccl", "-o", "gains.json"), "design"),
         (("run", "dc-motor-hinf", "--clock", "real", "--link", "zenoh:", "--duration", "1s"), "zenoh"),
+        (("keys", "new", "keys"), "keys"),
+        (("keys", "signing", "keys"), "keys"),
+        (("run", "dc-motor-hinf", "--sign", "signing.key", "--duration", "1s", "-o", "a.mcap"), "keys"),
     ],
 )
 def test_a_command_that_needs_an_extra_names_it(command: tuple[str, ...], extra: str, tmp_path: Path) -> None:

@@ -24,6 +24,7 @@ from hmac import compare_digest
 from time import monotonic
 from typing import TYPE_CHECKING, Final
 
+from transport.links.cryptography_package import cryptography_needed
 from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
@@ -61,8 +62,9 @@ def cmac(key: bytes) -> Code:
     >>> cmac(bytes.fromhex("2b7e151628aed2a6abf7158809cf4f3c"))(b"").hex()
     'bb1d6929e9593728'
     """
-    from cryptography.hazmat.primitives.ciphers.algorithms import AES  # no loop pays for it without a key
-    from cryptography.hazmat.primitives.cmac import CMAC
+    with cryptography_needed():
+        from cryptography.hazmat.primitives.ciphers.algorithms import AES  # no loop pays for it without a key
+        from cryptography.hazmat.primitives.cmac import CMAC
 
     fresh = CMAC(AES(key)).copy
 

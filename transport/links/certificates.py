@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from transport.links.cryptography_package import cryptography_needed
 from transport.links.link import TransportError
 
 if TYPE_CHECKING:
@@ -90,7 +91,8 @@ def check_certificate(ca: str, cert: str, name: str, now: datetime | None = None
     Raises:
         TransportError: expired, not yet valid, of another authority, of another or a revoked name, or no certificate.
     """
-    from cryptography import x509  # 40 ms that no other link needs
+    with cryptography_needed():
+        from cryptography import x509  # 40 ms that no other link needs
 
     chains = []
     for path in (ca, cert):
