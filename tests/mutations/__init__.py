@@ -1,1 +1,1 @@
-"""Faults that once survived the tests, as patches; `make mutations` shows each one killed."""
+"""Faults in the product that tests must see: those that once survived, as patches (`make mutations`), and random ones."""

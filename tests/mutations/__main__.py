@@ -2,39 +2,32 @@
 
     python -m tests.mutations                  # all of faults.toml
     python -m tests.mutations pipe trip        # those whose name contains one of the words
+    python -m tests.mutations --random 300     # random ones in all rooms, judged by the tests that reach them
+    python -m tests.mutations --random 20 --changed    # in the files that differ from main
 
-A fault that its tests do not see is a hole in the tests: status 1 names it.
+A known fault that its tests do not see is a hole in the tests: status 1 names it. Of random ones a share must be seen.
 """
 
 from __future__ import annotations
 
-import os
-import shutil
+import argparse
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-from tests.mutations.faults import ROOT, Fault, faults
+from tests.mutations.copies import copy_of_the_checkout, environment
+from tests.mutations.faults import Fault, faults
+from tests.mutations.random_run import random_run
 
 LIMIT_S = 600.0
-
-
-def copy_of_the_checkout(folder: Path) -> Path:
-    """Copy what git knows of the checkout, uncommitted changes included."""
-    names = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True)
-    for name in names.stdout.splitlines():
-        if (ROOT / name).is_file():
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(ROOT / name, folder / name)
-    return folder
 
 
 def passes(folder: Path, tests: tuple[str, ...]) -> bool:
     """Whether the tests pass in the copy, whose packages come before the installed ones."""
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests],
-        cwd=folder, env={**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"},
+        cwd=folder, env=environment(folder),
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=LIMIT_S, text=True,
     )  # fmt: skip
     if done.returncode not in (0, 1):
@@ -53,8 +46,8 @@ def survives(folder: Path, fault: Fault) -> bool:
         file.write_text(sound)
 
 
-def main(words: list[str]) -> int:
-    """Try the faults and print one line each; return 1 if one survives."""
+def known_faults(words: list[str]) -> int:
+    """Try the faults of the table and print one line each; return 1 if one survives."""
     chosen = [f for f in faults() if not words or any(word in f.name for word in words)]
     if not chosen:
         raise SystemExit(f"no fault is called like {' or '.join(words)}")
@@ -70,6 +63,23 @@ def main(words: list[str]) -> int:
             alive += [fault.name] * lives
     print(f"{len(chosen) - len(alive)} of {len(chosen)} faults killed")
     return 1 if alive else 0
+
+
+def main(words: list[str]) -> int:
+    """Try known faults, or random ones."""
+    parser = argparse.ArgumentParser(prog="python -m tests.mutations", description="Put faults in and see the tests fail.")
+    parser.add_argument("words", nargs="*", help="faults whose name, or place and change, contains one of the words")
+    parser.add_argument("--random", type=int, metavar="NUMBER", help="random faults, instead of the known ones")
+    parser.add_argument("--seed", type=int, default=1, help="of the random faults")
+    parser.add_argument(
+        "--changed", action="store_true", help="random faults in files that differ from main, judged by their tests"
+    )
+    parser.add_argument("--fresh", action="store_true", help="measure again what each test reaches")
+    parser.add_argument("-n", type=int, default=0, metavar="WORKERS", help="processes that measure what each test reaches")
+    given = parser.parse_args(words)
+    if given.random is None:
+        return known_faults(given.words)
+    return random_run(given.random, given.seed, given.words, changed=given.changed, fresh=given.fresh, workers=given.n)
 
 
 if __name__ == "__main__":

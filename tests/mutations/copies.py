@@ -1,0 +1,25 @@
+"""A copy of the checkout, into which faults are put, and what a test that runs there finds in its environment."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+from tests.mutations.faults import ROOT
+
+
+def copy_of_the_checkout(folder: Path) -> Path:
+    """Copy what git knows of the checkout, uncommitted changes included."""
+    names = subprocess.run(["git", "ls-files", "-co", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=True)
+    for name in names.stdout.splitlines():
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def environment(folder: Path) -> dict[str, str]:
+    """Return the environment of tests of a copy, whose packages come before the installed ones."""
+    return {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}

@@ -1,0 +1,64 @@
+"""What a test reaches, written while it runs: in instrumented code each block calls `note` when it is first reached in a test.
+
+A process of its own that a test starts writes too: pytest says in the environment which test runs. As a plug-in of pytest
+(``-p tests.mutations.probe``) it also notes how long each test takes, and orders the tests as a list says.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+FOLDER, ORDER = "HILRIG_REACHED", "HILRIG_ORDER"
+"""Environment: the folder where each process writes a file of its own; the file that lists tests in order."""
+seen: set[int] = set()
+_out: dict[int, int] = {}  # of this process: one open file
+
+
+def note(block: int) -> None:
+    """Write that a block was reached."""
+    seen.add(block)
+    if os.getpid() not in _out:
+        begin(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
+    _write(f"{block}\n")
+
+
+def begin(test: str) -> None:
+    """Write that what follows belongs to a test, which has reached nothing yet."""
+    seen.clear()
+    _write(f"T{test}\n")
+
+
+def _write(line: str) -> None:
+    pid = os.getpid()
+    try:
+        if pid not in _out:
+            _out.clear()
+            _out[pid] = os.open(f"{os.environ[FOLDER]}/{pid}", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        os.write(_out[pid], line.encode())
+    except (OSError, KeyError):  # a test may take descriptors, environment and rights away
+        return
+
+
+os.register_at_fork(after_in_child=seen.clear)
+
+
+def pytest_runtest_logstart(nodeid: str) -> None:
+    """Begin a test."""
+    if FOLDER in os.environ:
+        begin(nodeid)
+
+
+def pytest_runtest_makereport(item: Any, call: Any) -> None:
+    """Write how long a part of a test took, in s, and whether it ended well."""
+    if FOLDER in os.environ:
+        realtime, ended = item.get_closest_marker("realtime") is not None, call.excinfo is None
+        _write(f"D{call.duration:.4f} {realtime:d} {ended:d} {item.nodeid}\n")
+
+
+def pytest_collection_modifyitems(items: list[Any]) -> None:
+    """Keep the tests of the list, in its order."""
+    if ORDER in os.environ:
+        place = {name: n for n, name in enumerate(Path(os.environ[ORDER]).read_text().splitlines())}
+        items[:] = sorted((item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid])

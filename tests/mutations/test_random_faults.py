@@ -1,0 +1,165 @@
+"""Random faults: what can go wrong at a place, what tests reach, and whether they see it."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.mutations import judge, random_faults
+from tests.mutations.blocks import blocks, with_probes
+from tests.mutations.faults import ROOT
+from tests.mutations.judge import Judge, asked_for
+from tests.mutations.probe import FOLDER
+from tests.mutations.random_faults import drawn, equivalent, places
+from tests.mutations.random_run import table
+from tests.mutations.reach import Reach, merged, read
+
+CODE = '''"""µ: bytes before the place are more than letters."""
+def kind(n: int = 3, *, loud: bool = True) -> str:
+    """Say what n is."""
+    if n < 0 and loud:
+        raise ValueError(n)
+    for k in range(n, 10):
+        n += k
+    return "even" if n % 2 == 0 else "odd"
+'''
+
+
+@pytest.mark.parametrize(
+    ("code", "faulty"),
+    [
+        ("x = a < b", {"x = (a <= b)", "x = (a > b)"}),
+        ("x = a is None", {"x = (a is not None)"}),
+        ("x = a and b", {"x = (a or b)"}),
+        ("x = a * b", {"x = (a / b)"}),
+        ("x = f(3)", {"x = f((4))"}),
+        ("x = f(a, b)", {"x = (f(b, a))"}),
+        ("x = f(a, a)", set()),
+        ("f(flag=True)", {"f(flag=(False))", "pass"}),
+        ("x = max(x)", {"pass"}),
+        ("x.y = a", {"pass"}),
+        ("while a: f", {"while (not (a)): f"}),
+        ("raise E", {"pass"}),
+        ("def f(n: Literal[1] = a) -> 'tuple[1]': return n", {"def f(n: Literal[1] = a) -> 'tuple[1]': return None"}),
+        ("@dataclass(frozen=True)\nclass A: pass", set()),
+        ("if TYPE_CHECKING: import a", set()),
+        ("__all__ = f(1)", set()),
+        ("x = f'{a + 1}'", set()),
+    ],
+)
+def test_what_can_go_wrong(code: str, faulty: set[str]) -> None:
+    assert {place.put_into(code) for place in places("m.py", code)} == faulty
+
+
+def test_a_fault_changes_its_place_alone_and_the_file_stays_a_program() -> None:
+    found = places("m.py", CODE)
+    assert len(found) == 17
+    for place in found:
+        faulty = place.put_into(CODE)
+        ast.parse(faulty)
+        lines = [n for n, (one, other) in enumerate(zip(CODE.splitlines(), faulty.splitlines()), start=1) if one != other]
+        assert lines == [place.line]
+
+
+def test_blocks_have_names_that_other_functions_do_not_move() -> None:
+    names = [name for name, _ in blocks(ast.parse(CODE))]
+    assert names == ["kind#0", "kind#1", "kind#2"]
+    assert names == [name for name, _ in blocks(ast.parse("def before():\n    return 1\n" + CODE))][1:]
+    assert {place.block for place in places("m.py", CODE)} == {"", "kind#0", "kind#1", "kind#2"}
+
+
+def test_probes_write_what_each_test_reaches_and_change_nothing_else(tmp_path: Path) -> None:
+    numbers: dict[str, int] = {}
+    (tmp_path / "m.py").write_text(with_probes(CODE, lambda block: numbers.setdefault(block, len(numbers))))
+    (tmp_path / "out").mkdir()
+    for test, call in (("t.py::far (call)", "kind(11)"), ("t.py::loop (call)", "kind(8)")):
+        env = {**os.environ, "PYTHONPATH": f"{tmp_path}:{ROOT}", FOLDER: str(tmp_path / "out"), "PYTEST_CURRENT_TEST": test}
+        script = f"import m\nassert m.kind.__doc__\nprint(m.{call}, m.{call})"
+        done = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True, check=True)
+        assert done.stdout == "odd odd\n"
+    written = [file.read_text() for file in (tmp_path / "out").iterdir()]
+    timed = "T\nD0.25 0 1 t.py::far\nD0.25 0 1 t.py::far\nD1.0 1 1 t.py::loop\nD9.0 0 1 t.py::red\nD9.0 0 0 t.py::red\n"
+    reach = read([*written, timed], [*numbers])
+    assert (reach.tests, reach.seconds, reach.realtime) == (["t.py::far", "t.py::loop"], [0.5, 1.0], [False, True])
+    assert reach.by_block == {"kind#0": [0, 1], "kind#2": [1]}
+
+
+def reach_of(*tests: str, by_block: dict[str, list[int]] | None = None, realtime: tuple[int, ...] = ()) -> Reach:
+    return Reach(tests=[*tests], seconds=[1.0] * len(tests), realtime=[n in realtime for n in range(len(tests))],
+                 by_block=by_block or {})  # fmt: skip
+
+
+def test_a_file_that_is_measured_anew_replaces_what_it_reached() -> None:
+    old = reach_of("a.py::one", "b.py::one", "b.py::two", by_block={"m#0": [0, 1], "m#1": [1, 2]})
+    new = reach_of("b.py::two", by_block={"m#0": [0]})
+    both = merged(old, new, ["b.py"])
+    assert both.tests == ["a.py::one", "b.py::two"]
+    assert both.by_block == {"m#0": [0, 1], "m#1": []}
+
+
+def test_the_tests_of_a_fault_are_those_that_reach_it_nearest_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    (place,) = (each for each in places("plants/omni.py", "def f(x):\n    return x\n"))
+    tests = ("tests/far.py::a", "tests/plants/other.py::b", "tests/plants/test_omni.py::c", "tests/plants/other.py::not_reached",
+             "tests/plants/other.py::real", "tests/else.py::never")  # fmt: skip
+    reach = reach_of(*tests, by_block={"plants/omni.py::f#0": [0, 1, 2, 4]}, realtime=(4,))
+    assert asked_for(place, reach) == [tests[n] for n in (2, 1, 0, 4, 3)]
+    monkeypatch.setattr(judge, "BUDGET_S", 2.0)
+    assert asked_for(place, reach) == [tests[2], tests[1]]
+    assert asked_for(place, reach_of(*tests)) == []
+
+
+def test_faults_are_drawn_by_seed_from_every_room_without_those_that_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = ["hil/a/m.py", "hil/b/m.py", "plants/m.py"]
+    for file, copies in zip(files, (1, 1, 20)):
+        (tmp_path / file).parent.mkdir(parents=True)
+        (tmp_path / file).write_text(CODE * copies)
+    chosen = drawn(files, 20, 1, tmp_path)
+    assert chosen == drawn(files, 20, 1, tmp_path) != drawn(files, 20, 2, tmp_path)
+    count = {room: sum(place.room == room for place in chosen) for room in ("hil/a", "hil/b", "plants")}
+    assert count == {"hil/a": 2, "hil/b": 2, "plants": 18}
+    monkeypatch.setattr(random_faults, "equivalent", lambda: {("plants/m.py", "3", "(4)")})
+    assert not any(place.old == "3" and place.room == "plants" for place in drawn(files, 500, 1, tmp_path))
+
+
+def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    (folder / "m.py").write_text(CODE)
+    (folder / "tests").symlink_to(ROOT / "tests")
+    (folder / "test_m.py").write_text(
+        "from m import kind\ndef test_odd(): assert kind(11) == 'odd'\ndef test_even(): assert kind(12) == 'even'\n"
+        "def test_moody(): assert kind(0, loud=False) == 'nothing'\n"
+    )
+    ours = [f"test_m.py::{name}" for name in ("test_odd", "test_even")]
+    judges = Judge(folder, {"test_m.py::test_moody"})
+    by_line = {str(place).partition("  ")[2]: place for place in places("m.py", CODE)}
+    seen, unseen = by_line["n % 2  ->  (n // 2)"], by_line["raise ValueError(n)  ->  pass"]
+    assert judges.killer(seen, ours) == ours[1]
+    assert judges.killer(unseen, ours) is None
+    assert judges.killer(unseen, ["test_m.py::test_moody", *ours]) is None, "what fails without a fault too kills none"
+    assert judges.killer(seen, ["test_m.py::of_yesterday"]) is None
+    monkeypatch.setattr(judge, "LIMITS", {resource.RLIMIT_CPU: 3})
+    stuck = dataclasses.replace(by_line["range(n, 10)  ->  (range(10, n))"], new="iter(lambda: n, None)")
+    assert judges.killer(stuck, ours) == "pytest ends with -9"
+    assert (folder / "m.py").read_text() == CODE
+
+
+def test_the_table_counts_by_room() -> None:
+    one, *others = places("hil/a/m.py", CODE)
+    lines = table([(one, "t.py::far"), *((other, None) for other in others[:3])])
+    assert [line.split() for line in lines[1:]] == [["hil/a", "4", "1", "25%"], ["all", "4", "1", "25%"]]
+
+
+@pytest.mark.parametrize("fault", sorted(equivalent()), ids=lambda fault: f"{fault[0]}: {fault[1]}"[:80])
+def test_a_fault_that_changes_nothing_is_one_that_could_be_drawn(fault: tuple[str, str, str]) -> None:
+    file, old, new = fault
+    assert (old, new) in {place.words for place in places(file, (ROOT / file).read_text())}
