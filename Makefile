@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 2); ech
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures pictures docs clean
+.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures compiled pictures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -106,12 +106,25 @@ bench: $(INSTALLED) ## timing beside cyclictest, round trips of all links
 	$(BIN)/hil bench timing
 	$(BIN)/hil bench links
 
-figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of them: a quarter of an hour, quiet
-	@mkdir -p runs
-	$(BIN)/python -m tests.bench all --json > runs/figures.json
-	@cp runs/figures.json hil/guide/figures.json
-	$(BIN)/python -m tests.bench page hil/guide/figures.json -o hil/guide/figures.md
+# Of both forms of the loop where there is a C compiler; beside the version of `--before` where git has it.
+figures: $(INSTALLED) ## measure every figure of speed, make the guide's page of them: some 20 minutes, quiet
+	@rm -rf runs/bench && mkdir -p runs/bench
+	@if command -v cc >/dev/null; then $(MAKE) --no-print-directory compiled; else rm -rf runs/compiled; fi
+	@if git cat-file -e $(BEFORE) 2>/dev/null; then mkdir runs/bench/before && git archive $(BEFORE) | tar -x -C runs/bench/before && \
+	    $(BIN)/python -m compileall -q runs/bench/before/hil runs/bench/before/plants runs/bench/before/transport runs/bench/before/design; fi
+	$(BIN)/python -m tests.bench all --json $$([ -d runs/compiled ] && echo --compiled runs/compiled) \
+	    $$([ -d runs/bench/before ] && echo --before runs/bench/before) $(BENCH_ARGS) > runs/figures.json
+	@cp runs/figures.json hil/guide/figures-$(CPU_KIND).json
+	$(BIN)/python -m tests.bench page hil/guide/figures-*.json -o hil/guide/figures.md
 	@grep -qx figures hil/guide/index.md || sed -i 's/^performance$$/performance\nfigures/' hil/guide/index.md
+BEFORE := 3aeb887
+CPU_KIND = $(or $(shell sed -n 's/^vendor_id[[:space:]]*: //p' /proc/cpuinfo 2>/dev/null | head -1),$(shell uname -m))
+
+compiled: $(INSTALLED) ## the wheel with the loop compiled, unpacked in runs/compiled: some two minutes of CPU time
+	@rm -rf runs/compiled runs/compiled-wheel && mkdir -p runs
+	@HILRIG_COMPILE=1 $(BIN)/hatchling build -t wheel -d runs/compiled-wheel >runs/compiled.log 2>&1 || { cat runs/compiled.log; exit 1; }
+	@$(BIN)/python -m zipfile -e runs/compiled-wheel/*.whl runs/compiled && $(BIN)/python -m compileall -q runs/compiled
+	@rm -rf runs/compiled-wheel && echo "loop compiled  $(CURDIR)/runs/compiled"
 
 pictures: $(INSTALLED) ## the pictures of the live page in README and guide, by Chromium
 	$(BIN)/python -m tests.pictures hil/guide

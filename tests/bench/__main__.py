@@ -14,6 +14,8 @@ from hil.cli.interrupts import signals_as_exceptions
 from hil.errors import HilError
 from hil.files.outputs import check_output, write_output
 
+FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
+
 
 @click.group()
 def command() -> None:
@@ -32,15 +34,25 @@ def _show(as_json: bool, parts: dict[str, tuple[str, list[dict[str, Any]]]]) -> 
 @command.command(name="all")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this part, several allowed: start, sweeps, real-time, ...")
 @click.option("--quick", is_flag=True, help="Measure smaller things, some seconds a part; nothing is judged.")
+@click.option("--compiled", type=FOLDER, help="The wheel with the compiled loop, unpacked: what loops is measured in both forms.")
+@click.option("--before", type=FOLDER, help="Sources of 3aeb887, beside which a virtual slot is set.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-def everything(only: tuple[str, ...], quick: bool, as_json: bool) -> None:
-    """Every figure with its peer, their ratio, and whether it reaches its goal; takes a quarter of an hour on two quiet CPUs.
+def everything(only: tuple[str, ...], quick: bool, compiled: Path | None, before: Path | None, as_json: bool) -> None:
+    """Every figure with its peer, their ratio, and whether it reaches its goal; takes some 20 minutes on two quiet CPUs.
 
     What a machine lacks (cyclictest, dask) is said in the row that needs it. Ctrl-C prints what was measured until then.
     """
+    from tests.bench.other_code import check_before, check_compiled
     from tests.bench.run_parts import chosen, run_parts
 
-    found, interrupt = run_parts(chosen(only), lambda text: click.echo(text, err=True), quick=quick)
+    parts = chosen(only)
+    if compiled is not None:
+        check_compiled(compiled)
+    if before is not None:
+        check_before(before)
+    found, interrupt = run_parts(
+        parts, lambda text: click.echo(text, err=True), quick=quick, compiled=compiled, before=before
+    )
     if as_json:
         print(json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False))
     else:
@@ -57,8 +69,8 @@ def _show_figures(found: dict[str, Any]) -> None:
     from tests.bench.page import HEADS, cells, machine_line, remark
 
     table = Table(title=machine_line(found))
-    for i, head in enumerate(HEADS):
-        table.add_column(head, justify="right" if 0 < i < 4 else "left")
+    for head in HEADS:
+        table.add_column(head, justify="left" if head in ("what", "goal") else "right")
     part = None
     for row in found["figures"]:
         if part not in (None, row["part"]):
@@ -74,19 +86,23 @@ def _show_figures(found: dict[str, Any]) -> None:
 
 
 @command.command()
-@click.argument("figures", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("figures", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), metavar="PAGE.md", help="File [stdout].")
-def page(figures: Path, output: Path | None) -> None:
-    """Make a page of FIGURES, what `python -m tests.bench all --json` has printed, with the machine and the date: in Markdown."""
-    from tests.bench.page import page_of
+def page(figures: tuple[Path, ...], output: Path | None) -> None:
+    """Make a page of FIGURES, what `python -m tests.bench all --json` has printed on one machine or several: in Markdown."""
+    from tests.bench.page import page_of, section_of
 
     if output is not None:
         check_output(output)
-    try:
-        text = page_of(json.loads(figures.read_text(encoding="utf-8")))
-    except (ValueError, KeyError, TypeError) as error:
-        why = f"{type(error).__name__}: {error}"
-        raise HilError(f"{figures}: not what `python -m tests.bench all --json` prints: {why}") from None
+    machines = []
+    for path in figures:
+        try:
+            machines.append(json.loads(path.read_text(encoding="utf-8")))
+            section_of(machines[-1])
+        except (ValueError, KeyError, TypeError) as error:
+            why = f"{type(error).__name__}: {error}"
+            raise HilError(f"{path}: not what `python -m tests.bench all --json` prints: {why}") from None
+    text = page_of(machines)
     if output is None:
         sys.stdout.write(text)
     else:

@@ -1,6 +1,6 @@
-"""All figures of `python -m tests.bench all`, and the process in which one part of them is measured.
+"""All figures of `python -m tests.bench all`, and the process in which some of them are measured together.
 
-    python -m tests.bench.catalogue PART [--quick]     one JSON object a line, as soon as it is measured
+    python -m tests.bench.catalogue PART 0,1 [--quick]     one JSON object a line, as soon as it is measured
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.runtime.real.machine import die_with_parent
 from tests.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
-from tests.bench.figure import Part, Row, row_of
+from tests.bench.figure import Measure, Part, Row, row_of
 
 PARTS: Final[tuple[Part, ...]] = (
     part_start.PART, part_sweeps.PART, part_real_time.PART, part_logs.PART, part_designs.PART,
@@ -22,22 +22,22 @@ PARTS: Final[tuple[Part, ...]] = (
 """In the order in which they are measured."""
 
 
-def take(part: Part, *, quick: bool) -> Iterator[Row]:
-    """Measure a part, one row per figure; what fails costs the figures that are measured with it, and no others.
+def take(part: Part, measure: Measure, *, quick: bool) -> Iterator[Row]:
+    """Measure some figures of a part, one row each; what fails costs the figures that were not yet measured.
 
     Args:
-        part: what to measure.
+        part: to which they belong.
+        measure: measures them.
         quick: whether something smaller is measured, a few seconds in all.
     """
-    for measure in part.measures:
-        missing, why = {figure.name: figure for figure in measure.figures}, "its peer or itself gave no number"
-        try:
-            for found in measure.take(_tell, quick):
-                yield row_of(part.name, missing.pop(found.name), found, quick=quick)
-        except Exception as error:  # whatever it is, the rest is worth having
-            why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
-        for figure in missing.values():
-            yield row_of(part.name, figure, None, " ".join(why.split()))
+    missing, why = {figure.name: figure for figure in measure.figures}, "its peer or itself gave no number"
+    try:
+        for found in measure.take(_tell, quick):
+            yield row_of(part.name, missing.pop(found.name), found, quick=quick)
+    except Exception as error:  # whatever it is, the rest is worth having
+        why = str(error) if isinstance(error, HilError) else f"{type(error).__name__}: {error}"
+    for figure in missing.values():
+        yield row_of(part.name, figure, None, " ".join(why.split()))
 
 
 def _tell(text: str) -> None:
@@ -45,12 +45,13 @@ def _tell(text: str) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Measure the part that is named."""
+    """Measure what is named."""
     die_with_parent(os.getppid())
-    name, *options = arguments
+    name, numbers, *options = arguments
     (part,) = (each for each in PARTS if each.name == name)
-    for row in take(part, quick="--quick" in options):
-        print(_line(row), flush=True)
+    for number in map(int, numbers.split(",")):
+        for row in take(part, part.measures[number], quick="--quick" in options):
+            print(_line(row), flush=True)
 
 
 def _line(row: dict[str, Any]) -> str:

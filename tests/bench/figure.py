@@ -99,20 +99,22 @@ class Measure:
     Args:
         figures: what is measured.
         take: measures them, small and quickly where its second argument says so.
+        loops: whether slots run in it, so that it is measured compiled, too.
     """
 
     figures: tuple[Figure, ...]
     take: Callable[[Tell, bool], Iterable[Found]]
+    loops: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Some measures that run one after the other, in a process of their own.
+    """Some measures that run one after the other, each in a process of its own.
 
     Args:
         name: by which it is asked for.
         about: what it measures.
-        seconds: about how long it takes on two quiet CPUs.
+        seconds: about how long it takes on two quiet CPUs, in both forms.
         measures: in order.
     """
 
@@ -146,6 +148,25 @@ def row_of(part: str, figure: Figure, found: Found | None, why: str = "", *, qui
         row[key] = None if most is None else most.text(figure.unit)
         row[f"{key}_verdict"] = None if most is None and key == "condition" else _verdict(most, found, why, quick)
     return row
+
+
+NUMBERS: Final = ("ours", "peer", "ratio", "note", "goal_verdict", "condition_verdict")
+"""Of a row: what differs between the two forms of the loop."""
+
+
+def in_both_forms(row: Row, compiled: Row) -> Row:
+    """Return a row of the interpreted loop with the numbers of the compiled one, under `compiled`: they are what is judged."""
+    return row | {"compiled": {key: compiled[key] for key in NUMBERS}}
+
+
+def judged(row: Row) -> Row:
+    """Return the numbers by which a figure is judged: of the compiled loop where it was measured.
+
+    >>> judged({"ours": 2.0, "compiled": {"ours": 1.0}}), judged({"ours": 2.0})
+    ({'ours': 1.0}, {'ours': 2.0})
+    """
+    found: Row = row.get("compiled") or row
+    return found
 
 
 def _verdict(most: AtMost | None, found: Found | None, why: str, quick: bool) -> str:

@@ -6,35 +6,45 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, Final
 
-from tests.bench.figure import Row
+from tests.bench.figure import Row, judged
 
-HEADS: Final = ("what", "ours", "peer", "ratio", "goal")
+HEADS: Final = ("what", "interpreted", "ratio", "compiled", "ratio", "goal")
 WIDTH: Final = 130
 
 TEXT: Final = """\
 Made by `python -m tests.bench page` of what `python -m tests.bench all --json` printed: nothing here is typed. A figure and its
-peer come from the same run, and only ratios of one run mean anything on a machine that others use too. Less is better
-everywhere. A goal is what was aimed at, reached or missed, as a share of the peer: it means the same on any machine. A condition
-is what has to hold on any machine. A ratio of few events, as of late answers, is undecided where its 95 % interval holds what was
-to be reached. `hil guide performance` says how it is done, and what stands in the way of what was missed.
+peer come from the same run, and only ratios of one run mean anything on a machine that others use too: `ratio` is that to the
+peer, which stands below the table. Less is better everywhere. What runs slots is measured interpreted and compiled, one after
+the other, each beside a peer of its own; the compiled form is judged where it was measured, and the interpreted one beside it
+where its verdict is another. A goal is what was aimed at, reached or missed, as a share of the peer: it means the same on any
+machine. A condition is what has to hold on any machine. A ratio of few events, as of late answers, is undecided where its 95 %
+interval holds what was to be reached. `hil guide performance` says how it is done, and what stands in the way of what was
+missed.
 """
 
 
-def page_of(found: dict[str, Any]) -> str:
-    """Return the page.
+def page_of(machines: Sequence[dict[str, Any]]) -> str:
+    """Return the page: one section for each machine.
 
     Args:
-        found: what `tests.bench.run_parts.run_parts` returns.
+        machines: of each what `tests.bench.run_parts.run_parts` returns.
     """
-    lines = ["# Figures", "", TEXT, *_wrapped(f"{machine_line(found)}."), "", *_wrapped(_sum(found["figures"])), ""]
+    lines = ["# Figures", "", TEXT, *(line for found in machines for line in section_of(found))]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def section_of(found: dict[str, Any]) -> list[str]:
+    """Return the lines of one machine."""
+    lines = [f"## {found['machine']['cpu']}", "", *_wrapped(f"{machine_line(found)}."), ""]
+    lines += [*_wrapped(_sum(found["figures"])), ""]
     for part in dict.fromkeys(row["part"] for row in found["figures"]):
         rows = [row for row in found["figures"] if row["part"] == part]
         took = f", measured in {found['seconds'][part]:.0f} s" if part in found["seconds"] else ""
-        lines += [f"## {part}{took}", "", _line(HEADS), _line(["---", "---:", "---:", "---:", "---"])]
+        lines += [f"### {part}{took}", "", _line(HEADS), _line(["---", *["---:"] * 4, "---"])]
         lines += [*(_line(cells(row)) for row in rows), ""]
         lines += [line for row in rows for line in _wrapped(f"- {remark(row)}")]
         lines.append("")
-    return "\n".join(lines).rstrip() + "\n"
+    return lines
 
 
 def machine_line(found: dict[str, Any]) -> str:
@@ -50,27 +60,45 @@ def machine_line(found: dict[str, Any]) -> str:
 def cells(row: Row) -> tuple[str, ...]:
     """Return a row of the table.
 
-    >>> cells({"name": "a", "ours": 3.0, "peer": 4.0, "ratio": 0.75, "unit": "s", "goal": "2 s", "goal_verdict": "missed",
-    ...        "condition": "0.8 times the peer", "condition_verdict": "reached"})
-    ('a', '3 s', '4 s', '0.75', 'missed: 2 s; condition holds: 0.8 times')
+    >>> numbers = {"ours": 3.0, "ratio": 0.75, "goal_verdict": "missed", "condition_verdict": "reached"}
+    >>> whole = {"name": "a", "unit": "s", "goal": "2 times the peer", "condition": "0.8 times the peer", **numbers}
+    >>> cells(whole)
+    ('a', '3 s', '0.75', '', '', 'missed: 2 times; condition holds: 0.8 times')
+    >>> cells(whole | {"compiled": numbers | {"ours": 2.0, "ratio": 0.5, "goal_verdict": "reached"}})[1:]
+    ('3 s', '0.75', '2 s', '0.5', 'reached (interpreted missed): 2 times; condition holds: 0.8 times')
     """
-    judged = []
+    texts = []
     if row["goal"] is not None:
-        judged.append(f"{row['goal_verdict'].partition(':')[0]}: {row['goal']}")
+        texts.append(f"{_both(row, 'goal')}: {row['goal']}")
     if row["condition"] is not None:
-        verdict = row["condition_verdict"].partition(":")[0]
-        judged.append(f"condition {({'reached': 'holds', 'missed': 'fails'}).get(verdict, verdict)}: {row['condition']}")
-    if not judged and row["ours"] is None:
-        judged.append("not measured")
-    numbers = _number(row["ours"], row["unit"]), _number(row["peer"], row["unit"]), _number(row["ratio"], "")
-    return row["name"], *numbers, "; ".join(judged).replace(" the peer", "")
+        texts.append(f"condition {_both(row, 'condition', reached='holds', missed='fails')}: {row['condition']}")
+    if not texts and judged(row)["ours"] is None:
+        texts.append("not measured")
+    compiled = row.get("compiled")
+    second = ("", "") if compiled is None else (_number(compiled["ours"], row["unit"]), _number(compiled["ratio"], ""))
+    numbers = _number(row["ours"], row["unit"]), _number(row["ratio"], "")
+    return row["name"], *numbers, *second, "; ".join(texts).replace(" the peer", "")
+
+
+def _both(row: Row, key: str, **words: str) -> str:
+    """Return the verdict, with that of the interpreted loop where it is another."""
+    verdict, other = (str(of[f"{key}_verdict"]).partition(":")[0] for of in (judged(row), row))
+    verdict, other = words.get(verdict, verdict), words.get(other, other)
+    return verdict if verdict == other else f"{verdict} (interpreted {other})"
 
 
 def remark(row: Row) -> str:
     """Return what stands beside a figure, and what else there is to say of it."""
-    verdicts = (row["goal_verdict"], row["condition_verdict"] or "")
+    text = f"{row['name']}: beside {row['peer_is']}{_said(row, row['unit'])}"
+    return text if row.get("compiled") is None else f"{text}; compiled{_said(row['compiled'], row['unit'])}"
+
+
+def _said(numbers: Row, unit: str) -> str:
+    peer = [] if numbers["peer"] is None else [_number(numbers["peer"], unit)]
+    verdicts = (numbers["goal_verdict"], numbers["condition_verdict"] or "")
     why = next((verdict for verdict in verdicts if verdict.startswith("not measured")), "")
-    return f"{row['name']}: beside {row['peer_is']}" + "".join(f"; {said}" for said in (row["note"], why) if said)
+    said = "; ".join([*peer, *(text for text in (numbers["note"], why) if text)])
+    return f", {said}" if said else ""
 
 
 def _number(value: float | None, unit: str) -> str:
@@ -83,7 +111,7 @@ def _sum(rows: Sequence[Row]) -> str:
     """Say how many goals and conditions were reached."""
     told = []
     for key in ("goal", "condition"):
-        verdicts = [row[f"{key}_verdict"] for row in rows if row[key] is not None]
+        verdicts = [judged(row)[f"{key}_verdict"] for row in rows if row[key] is not None]
         reached, missed = verdicts.count("reached"), verdicts.count("missed")
         open_ = sum(verdict.startswith("undecided") for verdict in verdicts)
         rest = len(verdicts) - reached - missed - open_

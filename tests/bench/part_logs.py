@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from statistics import median
 
+from hil.errors import HilError
+from hil.runtime.real.child import PYTHON
 from tests.bench.engines import bench_log, bench_memory
 from tests.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
+from tests.bench.other_code import BEFORE, OLD, beside
 from tests.bench.processes import HIL, Spent, spent
 
 MOTOR = "dc-motor-hinf"
 PLAIN = "mcap's own writer"
+THEN = f"commit {OLD}, interpreted, in turns"
 
 SLOT = Figure(
     name="virtual slot with its log, CPU time", unit="us", peer=PLAIN, goal=AtMost(ratio=0.48), condition=AtMost(ratio=60 / 104)
@@ -41,6 +48,12 @@ RECOVER_TIME = Figure(
 )
 
 
+AS_BEFORE = Figure(name="virtual slot with its log, CPU time, beside 3aeb887", unit="us", peer=THEN, goal=AtMost(ratio=0.55))
+BARE_AS_BEFORE = Figure(
+    name="virtual slot without a log, CPU time, beside 3aeb887", unit="us", peer=THEN, goal=AtMost(ratio=0.5)
+)
+
+
 def _of_reader(name: str) -> str:
     return f"hil {name} of 10^6 slots, peak memory"
 
@@ -52,6 +65,30 @@ def _slot(tell: Tell, quick: bool) -> Iterator[Found]:
     yield Found(DIFFERENT.name, float(not row["same bytes"]), 1.0)
     yield Found(FULL.name, row["bytes"], row["bytes, --index chunk"])
     yield Found(CHUNK.name, row["bytes, --index chunk"], row["bytes"])
+
+
+def _before(tell: Tell, quick: bool) -> Iterator[Found]:
+    folder = os.environ.get(BEFORE)
+    if folder is None:
+        raise HilError(f"no sources of {OLD} were given: --before FOLDER")
+    turns, slots = (1, 100) if quick else (7, 4000)
+    taken: dict[str, list[tuple[float, float]]] = {"ours": [], "then": []}
+    for turn in range(turns):
+        tell(f"turn {turn + 1} of {turns}: virtual slot, of {OLD} and of today")
+        taken["then"].append(_slot_us("hil.bench.engines", slots, beside(Path(folder))))
+        taken["ours"].append(_slot_us("tests.bench.engines", slots, {}))
+    ours, then = ([median(each) for each in zip(*taken[name])] for name in ("ours", "then"))
+    note = f"{turns} turns of {slots} slots, each in processes of its own"
+    for figure, numbers in zip((AS_BEFORE, BARE_AS_BEFORE), zip(ours, then)):
+        yield Found(figure.name, *numbers, note)
+
+
+def _slot_us(module: str, slots: int, sets: Mapping[str, str]) -> tuple[float, float]:
+    """Return CPU time of a slot in a process of its own, with its log and without, us."""
+    text = f"import json; from {module} import bench_log; print(json.dumps(bench_log(slots={slots}, turns=1)))"
+    said = subprocess.run([*PYTHON, "-c", text], check=True, stdout=subprocess.PIPE, text=True, env=os.environ | sets).stdout
+    (row,) = json.loads(said)
+    return float(row["us"]), float(row["without log us"])
 
 
 def _held(tell: Tell, quick: bool) -> Iterator[Found]:
@@ -96,7 +133,8 @@ def _read(tell: Tell, name: str, command: tuple[str, ...], folder: Path, slots: 
 
 
 PART = Part("logs", "a log in virtual time: a slot of it, a million slots, what reads and mends them", 220.0, (
-    Measure((SLOT, BARE, DIFFERENT, FULL, CHUNK), _slot),
+    Measure((SLOT, BARE, DIFFERENT, FULL, CHUNK), _slot, loops=True),
+    Measure((AS_BEFORE, BARE_AS_BEFORE), _before, loops=True),
     Measure((HELD,), _held),
     Measure((
         RUN_SOME, RUN_MANY, SLOPE, RUN_TIME,

@@ -64,7 +64,7 @@ def _session(tell: Tell, quick: bool) -> Iterator[Found]:
 
 
 PART = Part("start", "start and stop of commands and sessions", 25.0, (
-    Measure((HELP, SLOT, COMPOSING), _start),
+    Measure((HELP, SLOT, COMPOSING), _start, loops=True),
     Measure((CACHED,), _cached),
-    Measure((SESSION,), _session),
+    Measure((SESSION,), _session, loops=True),
 ))  # fmt: skip

@@ -104,8 +104,10 @@ def _report(tell: Tell, quick: bool) -> Iterator[Found]:
 
 
 PART = Part("sweeps", "many runs: in lockstep, 100,000 of them, over dask, in a report", 75.0, (
-    Measure(tuple(Figure(name=_of_sweep(name), unit="us", peer=ALONE, condition=TOGETHER) for name in SWEEPS), _sweeps),
-    Measure((THOUSAND, MANY, MANY_MB), _commands),
+    Measure(
+        tuple(Figure(name=_of_sweep(name), unit="us", peer=ALONE, condition=TOGETHER) for name in SWEEPS), _sweeps, loops=True
+    ),
+    Measure((THOUSAND, MANY, MANY_MB), _commands, loops=True),
     Measure((DASK,), _dask),
-    Measure((REPORT,), _report),
+    Measure((REPORT,), _report, loops=True),
 ))  # fmt: skip

@@ -1,4 +1,7 @@
-"""Parts of the benchmark one after the other, each in a process of its own: none of them can take the others with it."""
+"""Measures one after the other, each in a process of its own: none of them can take the others with it.
+
+What runs slots is measured interpreted and then compiled, where a compiled loop is given.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from pathlib import Path
@@ -18,7 +21,8 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.runtime.real.child import python_module
 from tests.bench.catalogue import PARTS
-from tests.bench.figure import Part, Row, Tell, row_of
+from tests.bench.figure import Part, Row, Tell, in_both_forms, row_of
+from tests.bench.other_code import BEFORE, beside
 
 GRACE_S: Final = 0.4
 
@@ -36,13 +40,17 @@ def chosen(names: Sequence[str]) -> tuple[Part, ...]:
     return tuple(part for part in PARTS if not names or part.name in names)
 
 
-def run_parts(parts: Sequence[Part], tell: Tell, *, quick: bool = False) -> tuple[dict[str, Any], KeyboardInterrupt | None]:
+def run_parts(
+    parts: Sequence[Part], tell: Tell, *, quick: bool = False, compiled: Path | None = None, before: Path | None = None
+) -> tuple[dict[str, Any], KeyboardInterrupt | None]:
     """Measure parts.
 
     Args:
         parts: what is measured.
         tell: told which part runs, and about how long.
         quick: whether something smaller is measured, a few seconds a part.
+        compiled: the wheel with the compiled loop, unpacked.
+        before: sources of the version that a slot is set beside.
 
     Returns:
         `machine`, `date`, `quick`, `seconds` that each part took, and `figures`, one row each, measured or not; and the interrupt
@@ -52,31 +60,52 @@ def run_parts(parts: Sequence[Part], tell: Tell, *, quick: bool = False) -> tupl
     seconds: dict[str, float] = {}
     stop: KeyboardInterrupt | None = None
     for number, part in enumerate(parts, 1):
-        rows: dict[str, Row] = {}
-        why = "interrupted"
         if stop is None:
             left = sum(each.seconds for each in parts[number - 1 :])
             often = "a few seconds" if quick else f"about {_lasts(part.seconds)}, {_lasts(left)} to the end"
             tell(f"{number} of {len(parts)}: {part.name} ({part.about}): {often}")
-            begun = time.perf_counter()
-            try:
-                why = _run(part, rows, quick)
-            except KeyboardInterrupt as interrupt:
-                stop = interrupt
-            seconds[part.name] = round(time.perf_counter() - begun, 1)
-        figures += [rows.get(f.name) or row_of(part.name, f, None, why) for f in part.figures]
+        begun = time.perf_counter()
+        about = {} if before is None else {BEFORE: str(before.resolve())}
+        for numbers in together(part):
+            command = python_module("tests.bench.catalogue", part.name, ",".join(map(str, numbers)), *(["--quick"] * quick))
+            ways = [about]
+            if compiled is not None and part.measures[numbers[0]].loops:
+                ways.append(about | beside(compiled))
+            taken = []
+            for sets in ways:
+                rows: dict[str, Row] = {}
+                why = "interrupted"
+                if stop is None:
+                    try:
+                        why = _run(command, rows, sets)
+                    except KeyboardInterrupt as interrupt:
+                        stop = interrupt
+                wanted = [figure for each in numbers for figure in part.measures[each].figures]
+                taken.append([rows.get(f.name) or row_of(part.name, f, None, why) for f in wanted])
+            figures += taken[0] if len(taken) == 1 else map(in_both_forms, *taken)
+        seconds[part.name] = round(time.perf_counter() - begun, 1)
     return {
         "machine": machine(), "date": date.today().isoformat(), "quick": quick, "seconds": seconds, "figures": figures,
     }, stop  # fmt: skip
 
 
-def _run(part: Part, rows: dict[str, Row], quick: bool) -> str:
-    """Run one part, keep its rows as they come, and return how it ended; an interrupt ends all of its processes."""
+def together(part: Part) -> list[list[int]]:
+    """Return which measures share a process: those without slots, which stand side by side and keep what they have computed."""
+    found: list[list[int]] = []
+    for number, measure in enumerate(part.measures):
+        if found and not measure.loops and not part.measures[number - 1].loops:
+            found[-1].append(number)
+        else:
+            found.append([number])
+    return found
+
+
+def _run(command: Sequence[str], rows: dict[str, Row], sets: Mapping[str, str]) -> str:
+    """Run one measure, keep its rows as they come, and return how it ended; an interrupt ends all of its processes."""
     with tempfile.TemporaryDirectory(prefix="hilrig-bench-", ignore_cleanup_errors=True) as folder:
         own = Path(folder) / "can"  # what a process leaves that is killed goes with the folder
         own.mkdir(mode=0o700)
-        about = {"TMPDIR": folder, "HIL_CAN_DIR": str(own), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        command = python_module("tests.bench.catalogue", part.name, *(["--quick"] if quick else []))
+        about = {"TMPDIR": folder, "HIL_CAN_DIR": str(own), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **sets}
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, text=True, env=os.environ | about, start_new_session=True
         )

@@ -66,6 +66,8 @@ virtual slot without a log, CPU time
 log files that differ from the mcap package's output
 log per slot, --index full (the default)
 log per slot, --index chunk
+virtual slot with its log, CPU time, beside 3aeb887
+virtual slot without a log, CPU time, beside 3aeb887
 held per further slot while a log is written
 hil run of 10^5 slots, peak memory
 hil run of 10^6 slots, peak memory
@@ -106,7 +108,9 @@ def test_every_figure_is_measured_with_its_peer(bench: Bench, tmp_path: Path) ->
     assert status == 0 and "5 of 5: designs" in err
     assert [row["name"] for row in found["figures"]] == FIGURES
     for row in found["figures"]:
-        if "cyclictest" in row["note"]:
+        if row["name"].endswith("3aeb887"):
+            assert "--before" in row["goal_verdict"] and row["ours"] is None
+        elif "cyclictest" in row["note"]:
             assert "apt-get install rt-tests" in row["note"] and row["peer"] is None
         elif row["part"] != "real-time" and "session" not in row["name"]:  # one may fail on a busy machine, and says so
             assert row["ours"] is not None and row["peer"] is not None, row
@@ -160,6 +164,12 @@ def test_an_interrupt_prints_what_was_found_and_leaves_no_process() -> None:
 def test_an_unknown_part_is_named_with_those_that_there_are(bench: Bench) -> None:
     status, _, err = bench("all", "--only", "speed")
     assert status == 2 and "--only: no part 'speed'; expected start, sweeps, real-time, logs, designs" in err
+
+
+@pytest.mark.parametrize("option", ["--compiled", "--before"])
+def test_other_code_is_looked_at_before_anything_is_measured(bench: Bench, tmp_path: Path, option: str) -> None:
+    status, out, err = bench("all", "--quick", "--only", "start", option, tmp_path)
+    assert status == 2 and not out and f"{option} {tmp_path}: expected" in err
 
 
 def test_a_page_is_made_of_figures_alone(bench: Bench, tmp_path: Path) -> None:

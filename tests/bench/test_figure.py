@@ -9,8 +9,9 @@ import pytest
 
 from hil.errors import HilError
 from tests.bench.catalogue import PARTS, take
-from tests.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, row_of
+from tests.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, in_both_forms, row_of
 from tests.bench.page import page_of
+from tests.bench.run_parts import together
 from tests.bench.shares import of_shares, ratio_interval
 
 BOTH = Figure(name="slot", unit="us", peer="plain", goal=AtMost(ours=35.0), condition=AtMost(ratio=0.5))
@@ -66,7 +67,7 @@ def test_few_events_decide_only_what_their_interval_leaves_no_doubt_of(ours: int
     late = Figure(name="late", unit="%", peer="before", condition=AtMost(ratio=0.1299))
     row = row_of("part", late, of_shares("late", (ours, 16_000), (peer, 16_000)))
     assert str(row["condition_verdict"]).partition(":")[0] == verdict
-    assert "1 undecided" in page_of(_about([row])) or verdict != "undecided"
+    assert "1 undecided" in page_of([_about([row])]) or verdict != "undecided"
 
 
 @pytest.mark.slow
@@ -88,10 +89,33 @@ def test_what_fails_costs_its_own_figures_and_no_others() -> None:
 
     whole = Measure((third,), lambda tell, quick: [Found("third", 2.0, 4.0)])
     part = Part("part", "", 1.0, (Measure((first, second), half), whole))
-    rows = {row["name"]: row for row in take(part, quick=False)}
+    rows = {row["name"]: row for measure in part.measures for row in take(part, measure, quick=False)}
     assert [rows[name]["goal_verdict"] for name in ("first", "second", "third")] == [
         "measured", "not measured: no cyclictest here", "measured",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("interpreted", "compiled", "text"),
+    [
+        (60.0, 30.0, "| slot | 60 us | 0.857 | 30 us | 0.429 | reached (interpreted missed): 35 us"),
+        (30.0, 60.0, "| slot | 30 us | 0.429 | 60 us | 0.857 | missed (interpreted reached): 35 us"),
+        (30.0, 20.0, "| slot | 30 us | 0.429 | 20 us | 0.286 | reached: 35 us"),
+        (60.0, None, "| slot | 60 us | 0.857 | - | - | not measured (interpreted missed): 35 us"),
+    ],
+)
+def test_the_compiled_form_is_judged_where_it_was_measured(interpreted: float, compiled: float | None, text: str) -> None:
+    slow = row_of("part", BOTH, Found("slot", interpreted, 70.0))
+    fast = row_of("part", BOTH, None if compiled is None else Found("slot", compiled, 70.0), "no disk")
+    page = page_of([_about([in_both_forms(slow, fast)])])
+    assert text in page
+    assert f"Of 1 goals {int(text.count('| reached'))} are reached" in page
+
+
+def test_what_shares_no_slots_shares_a_process() -> None:
+    parts = {part.name: part for part in PARTS}
+    assert together(parts["designs"]) == [list(range(len(parts["designs"].measures)))]
+    assert [0] in together(parts["logs"]) and parts["logs"].measures[0].loops
 
 
 def test_no_two_figures_share_a_name() -> None:
@@ -104,6 +128,7 @@ def test_no_line_of_a_page_is_wide_whatever_was_found() -> None:
         row_of(part.name, f, found, "it was interrupted " * 20)
         for part in PARTS for f in part.figures for found in (None, Found(f.name, 1234567.0, 1234567.0, "a long note " * 20))
     ]  # fmt: skip
-    text = page_of(_about(worst))
+    worst = [in_both_forms(row, row) for row in worst]
+    text = page_of([_about(worst)])
     assert max(map(len, text.splitlines())) <= 130
-    assert "| hil --help, CPU time | - | - | - | not measured |" in text
+    assert "| hil --help, CPU time | - | - | - | - | not measured |" in text

@@ -36,10 +36,13 @@ def test_a_page_uses_the_words_of_the_glossary(topic: str) -> None:
 def test_the_page_of_figures_is_made_of_what_was_measured() -> None:
     if (page := pages().get("figures")) is None:
         pytest.skip("no figures were measured for the guide: make figures")
-    found = json.loads(page.with_suffix(".json").read_text(encoding="utf-8"))
-    assert page.read_text(encoding="utf-8") == page_of(found)
-    assert not found["quick"]
-    assert [row["name"] for row in found["figures"]] == [figure.name for part in PARTS for figure in part.figures]
+    machines = [json.loads(path.read_text(encoding="utf-8")) for path in sorted(page.parent.glob("figures-*.json"))]
+    assert page.read_text(encoding="utf-8") == page_of(machines)
+    assert not any(found["quick"] for found in machines)
+    names = [figure.name for part in PARTS for figure in part.figures]
+    for found in machines:  # one of an earlier day may lack what came since
+        measured = [row["name"] for row in found["figures"]]
+        assert measured == [name for name in names if name in measured]
 
 
 def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
