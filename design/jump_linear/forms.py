@@ -70,7 +70,9 @@ def power(A: Array, degree: int) -> Array:
     for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
         grown = np.zeros((len(rows.first), len(columns.first)))
         for v in range(A.shape[1]):
-            grown[:, columns.times[v]] += A[rows.first, v][:, None] * R[rows.parent]
+            factors = A[rows.first, v]
+            acting = np.flatnonzero(factors)  # of a delayed packet, which only moves on, one variable acts
+            grown[np.ix_(acting, columns.times[v])] += factors[acting, None] * R[rows.parent[acting]]
         R = grown
     return R
 

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,8 @@ ROUNDING = 1e-12
 """Share of the sizes of a form's terms that their sum may be wrong by."""
 ALL = 1e-9
 """Share by which every direction of the state counts in that sum: a sum that is positive then shows that the loop is stable."""
+SPARSE = 0.1
+"""Share of entries that are not 0, up to which products with them alone are faster."""
 ENDED = 1e-12
 """Share of the sum of all second moments, after which no slot is looked at on its own."""
 
@@ -175,7 +178,7 @@ def leaving(
 
 def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, degree: int, slots: int) -> tuple[Array, Array]:
     """(E u_l(k)^d) in the monomials of y, (K, m, s N, count), and what all pushes add up to, (m,)."""
-    raised, start = np.array([power(a, degree) for a in A]), np.array([power(each, degree) for each in S])
+    turned, start = [_turned(power(a, degree)) for a in A], np.array([power(each, degree) for each in S])
     M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(1, 0, 2)  # (m, N, count)
     of_pushes = [np.array([at(e, degree) for e in column]) for column in pushes.transpose(2, 0, 1)]
     free, total = np.empty((slots, len(M), len(S) * len(A), start.shape[2])), np.zeros(len(M))
@@ -184,8 +187,17 @@ def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, d
         mean = transition @ M
         for z in of_pushes:
             total += _value(mean, z).max(axis=1) ** (1.0 / degree)
-        M = (mean[:, :, None] @ raised)[:, :, 0]
+        M = np.stack([(each @ mean[:, i].T).T for i, each in enumerate(turned)], axis=1)
     return free, total
+
+
+def _turned(raised: Array) -> Any:
+    """A^[degree]', without its zeros where most are: a delayed packet only moves on, so that a row of A has one entry."""
+    if np.count_nonzero(raised) > SPARSE * raised.size:
+        return raised.T.copy()
+    from scipy.sparse import csr_array  # where a command has no limits, it is not needed
+
+    return csr_array(raised.T)
 
 
 def _value(forms: Array, z: Array) -> Array:

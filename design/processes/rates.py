@@ -19,6 +19,7 @@ References: thesis Sections 2.2 and 2.5.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
@@ -83,6 +84,9 @@ class PiecewiseLinearRate:
     _value: FloatArray = field(init=False, repr=False, compare=False)
     _slope: FloatArray = field(init=False, repr=False, compare=False)
     _total: FloatArray = field(init=False, repr=False, compare=False)
+    _begins: tuple[float, ...] = field(init=False, repr=False, compare=False)
+    # begin, value, slope, end
+    _cells: tuple[tuple[float, float, float, float], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         times, values = np.asarray(self.times_s, dtype=float), np.asarray(self.values, dtype=float)
@@ -106,6 +110,9 @@ class PiecewiseLinearRate:
         object.__setattr__(self, "_value", value)
         object.__setattr__(self, "_slope", slope)
         object.__setattr__(self, "_total", np.concatenate([[0.0], np.cumsum(area)]))
+        begins = tuple(start.tolist())
+        object.__setattr__(self, "_begins", begins)
+        object.__setattr__(self, "_cells", tuple(zip(begins, value.tolist(), slope.tolist(), (*begins[1:], math.inf))))
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -153,14 +160,13 @@ class PiecewiseLinearRate:
 
     def bounds(self, start: float, stop: float) -> tuple[float, float]:
         # Ends of every cell that meets [start, stop), each seen from inside its cell (steps).
-        first = max(int(np.searchsorted(self._start, start, side="right")) - 1, 0)
-        behind = max(int(np.searchsorted(self._start, stop, side="left")), first + 1)
+        first = max(bisect_right(self._begins, start) - 1, 0)
+        behind = max(bisect_left(self._begins, stop), first + 1)
         low, high = math.inf, -math.inf
-        for cell in range(first, behind):
-            begin, value, slope = self._start[cell].item(), self._value[cell].item(), self._slope[cell].item()
+        for begin, value, slope, after in self._cells[first:behind]:
             ends = [max(begin, start)]
             if slope != 0.0:
-                ends.append(min(self._start[cell + 1].item() if cell + 1 < self._start.size else math.inf, stop))
+                ends.append(min(after, stop))
             seen = [value + slope * (end - begin) for end in ends]
             low, high = min(low, *seen), max(high, *seen)
         return low, high

@@ -70,8 +70,12 @@ def rates_by_age(process: SemiMarkov, mode: int, period_s: float) -> RatesByAge:
             break
         end *= 2
     end = min(end, CELLS)
-    pairs = [process.bounds(mode, c * period_s, (c + 1) * period_s if c < end else math.inf) for c in range(end + 1)]
-    low, high = np.array([p[0] for p in pairs]), np.array([p[1] for p in pairs])
+    cells = [(c * period_s, (c + 1) * period_s if c < end else math.inf) for c in range(end + 1)]
+    bounds = np.zeros((2, end + 1, process.modes))
+    for j, rate in enumerate(process.rates[mode]):
+        if rate is not None:
+            bounds[:, :, j] = np.transpose([rate.bounds(*cell) for cell in cells])
+    low, high = bounds
     if not np.isfinite(high).all():
         where = int(np.argwhere(~np.isfinite(high))[0][0])
         raise FieldError(f"rates[{mode}]", f"no finite bound from {where * period_s:g} s on; clip it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,9 +18,16 @@ B = np.array([[0.5], [1.0]])
 C = np.array([[1.0, 0.0]])
 
 
-def flow(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    found = StateSpace(A=a, B=b, C=np.eye(len(a))).discretise(dt)
+@lru_cache(maxsize=64)
+def _flow(a: bytes, b: bytes, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    A, B = (np.frombuffer(each).reshape(2, -1) for each in (a, b))
+    found = StateSpace(A=A, B=B, C=np.eye(2)).discretise(dt)
     return found.A, found.B
+
+
+def flow(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(a dt) and the input matrix of a slot of dt s; most slots of a run ask for the same ones."""
+    return _flow(a.tobytes(), b.tobytes(), dt)
 
 
 @dataclass(frozen=True)
