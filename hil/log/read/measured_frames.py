@@ -74,7 +74,9 @@ def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
     """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
     slots, delays, last, ordered = AppendColumn(np.int64), AppendColumn(np.int64), -(1 << 62), True
     for piece in pieces(run.numbers(TIMING.name), TOGETHER):
-        late_us = piece["lateness_us"] + (np.nan_to_num(piece["round_trip_us"]) if topic == CONTROL.name else 0.0)
+        late_us: npt.NDArray[np.float64] = piece["lateness_us"]
+        if topic == CONTROL.name:
+            late_us = late_us + np.nan_to_num(piece["round_trip_us"])
         delays.extend(np.round(late_us * 1e3).astype(np.int64))
         own = piece["tick"].astype(np.int64)
         slots.extend(own)

@@ -74,11 +74,13 @@ def _time_line(frames: npt.NDArray[np.void], found: BusLoad) -> Figure:
     """Return who sent and who waited around the longest wait of a packet of the rig."""
     place = {(each.extended, each.can_id): i for i, each in enumerate(found.messages)}
     shown = frames[max(found.longest - SHOWN, 0) : found.longest + SHOWN]
-    edges = [shown[name] + more for name in ("queued_ns", "start_ns", "end_ns") for more in (0, 1000)]  # less than a bit later
-    grid = np.unique(np.concatenate([edge[edge >= shown["start_ns"][0]] for edge in edges]))
+    edges: list[npt.NDArray[np.int64]] = [shown[name] for name in ("queued_ns", "start_ns", "end_ns")]
+    grid = np.unique(np.concatenate([*edges, *(edge + 1000 for edge in edges)]))  # less than a bit later
+    grid = grid[grid >= shown["start_ns"][0]]
+    extended: npt.NDArray[np.bool_] = (shown["flags"] & EXTENDED).astype(bool)
     series = []
     for key, i in place.items():
-        mine = shown[(shown["can_id"] == key[1]) & ((shown["flags"] & EXTENDED).astype(bool) == key[0])]
+        mine = shown[(shown["can_id"] == key[1]) & (extended == key[0])]
         if len(mine):
             name = found.messages[i].name
             if found.messages[i].node in found.own_nodes:
