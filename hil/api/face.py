@@ -135,10 +135,10 @@ def report(
     Raises:
         HilError: the log cannot be read, or the page or the figures cannot be written.
     """
-    from hil.api.runs_of_folder import report_runs
     from hil.pages.paper import write_figures
     from hil.pages.run.run_page import render_report
     from hil.pages.run.sections import sections_of
+    from hil.pages.runs_page import report_runs
 
     if isinstance(source, Comparison | ParameterSweep):
         return (_report_of_many(source, output, force, {"figures": figures, "folder": folder}),)

@@ -19,8 +19,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, cast
 
-from hil.bench import plain_socket, plain_zenoh
 from hil.bench.pair import Pair, open_pair
+from hil.bench.plain_links import UNIX, ZENOH, PlainSocket, PlainZenoh
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time
@@ -30,17 +30,15 @@ from transport.links.traits import LinkTraits, scheme_of, traits_of, without_opt
 
 LINKS: Final = (
     "can:hil:bench-{pid}",
-    plain_socket.SCHEME + ":{folder}/bare",
+    UNIX + ":{folder}/bare",
     "can:udp_multicast:239.74.163.2?port={port}",
     "zenoh:tcp/127.0.0.1:{port}",
     "zenoh:unixsock-stream/{folder}/bench",
-    plain_zenoh.SCHEME + ":unixsock-stream/{folder}/plain",
+    ZENOH + ":unixsock-stream/{folder}/plain",
 )
 """What is measured by default; bare sockets, python-can's own interface and the plainest use of zenoh beside ours."""
 
-_PEERS: Final[dict[str, Callable[[str, Role], Link]]] = {
-    plain_socket.SCHEME: plain_socket.PlainSocket, plain_zenoh.SCHEME: plain_zenoh.PlainZenoh,
-}  # fmt: skip
+_PEERS: Final[dict[str, Callable[[str, Role], Link]]] = {UNIX: PlainSocket, ZENOH: PlainZenoh}
 
 _PINNED: Final = LinkTraits(commanders="")  # where both ends run is said by the benchmark, not by their link
 

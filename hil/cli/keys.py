@@ -33,7 +33,7 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 def renew(folder: Path, days: int) -> None:
     """Make new certificates for the keys in FOLDER, which `hil keys new` made; it must hold ca.key. No private key changes."""
     from hil.cli.terminal import visible
-    from hil.files.authority import renew_certificates
+    from hil.files.keys import renew_certificates
 
     for path in renew_certificates(folder, days):
         print(visible(str(path)))
@@ -47,7 +47,7 @@ def renew(folder: Path, days: int) -> None:
 def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
     """Make a private key and a certificate called NAME in FOLDER, which `hil keys new` made; it must hold ca.key."""
     from hil.cli.terminal import visible
-    from hil.files.authority import issue_certificate
+    from hil.files.keys import issue_certificate
 
     for path in issue_certificate(folder, name, hosts, days):
         print(visible(str(path)))
@@ -60,7 +60,7 @@ def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
 def revoke(folder: Path, names: tuple[str, ...]) -> None:
     """Let NAMES in no more: a list in FOLDER, which both ends need beside their ca.pem. Links that are open stay open."""
     from hil.cli.terminal import visible
-    from hil.files.authority import revoke_names
+    from hil.files.keys import revoke_names
 
     print(visible(str(revoke_names(folder, names))))
 

@@ -1,22 +1,138 @@
-"""What a finished run leaves behind: its summary, its log, and both in a notebook."""
+"""What a finished run leaves behind: its summary and its log, shown in a notebook and in a paper."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.log.read.arrays import StructuredArray
+from hil.log.records import TIME_FIELD
 from hil.log.run import Run
-from hil.measure.measure import Named, measures_of, quantities_of
+from hil.measure.measure import Named, Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
+from hil.notebook import as_svg, drawn
 
 if TYPE_CHECKING:
     import pandas
     import xarray
     from matplotlib.figure import Figure
+
+
+TILES = 6
+
+
+def tables(run: Run) -> dict[str, pandas.DataFrame]:
+    """Return a `pandas.DataFrame` per topic, with the session time in s as its index and the units in ``attrs``.
+
+    Raises:
+        HilError: if pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise HilError("to_pandas: pandas is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
+        frame = pandas.DataFrame(columns, index=pandas.Index(seconds(array), name="t_s"))
+        frame.attrs["units"] = _units(run, topic)
+        found[topic] = frame
+    return found
+
+
+def datasets(run: Run) -> dict[str, xarray.Dataset]:
+    """Return an `xarray.Dataset` per topic over the coordinate ``t_s``, in s, with the unit of every variable.
+
+    Raises:
+        HilError: if xarray is not installed.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
+    found = {}
+    for topic, array in run.arrays.items():
+        units = _units(run, topic)
+        variables = {
+            name: ("t_s", array[name], {"units": units.get(name, "")})
+            for name in array.dtype.names or () if name != TIME_FIELD
+        }  # fmt: skip
+        found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
+    return found
+
+
+def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+    """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
+
+    Args:
+        run: a log that was read, or a run in memory.
+        path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
+        width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+
+    Raises:
+        HilError: if matplotlib is not installed, or for another ending.
+    """
+    return drawn(partial(_paint, run), path, width_mm, height_mm)
+
+
+def _paint(run: Run, sheet: Figure) -> None:
+    view = view_of(run)
+    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
+    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
+    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+    for axis, name in zip(rows, outputs):
+        if reference is not None:
+            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+        axis.set_ylabel(_label(name, view.signals.outputs[name]))
+        axis.legend(frameon=False)
+    if applied is not None:
+        inputs = signal_names(run, APPLIED)
+        for number, name in enumerate(inputs):
+            axis = rows[-1]
+            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+        rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        if len(inputs) > 1:
+            rows[-1].legend(frameon=False)
+    rows[-1].set_xlabel("time (s)")
+
+
+def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quantity] = ()) -> str:
+    """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
+
+    Args:
+        run: what ran.
+        summary: its summary.
+        line: the session in one line.
+        quantities: what the numbers are, with the titles that the page of the run has.
+    """
+    known = {quantity.name: quantity for quantity in quantities}
+    units = summary.get("units", {})
+    found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
+    plain = {name: Quantity(name=name, title=name, unit=units.get(name, "")) for name, _ in found}
+    tiles = "".join(
+        '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
+        f'<div style="font-size:80%;opacity:.7">{escape(of.title)}</div><b>{value:.5g}</b> {escape(of.unit)}</div>'
+        for of, value in ((known.get(name, plain[name]), value) for name, value in found)
+    )
+    svg = as_svg(partial(_paint, run))
+    return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
+
+
+def _units(run: Run, topic: str) -> dict[str, str]:
+    schema = run.schemas.get(topic)
+    return {f.name: f.unit for f in schema.fields} if schema is not None else {}
+
+
+def _label(name: str, unit: str) -> str:
+    return f"{name} ({unit})" if unit else name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -53,25 +169,25 @@ class Session:
         return self.run.arrays
 
     def to_pandas(self) -> dict[str, pandas.DataFrame]:
-        """Return the arrays as tables of pandas; see `hil.session.shown.tables`."""
-        from hil.session.shown import tables
+        """Return the arrays as tables of pandas; see `hil.session.finished.tables`."""
+        from hil.session.finished import tables
 
         return tables(self.run)
 
     def to_xarray(self) -> dict[str, xarray.Dataset]:
-        """Return the arrays as data sets of xarray; see `hil.session.shown.datasets`."""
-        from hil.session.shown import datasets
+        """Return the arrays as data sets of xarray; see `hil.session.finished.datasets`."""
+        from hil.session.finished import datasets
 
         return datasets(self.run)
 
     def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
         """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `shown.figure`."""
-        from hil.session.shown import figure
+        from hil.session.finished import figure
 
         return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
 
     def _repr_html_(self) -> str:
-        from hil.session.shown import cell
+        from hil.session.finished import cell
 
         of = self.experiment
         quantities = () if of is None else quantities_of(measures_of(of), signals_of(of.plant))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import StopRule
 from design.monte_carlo.parallel_runs import Workers, spread
-from hil.compose.fourth_moments import caution
+from hil.compose.judged import caution
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment

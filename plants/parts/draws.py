@@ -14,8 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from plants.parts.exponential import log1p
-from plants.parts.exponential_many import log1p_many
+from plants.parts.exponential import log1p, log1p_many
 from plants.parts.linear import Matrix
 
 BLOCK: Final = 512

@@ -6,7 +6,8 @@ fix:
 
 - `zero_order_hold`: the exact discretisation, in 256-bit fixed point, rounded once at the end (for steps that recur);
 - `drift`: the same for one step of odd length, as a Taylor series in floats (for the pieces between random events);
-- `phi`, `exp`, `log1p`: scalar functions; one exponential segment of a friction model needs the first and the last.
+- `phi`, `exp`, `log1p`: scalar functions; one exponential segment of a friction model needs the first and the last;
+- `phi_many`, `log1p_many`: these two for many numbers at once, each with the bits of the scalar function.
 """
 
 from __future__ import annotations
@@ -15,8 +16,12 @@ import math
 from collections.abc import Sequence
 from functools import lru_cache
 
+import numpy as np
+import numpy.typing as npt
+
 from plants.errors import PlantError
 
+Array = npt.NDArray[np.float64]
 Rows = tuple[tuple[float, ...], ...]
 
 _BITS = 256  # of the fraction; each of at most 20 doublings may cost one or two of them
@@ -212,3 +217,49 @@ def log1p(z: float) -> float:
     for k in (21, 19, 17, 15, 13, 11, 9, 7, 5, 3):  # |s| <= 0.18: s^22/23 is below 1e-17
         series = (series + 1.0 / k) * q
     return exponent * LN2 + 2.0 * s * (1.0 + series)
+
+
+def phi_many(x: Array) -> tuple[Array, Array]:
+    """Return what `phi` gives for every x, (N,); NaN where it raises.
+
+    >>> phi_many(np.array([0.0]))
+    (array([1.]), array([0.5]))
+    """
+    halvings = np.zeros(x.shape, dtype=np.intp)
+    large = ~((x >= -0.5) & (x <= 0.5))
+    while large.any():
+        x = np.where(large, x * 0.5, x)
+        halvings += large
+        x = np.where(halvings > MOST_HALVINGS, np.nan, x)
+        large = ~((x >= -0.5) & (x <= 0.5)) & (halvings <= MOST_HALVINGS)
+    p2 = np.ones_like(x)
+    for k in range(15, 2, -1):
+        p2 = 1.0 + x * p2 / k
+    p2 *= 0.5
+    p1 = 1.0 + x * p2
+    e = 1.0 + x * p1
+    for done in range(int(halvings.max(initial=0))):
+        more = halvings > done
+        p2 = np.where(more, (p1 * p1 + 2.0 * p2) * 0.25, p2)
+        p1 = np.where(more, p1 * (1.0 + e) * 0.5, p1)
+        e = np.where(more, e * e, e)
+    return p1, p2
+
+
+def log1p_many(z: Array) -> Array:
+    """Return what `log1p` gives for every z > -1, (N,).
+
+    >>> log1p_many(np.array([0.0]))
+    array([0.])
+    """
+    mantissa, exponent = np.frexp(1.0 + z)
+    low = mantissa < 0.7071067811865476
+    reduced = np.where(low, mantissa * 2.0, mantissa) - 1.0
+    near = (z >= -0.3) & (z <= 0.42)
+    s = np.where(near, z, reduced)
+    s = s / (2.0 + s)
+    q = s * s
+    series = np.zeros_like(s)
+    for k in range(21, 2, -2):
+        series = (series + 1.0 / k) * q
+    return np.asarray(np.where(near, 0, exponent - low) * LN2 + 2.0 * s * (1.0 + series))

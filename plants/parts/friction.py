@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.exponential import log1p, phi
-from plants.parts.exponential_many import log1p_many, phi_many
+from plants.parts.exponential import log1p, log1p_many, phi, phi_many
 from plants.parts.linear import NS_PER_S, Matrix
 from plants.parts.validation import require_not_negative
 

@@ -32,7 +32,7 @@ from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
 from hil.log.events import decode_event, encode_event
 from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
-from hil.measure.axis_record import read_signal_table
+from hil.measure.identification_records import read_signal_table
 from hil.pages.live.script import read_script
 from hil.rig.traffic_file import read_traffic
 from hil.sweeps.points import grid, latin_hypercube

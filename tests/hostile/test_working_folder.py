@@ -38,7 +38,7 @@ def test_mine(hil):
 
 PLOT = """
 from hil.log.read.run import read_run
-from hil.session.shown import figure
+from hil.session.finished import figure
 figure(read_run("a.mcap"), "figures/a.svg")
 """
 

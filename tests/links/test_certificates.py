@@ -14,8 +14,7 @@ from click.testing import CliRunner
 
 from hil.cli import doctor, keys
 from hil.errors import HilError
-from hil.files.authority import renew_certificates
-from hil.files.keys import make_keys
+from hil.files.keys import make_keys, renew_certificates
 from tests.ports import free_port
 from transport import TransportError, open_link
 from transport.links.certificates import check_certificate
@@ -48,7 +47,7 @@ def test_what_the_other_end_would_refuse_says_why(folder: Path, tmp_path: Path, 
 
 def expire(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the certificates in a folder as if three days ago; they are good for two."""
-    import hil.files.authority as renewal
+    import hil.files.keys as renewal
 
     class Earlier(datetime):
         @classmethod

@@ -10,8 +10,7 @@ from click.testing import CliRunner
 
 from hil.cli import doctor, keys
 from hil.errors import HilError
-from hil.files.authority import issue_certificate, renew_certificates, revoke_names
-from hil.files.keys import make_keys
+from hil.files.keys import issue_certificate, make_keys, renew_certificates, revoke_names
 from tests.links.test_zenoh_access import both_directions_work, speak, stranger, tls_entries
 from tests.links.test_zenoh_refusals import rig_of
 from tests.ports import free_port

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from hil.vcan import RunnerError, Wanted, kernel, runner
+from hil import vcan
+from hil.vcan import RunnerError, Wanted, kernel
 from tests.waiting import LIMIT_S
 
 # A stand-in for the build, of which only the time it takes is left out; it notes that it ran.
@@ -97,17 +98,17 @@ def test_killed_build_leaves_no_kernel_and_no_process_and_the_next_one_succeeds(
 def test_what_a_killed_build_left_is_removed_by_the_next_run_of_any_kind(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = place / "cache" / "hilrig"
     monkeypatch.setenv("HILRIG_KERNEL_CACHE", str(place / "cache"))
-    monkeypatch.setattr(runner, "ways", lambda wanted: [("native", lambda wanted: ["true"])])
+    monkeypatch.setattr(vcan, "ways", lambda wanted: [("native", lambda wanted: ["true"])])
     (cache / "hold").touch()
     building = builder(place)
     wait_for(cache / "builds")
-    runner.start(Wanted(command=("true",)))
+    vcan.start(Wanted(command=("true",)))
     assert (cache / "build").exists(), "a build that runs is left alone"
     building.kill()
     building.communicate(timeout=LIMIT_S)
     limit = time.monotonic() + LIMIT_S
     while (cache / "build").exists() and time.monotonic() < limit:  # until the last of its processes has let the lock go
-        runner.start(Wanted(command=("true",)))
+        vcan.start(Wanted(command=("true",)))
     assert not (cache / "build").exists()
 
 

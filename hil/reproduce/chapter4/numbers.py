@@ -29,8 +29,7 @@ from design.semi_markov_loop.period_moments import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter4.figures import Ensemble, averages, detection_fault, lifetimes, ratios, single_runs, text_rule
-from hil.reproduce.chapter4.quadratic_constraint import CONSTRAINTS, constraints
-from hil.reproduce.chapter4.sensor_fault import SENSOR_FAULT, sensor_fault
+from hil.reproduce.chapter4.further import CONSTRAINTS, SENSOR_FAULT, constraints, sensor_fault
 from hil.reproduce.noisy_runs import NoisyRuns, fault_runs
 from hil.reproduce.statements import Statement, above, below, exactly, run, says
 

@@ -6,15 +6,13 @@ from typing import Any
 
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter7.designs import DESIGNS, INFORMED, designs, gain_bounds, information
-from hil.reproduce.chapter7.estimated_delay import ESTIMATED, estimated_delay
 from hil.reproduce.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
+from hil.reproduce.chapter7.further import ESTIMATED, STAYS, UNCERTAIN, estimated_delay, stays, uncertain
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
-from hil.reproduce.chapter7.stays import STAYS, stays
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
 from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
-from hil.reproduce.chapter7.uncertain import UNCERTAIN, uncertain
 
 
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:

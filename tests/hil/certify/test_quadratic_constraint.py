@@ -12,7 +12,7 @@ from design.requests.scheduled import QuadraticConstraint, Scheduled
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.reproduce.chapter4.quadratic_constraint import CONSTRAINTS, constraints
+from hil.reproduce.chapter4.further import CONSTRAINTS, constraints
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
 

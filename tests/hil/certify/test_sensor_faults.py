@@ -21,7 +21,7 @@ from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import _with_seen_sensors, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
-from hil.reproduce.chapter4.sensor_fault import GAIN_BOUND, SENSOR_FAULT, sensor_fault
+from hil.reproduce.chapter4.further import GAIN_BOUND, SENSOR_FAULT, sensor_fault
 from hil.reproduce.statements import judge
 from plants import DelayedVTOL, FaultyVTOL, check_plant
 from tests.hil.reproduce.judging import assert_every_number_decides

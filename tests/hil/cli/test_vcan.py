@@ -12,7 +12,8 @@ from typing import Any, Never
 
 import pytest
 
-from hil.vcan import RunnerError, Wanted, kernel, native, runner, supervise, uml, what_would_run
+from hil import vcan
+from hil.vcan import RunnerError, Wanted, kernel, native, supervise, uml, what_would_run
 from hil.vcan.kernel import Kernel
 from tests.hil.cli.conftest import Hil
 
@@ -76,7 +77,7 @@ def test_a_kernel_with_vcan_gives_the_command_a_network_of_its_own(monkeypatch: 
     monkeypatch.setattr(socket, "socket", Can)
     monkeypatch.setattr(native, "works", lambda argv: True)
     monkeypatch.setattr(supervise, "works", lambda argv: True)
-    argv = runner.start(Wanted(command=("candump", "vcan0")))
+    argv = vcan.start(Wanted(command=("candump", "vcan0")))
     assert argv[0] == "unshare" and {"--net", "--pid", "--mount"} < set(argv) and argv[-2:] == ["candump", "vcan0"]
     assert "ip link add dev vcan0 type vcan" in argv[-4]
     assert what_would_run() == (True, "this kernel's own vcan", "")
@@ -85,7 +86,7 @@ def test_a_kernel_with_vcan_gives_the_command_a_network_of_its_own(monkeypatch: 
 def test_where_namespaces_are_refused_the_vcan0_that_is_there_must_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Can)
     monkeypatch.setattr(supervise, "works", lambda argv: False)
-    assert runner.start(PLAIN) == ["env", "VCAN_BACKEND=native", "true"]
+    assert vcan.start(PLAIN) == ["env", "VCAN_BACKEND=native", "true"]
     monkeypatch.setattr(Can, "bind", NoCan.__init__)
     with pytest.raises(RunnerError, match="refuses new net, pid, mount namespaces"):
         native.argv(PLAIN)

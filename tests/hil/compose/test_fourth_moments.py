@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hil
-from hil.compose.fourth_moments import caution, fourth_moments_of
+from hil.compose.judged import caution, fourth_moments_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 

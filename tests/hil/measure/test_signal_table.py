@@ -11,7 +11,7 @@ import pytest
 
 from hil.errors import HilError
 from hil.files import csv_columns
-from hil.measure.axis_record import read_signal_table
+from hil.measure.identification_records import read_signal_table
 
 
 def test_a_table_with_units_a_gap_and_an_empty_entry_is_read(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.reproduce.chapter7.estimated_delay import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
+from hil.reproduce.chapter7.further import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
 from hil.reproduce.chapter7.models import NETWORK, motor
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.reproduce.chapter7.uncertain import UNCERTAIN, uncertain
+from hil.reproduce.chapter7.further import UNCERTAIN, uncertain
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plants.parts.exponential import log1p, phi
-from plants.parts.exponential_many import log1p_many, phi_many
+from plants.parts.exponential import log1p, log1p_many, phi, phi_many
 from plants.parts.friction import Friction, RubbingAxes, RubbingAxis
 
 GAIN, POLE, RUNS = 172.38, 3.5287, 1500

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.compose.fourth_moments import caution
+from hil.compose.judged import caution
 from hil.measure.followed import target_of
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import with_unit
