@@ -17,6 +17,8 @@ applied    d_k                            what the actuator knows when it applie
 previous   d_{g-1}                        Zhang and Shi [53]
 both       d_g (d_max + 1) + d_k          all of it
 ========== ============================== =================================================
+
+With S `row_sojourns`, ``applied`` is row d_k S + min(h_k, S) - 1, where h_k is for how many slots the actuator has measured d_k.
 """
 
 from __future__ import annotations
@@ -30,19 +32,27 @@ from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.controllers.sensor_nodes import SensorNodes, Uses, one_node
+from design.errors import FieldError
 
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]
 Gains = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [tau][row][m][p]
 
 
-def row_count(selection: Selection | str, d_max: int) -> int:
+def row_count(selection: Selection | str, d_max: int, row_sojourns: int = 1) -> int:
     """Return how many rows a send-all packet carries.
+
+    Args:
+        selection: how the actuator picks one.
+        d_max: largest delay.
+        row_sojourns: ``applied``: lengths of stay at d that have a row each.
 
     >>> [row_count(s, 1) for s in ("constant", "generated", "applied", "previous", "both")]
     [1, 2, 2, 2, 4]
+    >>> row_count("applied", 1, 3)
+    6
     """
-    return {"constant": 1, "both": (d_max + 1) ** 2}.get(selection, d_max + 1)
+    return {"constant": 1, "both": (d_max + 1) ** 2, "applied": (d_max + 1) * row_sojourns}.get(selection, d_max + 1)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,6 +236,14 @@ class SojournDependent(Protocol):
 
 
 @runtime_checkable
+class RowsOfStays(Protocol):
+    """A controller whose packets have a row for every d and for how long it has lasted, by the rule ``applied``."""
+
+    row_sojourns: int
+    """Lengths of stay at d that have a row each, the last for all longer ones; 1: one row for every d."""
+
+
+@runtime_checkable
 class TellsAges(Protocol):
     """A table of gains that distinguishes the ages of several sensor nodes."""
 
@@ -251,3 +269,26 @@ def integrates(controller: object) -> bool:
 def sojourns_told(controller: object) -> int | Sequence[int]:
     """Return which lengths of stay the controller distinguishes, see `SojournDependent`; none: an empty tuple."""
     return controller.sojourns if isinstance(controller, SojournDependent) else ()
+
+
+def check_row_sojourns(row_sojourns: int, rule: str, field: str) -> None:
+    """Refuse lengths of stay at d that no rule of rows distinguishes.
+
+    Args:
+        row_sojourns: lengths of stay.
+        rule: row rule, or information pattern.
+        field: of the rule.
+
+    Raises:
+        FieldError: fewer than 1, or several with another rule than ``applied``.
+    """
+    if row_sojourns < 1:
+        raise FieldError("row_sojourns", f"{row_sojourns}, expected at least 1")
+    if row_sojourns > 1 and rule != "applied":
+        said = f"{row_sojourns}, but {field} is {rule!r}; it needs 'applied', as the actuator counts the stay"
+        raise FieldError("row_sojourns", said)
+
+
+def row_sojourns_told(controller: object) -> int:
+    """Return how many lengths of stay at d have a row each, see `RowsOfStays`; 1 of a controller that has one for every d."""
+    return int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1

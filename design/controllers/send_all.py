@@ -21,6 +21,7 @@ from design.controllers.contract import (
     Rows,
     RunningController,
     Selection,
+    check_row_sojourns,
     row_count,
 )
 from design.controllers.gain_rows import GainRows, NodeGainRows
@@ -63,6 +64,8 @@ class SendAll:
         samples: samples per packet: the gains have p columns for y(k - tau), then p for y(k - tau - 1), and so on.
         ages: several sensor nodes: how many ages 0, 1, ... of each node have tables of their own, those of the last node first
             (as digits count); by default a table belongs to the oldest of the nodes' ages.
+        row_sojourns: how many rows belong to every d, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
+            semi-Markov delays: [tau][d row_sojourns + slots - 1][m][p], for ``selection = "applied"``.
     """
 
     kind: ClassVar[str] = "send-all"
@@ -73,10 +76,12 @@ class SendAll:
     sojourns: tuple[int, ...] = ()
     samples: int = 1
     ages: tuple[int, ...] = ()
+    row_sojourns: int = 1
 
     def __post_init__(self) -> None:
         if self.samples < 1:
             raise FieldError("samples", f"{self.samples}, expected at least 1")
+        check_row_sojourns(self.row_sojourns, self.selection, "selection")
         if self.ages and (min(self.ages) < 1 or prod(self.ages) != len(self.gains)):
             raise FieldError("ages", f"{list(self.ages)}, expected counts whose product is {len(self.gains)}, one per table")
         if self.ages and self.sojourns:
@@ -93,13 +98,14 @@ class SendAll:
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         K = np.asarray(self.gains, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
-        rows = row_count(self.selection, model.d_max)
+        rows = row_count(self.selection, model.d_max, self.row_sojourns)
         width = p * (self.samples + self.integral)
         if K.shape[1:] != (rows, m, width):
             raise FieldError(
                 "gains",
                 f"shape {list(K.shape)} does not fit the loop; expected [tau][{rows}][{m}][{width}] "
-                f"for selection {self.selection!r} with d up to {model.d_max}, the max_age of network.ca",
+                f"for selection {self.selection!r} with d up to {model.d_max}, the max_age of network.ca"
+                + (f", and {self.row_sojourns} row_sojourns" if self.row_sojourns > 1 else ""),
             )
         if self.ages:
             count = len(model.nodes.names)
@@ -113,7 +119,7 @@ class SendAll:
         running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
         if len(self.ages) < 2:  # of one node, the age is tau itself
             return running
-        return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max))
+        return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max, self.row_sojourns))
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows | NodeGainRowsOfMany | None:
         """Return so many of them, ready for slot 0; None over several nodes of which one may keep silent."""

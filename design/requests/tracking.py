@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from design.controllers import LoopModel, OutputFeedback, SendAll, nested
+from design.controllers import LoopModel, OutputFeedback, SendAll, check_row_sojourns, nested
 from design.errors import FieldError
 
 if TYPE_CHECKING:
@@ -96,6 +96,8 @@ class Designed:
         samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: lengths of stay at the measured delay that the gain distinguishes, in slots; 1: none.
+        row_sojourns: over semi-Markov delays: lengths of stay at d that the gain distinguishes, in slots; the packet has a row
+            for each; needs ``information = "applied"``; 1: none.
         node_ages: several sensor nodes: the gain depends on the age of ``each`` node's newest sample, or on the ``oldest`` age.
         file: a design saved by ``hil design -o``, relative to the experiment: its gains run, and the problem beside them is
             the request, in the place of all the fields above; where it is another than the loop's, it is solved again.
@@ -111,6 +113,7 @@ class Designed:
     samples: Literal[1, 2] = 1
     design_seed: int = 0
     sojourns: int = 1
+    row_sojourns: int = 1
     output_weights: tuple[float, ...] = ()
     node_ages: Literal["each", "oldest"] = "each"
     file: str = ""
@@ -121,6 +124,7 @@ class Designed:
                 raise FieldError(f"output_weights[{i}]", f"{weight:g}, expected a finite number, at least 0")
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
+        check_row_sojourns(self.row_sojourns, self.information, "information")
 
     @property
     def gains_given(self) -> bool:
@@ -146,7 +150,7 @@ class Designed:
             read = self._read(task)
             return _covering(task, SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
-                sojourns=read.sojourns, samples=read.samples,
+                sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns,
             ))  # fmt: skip
         if sc is None or ca is None:
             raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
@@ -168,11 +172,11 @@ class Designed:
             integral=self.integral, samples=self.samples, seed=self.design_seed,
         )  # fmt: skip
         design = solve_cached(problem)
-        gains = nested(np.asarray(design.gains))
+        gains = nested(_rows(design.gains, ca, self.row_sojourns))
         sojourns = sc.sojourns if self.sojourns > 1 else ()
         return _covering(task, SendAll(
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
-            ages=ages,
+            ages=ages, row_sojourns=self.row_sojourns,
         ))  # fmt: skip
 
     def unfit(self, task: DesignTask) -> str:
@@ -210,14 +214,21 @@ class Designed:
             raise FieldError("file", f"robust gains are for their own loop ({what}); design them with hil design --robust anew")
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
         return _covering(task, SendAll(
-            gains=nested(np.asarray(design.gains)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
-            sojourns=read.sojourns, samples=read.samples,
+            gains=nested(_rows(design.gains, ca, read.row_sojourns)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
+            sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns,
         ))  # fmt: skip
 
     def _read(self, task: DesignTask) -> DesignFile:
         from design.tracking.design_file import load_design
 
         return load_design(Path(task.folder) / self.file)
+
+
+def _rows(gains: NDArray[np.float64], ca: DelayChain, stays: int) -> NDArray[np.float64]:
+    """Return the gains of a design with a row for every delay, and for how long it has lasted where they depend on that."""
+    from design.tracking.row_sojourns import with_every_row
+
+    return np.asarray(gains) if stays == 1 else with_every_row(np.asarray(gains), ca, stays)
 
 
 def _covering(task: DesignTask, found: SendAll) -> SendAll:
@@ -227,8 +238,8 @@ def _covering(task: DesignTask, found: SendAll) -> SendAll:
     """
     model, sc, ca = task.model, task.sc, task.ca
     K = np.asarray(found.gains, dtype=float)
-    per_delay = found.selection != "constant"
-    delays = isqrt(K.shape[1]) if found.selection == "both" else K.shape[1]
+    per_delay, stays = found.selection != "constant", found.row_sojourns
+    delays = isqrt(K.shape[1]) if found.selection == "both" else K.shape[1] // stays
     if sc is None or ca is None or (per_delay and delays <= ca.max_delay):  # too few rows for what comes: the loop refuses it
         return found
     more = max(0, model.d_max + 1 - delays) if per_delay else 0
@@ -236,7 +247,7 @@ def _covering(task: DesignTask, found: SendAll) -> SendAll:
         pairs = K.reshape(len(K), delays, delays, *K.shape[2:])
         K = np.pad(pairs, [(0, 0), (0, more), (0, more), (0, 0), (0, 0)], mode="edge").reshape(len(K), -1, *K.shape[2:])
     elif more:
-        K = np.pad(K, [(0, 0), (0, more), (0, 0), (0, 0)], mode="edge")
+        K = np.pad(K, [(0, 0), (0, more * stays), (0, 0), (0, 0)], mode="edge")
     if not found.sojourns and not found.ages and int(sc.label.max()) < len(K):
         K = np.pad(K, [(0, max(0, model.tau_max + 1 - len(K))), (0, 0), (0, 0), (0, 0)], mode="edge")
     return replace(found, gains=nested(K))

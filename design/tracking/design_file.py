@@ -21,6 +21,7 @@ from design.errors import DesignError, FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
 from design.tracking.problem import TrackingProblem
+from design.tracking.row_sojourns import row_sojourns_of, with_every_row
 from design.tracking.synthesis import Design, Progress, certified, solve
 
 MAX_BYTES: Final = 20_000_000
@@ -72,6 +73,7 @@ class DesignFile:
         integral: the last p columns belong to the integral of the measured error.
         samples: samples per sensor packet.
         sojourns: how many tables belong to every tau; () for one each.
+        row_sojourns: how many rows belong to every d.
         period_s: sample period, s.
         plant: its name.
         document: everything that stands in the file.
@@ -82,6 +84,7 @@ class DesignFile:
     integral: bool
     samples: int
     sojourns: tuple[int, ...]
+    row_sojourns: int
     period_s: float
     plant: str
     document: dict[str, Any]
@@ -156,26 +159,48 @@ def load_design(path: Path) -> DesignFile:
     samples = known.get("samples", 1)
     if samples not in (1, 2):
         raise FieldError("design", f"{path}: problem.samples: {samples!r:.60}, expected 1 or 2")
+    stays, rows = _row_sojourns(path, known.get("ca"), gains)
     return DesignFile(
         selection=selection,
-        gains=gains,
+        gains=rows,
         integral=bool(known.get("integral", 0)),
         samples=samples,
         sojourns=_sojourns(path, known.get("sc")),
+        row_sojourns=stays,
         period_s=float(period),
         plant=str(document.get("plant", "")),
         document=document,
     )
 
 
+def _chain(path: Path, problem: Any, name: str) -> DelayChain:
+    try:
+        return DelayChain(**problem)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise FieldError("design", f"{path}: problem.{name}: expected delays and labels: {error!s:.200}") from None
+
+
+def _row_sojourns(path: Path, problem: Any, gains: Array) -> tuple[int, Array]:
+    """How many rows belong to every d, from the problem's chain, and gains with as many."""
+    if problem is None:
+        return 1, gains
+    chain = _chain(path, problem, "ca")
+    try:
+        stays = row_sojourns_of(chain)
+    except FieldError as error:
+        raise FieldError("design", f"{path}: problem.ca: {error}") from None
+    if stays == 1:
+        return stays, gains
+    if gains.shape[1] != int(chain.label.max()) + 1:
+        raise FieldError("design", f"{path}: gains: {gains.shape[1]} rows, expected one for each label of problem.ca")
+    return stays, with_every_row(gains, chain, stays)
+
+
 def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
     """How many tables belong to every tau, from the problem's chain; () where that is one each."""
     if problem is None:
         return ()
-    try:
-        chain = DelayChain(**problem)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise FieldError("design", f"{path}: problem.sc: expected delays and labels: {error!s:.200}") from None
+    chain = _chain(path, problem, "sc")
     if chain.held is not None or np.array_equal(chain.label, chain.delay):
         return ()
     if chain.label.max() >= len(chain.label) or (np.diff(chain.label_delay, prepend=0) < 0).any():

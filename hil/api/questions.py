@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from design.controllers import check_row_sojourns
 from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
 from hil.api.arguments import checked_arguments
@@ -96,13 +97,16 @@ def _known(value: float, scale: float) -> float | None:
 
 
 @checked_arguments
-def design(source: str, *, period: float | None = None, sojourns: int = 1, **options: Any) -> DesignResult:
+def design(
+    source: str, *, period: float | None = None, sojourns: int = 1, row_sojourns: int = 1, **options: Any
+) -> DesignResult:
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
     Args:
         source: name of a plant plug-in or of an experiment.
         period: sample period in s; the thesis's, or the experiment's, by default.
         sojourns: slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.
+        row_sojourns: the same of d: a row for each d and so many slots that it has lasted, with ``information="applied"``.
         options: of `design.TrackingProblem`: objective ("h2", "hinf", "mixed"), information, R, samples, ...
 
     Returns:
@@ -117,7 +121,11 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, **opt
 
     if sojourns < 1:
         raise HilError(f"design: sojourns: {sojourns}; expected a whole number of at least 1")
-    target = tracking_target(source, None if period is None else float(period), sojourns)
+    try:
+        check_row_sojourns(row_sojourns, options.get("information", "applied"), "information")
+    except ValueError as error:
+        raise HilError(f"design: {error}") from None
+    target = tracking_target(source, None if period is None else float(period), sojourns, row_sojourns)
     begun = monotonic_ns()
     try:
         found = solve_tracking(problem_for(target, **options))

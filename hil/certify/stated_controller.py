@@ -20,6 +20,7 @@ from design.controllers import (
     ages_told,
     integrates,
     packet_samples,
+    row_sojourns_told,
     sojourns_told,
 )
 from design.controllers.rendered_wall import WallController
@@ -122,7 +123,7 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         lengths = (stays,) if isinstance(stays, int) else tuple(stays)
         table = SendAll(
             gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
-            sojourns=() if isinstance(stays, int) else lengths, ages=ages,
+            sojourns=() if isinstance(stays, int) else lengths, ages=ages, row_sojourns=row_sojourns_told(controller),
         )  # fmt: skip
         return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):

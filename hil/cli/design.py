@@ -55,6 +55,8 @@ class GainsOrWall(click.Command):
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
 @click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
               help="Slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.")  # fmt: skip
+@click.option("--row-sojourns", type=click.IntRange(1), default=1, show_default=True,
+              help="The same of d: --information applied, a row for each d and so many slots that it has lasted.")  # fmt: skip
 @click.option("--integral", type=NUMBER, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
@@ -78,9 +80,9 @@ class GainsOrWall(click.Command):
 @json_option()
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
-    input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, integral: float, starts: int,
-    seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool, spread: bool,
-    path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
+    input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, row_sojourns: int, integral: float,
+    starts: int, seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool,
+    spread: bool, path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
     trade_off: bool, robust: bool, trigger: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
@@ -129,7 +131,8 @@ def command(
         _refuse_others(set(SHAPES), "with --trade-off, which solves designs of all three objectives")
     elif path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
-    target = tracking_target(subject, period, sojourns)
+    _check_row_sojourns(row_sojourns, information)
+    target = tracking_target(subject, period, sojourns, row_sojourns)
     shape: dict[str, Any] = {
         "information": information, "gain_bound": gain_bound, "output": z, "samples": samples, "integral": integral,
         "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
@@ -199,6 +202,16 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     show_local(found, as_json=as_json)
 
 
+def _check_row_sojourns(row_sojourns: int, information: str) -> None:
+    from design.controllers import check_row_sojourns
+    from design.errors import FieldError
+
+    try:
+        check_row_sojourns(row_sojourns, information, "--information")
+    except FieldError as error:
+        raise HilError(f"--row-sojourns: {error.message}") from None
+
+
 def _refuse_others(common: set[str], where: str) -> None:
     """Refuse an option that was given and means nothing here."""
     from click.core import ParameterSource
@@ -215,15 +228,18 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
+    from design.tracking.row_sojourns import row_sojourns_of
     from hil.cli.terminal import print_facts, visible
 
     console, c, problem = Console(), design.certificate, design.problem
     table = Table(title=escape(f"gains K[tau][row], row by {design.selection!r}"))
     table.add_column("tau", justify="right")
     rows = design.gains.shape[1]
+    sc, ca = problem.chains
+    lasted = row_sojourns_of(ca)
     for row in range(rows):
-        table.add_column(f"row {row}", justify="right")
-    sc, _ = problem.chains
+        of_stay = f"d {row // lasted}, slot {row % lasted + 1}{'+' if row % lasted == lasted - 1 else ''}"
+        table.add_column(of_stay if lasted > 1 else f"row {row}", justify="right")
     stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
     for (tau, at), gains in zip(stays, design.gains, strict=True):
         name = f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}"

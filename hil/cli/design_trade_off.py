@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from hil.design_questions.design_problem import TrackingTarget
 
 SHAPES = frozenset({
-    "subject", "trade_off", "information", "gain_bound", "input_weight", "z", "period", "samples", "sojourns", "integral",
-    "starts", "seed", "path", "force", "as_json",
+    "subject", "trade_off", "information", "gain_bound", "input_weight", "z", "period", "samples", "sojourns",
+    "row_sojourns", "integral", "starts", "seed", "path", "force", "as_json",
 })  # fmt: skip
 """Options that mean something here."""
 

@@ -17,6 +17,7 @@ from design.controllers import (
     LoopModel,
     packet_samples,
     row_count,
+    row_sojourns_told,
 )
 from design.errors import DesignError, FieldError
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
@@ -38,7 +39,7 @@ from hil.rig.named_files import with_named_files
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
 from plants.errors import PlantError
-from transport.packets import MAX_OUTPUTS
+from transport.packets import MAX_OUTPUTS, MAX_ROWS
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
@@ -138,11 +139,16 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         if is_own(kind) or kind.startswith(OBJECT):
             check_own(controller, model)
         running = controller.start(model)
+        rows = row_count(running.selection, model.d_max, row_sojourns_told(controller))
+        if rows > MAX_ROWS:
+            stays = row_sojourns_told(controller)
+            field, asked_for = ("row_sojourns", stays) if stays > 1 else ("selection", running.selection)
+            raise FieldError(field, f"{asked_for} needs {rows} rows, a packet carries {MAX_ROWS}")
         if chains is None or labels_of(controller) != labels_of(asked.controller):
             chains = chains_for(rig, controller)
         samples = packet_samples(controller)
-        if samples != packet_samples(asked.controller):
-            rig = rig_of(experiment)  # one node sends as many samples as the controller takes
+        if (samples, rig.row_sojourns) != (packet_samples(asked.controller), row_sojourns_told(controller)):
+            rig = rig_of(experiment)  # packets have as many samples and rows as the controller takes and gives
         check_references(experiment, controller, model)
         if samples > 1 and (len(rig.sensors) > 1 or rig.sensors[0].buffer < samples):
             raise FieldError("samples", f"{samples} in one packet, but no node alone sends so many samples of every output")
@@ -163,7 +169,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         controller=controller,
         rig=rig.tabulated(),
         chains=chains,
-        rows=row_count(running.selection, model.d_max),
+        rows=rows,
         selection=running.selection,
         samples=samples,
         verdict=verdict,

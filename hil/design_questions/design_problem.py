@@ -49,7 +49,9 @@ class TrackingTarget(NamedTuple):
     of: Plant
 
 
-def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
+def tracking_target(
+    name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1
+) -> TrackingTarget:
     """Plant and network of a plant plug-in or a class of one's own, as "my_module:Cart" (network (7.34)), or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the
@@ -62,15 +64,16 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
 
     of_experiment = name not in names("hil.plants") and ":" not in name
     if not of_experiment:
-        if sojourns > 1:
-            raise HilError(f"--sojourns: over the Markov network of {name} it adds no information; name an experiment")
+        if sojourns > 1 or row_sojourns > 1:
+            option = "--sojourns" if sojourns > 1 else "--row-sojourns"
+            raise HilError(f"{option}: over the Markov network of {name} it adds no information; name an experiment")
         plant = load("hil.plants", name, ".")()
         period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
         sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
     else:
         from hil.experiment import load_experiment
 
-        return target_of(load_experiment(name), name, period_s, sojourns)
+        return target_of(load_experiment(name), name, period_s, sojourns, row_sojourns)
     target = _target(plant, name, period, sc, ca)
     if name == "vtol" and period_s is None:
         A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
@@ -78,7 +81,9 @@ def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1)
     return target
 
 
-def target_of(experiment: Experiment, name: str, period_s: float | None = None, sojourns: int = 1) -> TrackingTarget:
+def target_of(
+    experiment: Experiment, name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1
+) -> TrackingTarget:
     """Plant and network of an experiment, by the name that messages say.
 
     Raises:
@@ -92,7 +97,7 @@ def target_of(experiment: Experiment, name: str, period_s: float | None = None, 
     if len(rig.sensors) > 1:
         raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
     try:
-        chains = chains_of(rig, sojourns)
+        chains = chains_of(rig, sojourns, row_sojourns=row_sojourns)
     except ValueError as error:
         raise HilError(f"{name}: {error}") from None
     on_bus = bus_chains(rig, longest=True)
@@ -101,6 +106,8 @@ def target_of(experiment: Experiment, name: str, period_s: float | None = None, 
     sc, ca = (chains.sc, chains.ca) if on_bus is None else on_bus
     if sc is None or ca is None:
         raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
+    if row_sojourns > 1 and on_bus is not None:
+        raise HilError(f"{name}: row_sojourns: {row_sojourns}, but stays over a CAN bus with time are not distinguished")
     period = period_s if period_s is not None else float(experiment.period)
     return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)
 

@@ -59,7 +59,7 @@ def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> lis
     Args:
         rig: the rig.
         bus: its bus.
-        rows: of a control packet; by default one for each age.
+        rows: of a control packet; by default one for each age and length of stay.
     """
     found = []
     for sensor in (rig.sensors[number] for number in sorted(bus.nodes)):
@@ -69,7 +69,7 @@ def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> lis
     if bus.table.control:
         given = rig.links.control_can_id
         first = derived(rig.framing.base, rig.framing.fd).control[0] if given is None else given
-        values = len(rig.inputs) * (row_count("applied", rig.at_actuator.max_age) if rows is None else rows)
+        values = len(rig.inputs) * (row_count("applied", rig.at_actuator.max_age, rig.row_sojourns) if rows is None else rows)
         found.append(OwnPacket(sender=CONTROLLER, path=CONTROL, first=first, values=values, period_ns=rig.period_ns))
     return found
 

@@ -86,4 +86,5 @@ def _needed(rig: RigSpec, framing: CanFraming, keyed: bool) -> dict[str, int]:
 def most_rows(rig: RigSpec, framing: CanFraming) -> int:
     """Return the most rows that an answer may have, whatever the rule, or that its frames hold."""
     room = FRAGMENTS * framing.frame_bytes - control_length(0)
-    return min(row_count("both", rig.at_actuator.max_age), room // (4 * len(rig.inputs)))
+    oldest = rig.at_actuator.max_age
+    return min(max(row_count("both", oldest), row_count("applied", oldest, rig.row_sojourns)), room // (4 * len(rig.inputs)))

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, LoopModel, ages_told, sojourns_told
+from design.controllers import GainTable, LoopModel, ages_told, row_sojourns_told, sojourns_told
 from design.errors import FieldError
 from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
@@ -56,9 +56,9 @@ class Chains(Struct, frozen=True, kw_only=True):
         return next(filter(None, (way.neglects() for way in (*self.arriving, self.applied))), "")
 
 
-def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...]]:
-    """Return which lengths of stay and which ages a controller distinguishes."""
-    return sojourns_told(controller), ages_told(controller)
+def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:
+    """Return which lengths of stay at tau, which ages, and how many lengths of stay at d a controller distinguishes."""
+    return sojourns_told(controller), ages_told(controller), row_sojourns_told(controller)
 
 
 def chains_for(rig: RigSpec, controller: object) -> Chains:
@@ -67,31 +67,35 @@ def chains_for(rig: RigSpec, controller: object) -> Chains:
     Raises:
         ValueError: the controller asks for more than it can measure over this law.
     """
-    sojourns, ages = labels_of(controller)
-    return chains_of(rig, sojourns if len(rig.sensors) == 1 else (), ages)
+    sojourns, ages, row_sojourns = labels_of(controller)
+    return chains_of(rig, sojourns if len(rig.sensors) == 1 else (), ages, row_sojourns)
 
 
-def chains_of(rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = ()) -> Chains:
+def chains_of(
+    rig: RigSpec, sojourns: int | Sequence[int] = (), ages: Sequence[int] = (), row_sojourns: int = 1
+) -> Chains:
     """Return the delay chains of a rig.
 
     Args:
         rig: its laws' files read.
         sojourns: of one node: lengths of stay with labels of their own.
         ages: of several nodes: how many ages of each are distinguished; none: by the oldest sample alone.
+        row_sojourns: lengths of stay at every d with labels of their own: d row_sojourns, and those after it.
 
     Raises:
         ValueError: lengths of stay that cannot be measured, or that say nothing over this law.
     """
     from design.processes.delay_chain import product_chain
 
-    arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller) for sensor in rig.sensors)
-    applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
+    stays = 1 if isinstance(sojourns, int) else max(sojourns, default=1)
+    arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller, stays) for sensor in rig.sensors)
+    applied = received("network.ca.law", rig.ca_law, rig.at_actuator, row_sojourns)
     silent = _why_silent(rig)
     chains = () if silent else [_chain(way, sojourns) for way in arriving]
     known = tuple(chain for chain in chains if chain is not None)
     why_none = silent or _why_no_chain(rig, arriving)
     nodes = None if why_none else known
-    ca = _chain(applied)
+    ca = _chain(applied, (row_sojourns,) * (rig.at_actuator.max_age + 1) if row_sojourns > 1 else (), "row_sojourns")
     if not why_none and ca is None:
         why_none = f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
     sc = None if nodes is None else product_chain(nodes, [sensor.outputs for sensor in rig.sensors], tuple(ages))
@@ -123,25 +127,23 @@ def _why_no_chain(rig: RigSpec, arriving: Sequence[Received]) -> str:
     return ""
 
 
-def _chain(way: Received, sojourns: int | Sequence[int] = ()) -> DelayChain | None:
+def _chain(way: Received, sojourns: int | Sequence[int] = (), field: str = "sojourns") -> DelayChain | None:
     if way.of_packets:
-        _refuse_sojourns(way.law, sojourns)
+        _refuse_sojourns(way.law, sojourns, field)
         return way.delays()
-    return delay_chain(way.law, sojourns, states=way.states)
+    return delay_chain(way.law, sojourns, states=way.states, field=field)
 
 
-def _refuse_sojourns(law: NetworkLaw, sojourns: int | Sequence[int]) -> int:
+def _refuse_sojourns(law: NetworkLaw, sojourns: int | Sequence[int], field: str) -> int:
     """Return the most lengths of stay that are distinguished."""
     most = sojourns if isinstance(sojourns, int) else max(sojourns, default=1)
     if most > 1 and not isinstance(law, SemiMarkovLaw):
-        raise FieldError(
-            "sojourns", "only a semi-Markov law takes it; over any other law the sojourn time adds no information"
-        )
+        raise FieldError(field, "only a semi-Markov law takes it; over any other law the sojourn time adds no information")
     return most
 
 
 def delay_chain(
-    law: NetworkLaw, sojourns: int | Sequence[int] = (), *, states: DelayStates | None = None
+    law: NetworkLaw, sojourns: int | Sequence[int] = (), *, states: DelayStates | None = None, field: str = "sojourns"
 ) -> DelayChain | None:
     """Return the chain of the delay that the receiver measures under an age law, None where the law states no chain.
 
@@ -150,15 +152,16 @@ def delay_chain(
     Args:
         law: the network law.
         sojourns: semi-Markov laws: so many lengths of stay get labels of their own, in all or per delay 0, 1, ...
-        states: of the law, where they are known.
+        states: of the law, where they are known; they have states for as many lengths of stay.
+        field: by which an error names the lengths of stay.
 
     Raises:
         ValueError: lengths of stay that cannot be measured, or that say nothing over this law.
     """
     from design.processes.delay_chain import DelayChain
 
-    most = _refuse_sojourns(law, sojourns)
-    states = delay_states(law) if states is None else states
+    most = _refuse_sojourns(law, sojourns, field)
+    states = delay_states(law, 1 if isinstance(sojourns, int) else most) if states is None else states
     if states is None:
         return None
     stays = law if isinstance(law, SemiMarkovLaw) else None
@@ -168,15 +171,19 @@ def delay_chain(
         return DelayChain(transition=states.matrix, delays=states.ages, between=between, stays=stay)
     if len(set(stays.mode_ages)) < len(stays.mode_ages):
         said = f"several modes have one delay (ages {list(stays.mode_ages)}): the stay at a delay is not that of a mode"
-        raise FieldError("sojourns", said)
+        raise FieldError(field, said)
     if states.has_gaps:
         said = "this delay may grow by more than one per slot: the receiver measures other stays than the law draws"
-        raise FieldError("sojourns", said)
+        raise FieldError(field, said)
     delays, slots = states.ages, states.slots
     longest = [int(slots[delays == d].max(initial=0)) for d in range(int(delays.max()) + 1)]
     counts = [min(n, most) for n in longest] if isinstance(sojourns, int) else list(sojourns)
     if len(counts) < len(longest) or any(n > 0 and not count for n, count in zip(longest, counts)):
-        raise FieldError("sojourns", f"{counts}, but the delay reaches {len(longest) - 1}")
+        raise FieldError(field, f"{counts}, but the delay reaches {len(longest) - 1}")
+    going_on = np.flatnonzero((states.high.diagonal() > 0.0) & (slots < np.asarray(counts)[delays]))
+    if len(going_on):
+        at = going_on[0]
+        raise FieldError(field, f"{counts[delays[at]]} for the delay {delays[at]}, whose stays have {slots[at]} states at most")
     first = np.concatenate([[0], np.cumsum(counts)])[delays]
     labels = first + np.minimum(slots, np.asarray(counts)[delays]) - 1
     return DelayChain(transition=states.matrix, delays=delays, labels=labels, between=between, stays=stay)
@@ -223,7 +230,7 @@ def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: Dela
 
 def gains_within(table: NDArray[np.float64], selection: str, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:
     """Return the part of a table of gains that the delays of two chains reach."""
-    labels, count = int(sc.label.max()) + 1, ca.max_delay + 1
+    labels, count = int(sc.label.max()) + 1, int(ca.label.max()) + 1
     if sc.ages is None and sc.holds.any() and (table[labels:] != table[labels - 1]).any():
         raise FieldError("gains", f"{len(table)} tables, but ages beyond {labels - 1} are not distinguished; max_age bounds them")
     K = table[:labels]

@@ -16,6 +16,7 @@ from design.controllers import (
     ages_told,
     packet_samples,
     row_count,
+    row_sojourns_told,
     sojourns_told,
 )
 from hil.rig.bus_delays import bus_chains
@@ -67,7 +68,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
                 never = sum(modes) - sc.modes - ca.modes
                 unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
         return LoopChains(sc, ca, unmet, "")
-    if sojourns_told(controller):
+    if sojourns_told(controller) or (ca is None and row_sojourns_told(controller) > 1):
         return LoopChains(sc, ca, "", chains.why_none)
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
@@ -89,7 +90,8 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
 
 def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopChains:
     """The chains of all ages that a CAN bus with time leaves possible."""
-    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or sojourns_told(controller):
+    told = sojourns_told(controller) or row_sojourns_told(controller) > 1
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or told:
         return LoopChains(None, None, "", "the theory of this controller knows no CAN bus with time")
     found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
     if found is None or isinstance(found, str):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from traceback import walk_tb
 
+from design.controllers import row_sojourns_told
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
@@ -80,7 +81,7 @@ def _rig_of(e: Experiment) -> RigSpec:
         at_controller=Receiver(period_s, deadline_s, network.sc.max_age, holds_input=False),
         at_actuator=Receiver(period_s, deadline_s, network.ca.max_age, holds_input=True),
         fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
-        links=links, framing=framing,
+        links=links, framing=framing, row_sojourns=row_sojourns_told(e.controller),
     )  # fmt: skip
     bus = can_bus_of(rig)
     faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)])

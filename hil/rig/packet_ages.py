@@ -99,13 +99,14 @@ class Received(Struct, frozen=True, kw_only=True):
         return float(weights[ages >= last].sum())
 
 
-def received(path: str, law: NetworkLaw, at: Receiver) -> Received:
+def received(path: str, law: NetworkLaw, at: Receiver, stays: int = 1) -> Received:
     """Return a network law as a receiver meets it.
 
     Args:
         path: of the law's table, for messages.
         law: the law, its files read.
         at: who receives.
+        stays: lengths of stay at an age that the receiver distinguishes.
     """
     ages = ages_of(law, at)
-    return Received(path=path, law=law, at=at, ages=ages, states=delay_states(ages))
+    return Received(path=path, law=law, at=at, ages=ages, states=delay_states(ages, stays))

@@ -96,6 +96,7 @@ class RigSpec(Struct, frozen=True, kw_only=True):
         unreached: what of the time line a run never reaches, in words; empty: nothing.
         links: the real link, as the file names it.
         framing: CAN frames of that link; of one that is no CAN link, those of a CAN link by default.
+        row_sojourns: lengths of stay at d for which an answer has a row each.
     """
 
     name: str
@@ -118,6 +119,7 @@ class RigSpec(Struct, frozen=True, kw_only=True):
     unreached: str
     links: Links
     framing: CanFraming
+    row_sojourns: int = 1
 
     @property
     def numbered(self) -> bool:

@@ -110,20 +110,23 @@ def starved(usable: NDArray[np.bool_], d_max: int, watchdog_slots: int) -> NDArr
     return np.asarray(((missing - fed) >= watchdog_slots).any(axis=0))
 
 
-def applied_rows(selection: str, held: Slots, d_max: int) -> Slots:
+def applied_rows(selection: str, held: Slots, d_max: int, row_sojourns: int = 1) -> Slots:
     """Return which row of the packet held is applied, (slots, runs); see `hil.runtime.nodes.actuator_node.row_index`.
 
     Args:
         selection: the rule.
         held: slot in which the packet was generated, -1 for none (its row means nothing).
         d_max: largest age that the rows cover.
+        row_sojourns: lengths of stay at d that have a row each.
     """
     k = np.arange(len(held), dtype=np.int32)[:, None]
     d = np.where(held >= 0, k - held, -1)
     if selection == "constant":
         return np.zeros_like(held)
     if selection == "applied":
-        return np.maximum(d, 0)
+        changed = np.concatenate([np.ones_like(d[:1], dtype=np.bool_), d[1:] != d[:-1]])
+        stayed = k - np.maximum.accumulate(np.where(changed, k, 0), axis=0)
+        return np.asarray(np.maximum(d, 0) * row_sojourns + np.minimum(stayed, row_sojourns - 1), dtype=np.int32)
     asked = np.maximum(held - 1 if selection == "previous" else held, 0)
     at = np.take_along_axis(d, asked, axis=0)
     seen = np.where((at >= 0) & (at <= d_max), at, d_max)

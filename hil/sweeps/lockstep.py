@@ -141,7 +141,7 @@ class _Slots:
         self._states = np.empty((len(e.plant.states), e.slots, self._runs)) if STATE.name in topics else None
         self._usable = (ca.newest >= 0) & (np.arange(e.slots, dtype=np.int32)[:, None] - ca.newest <= d_max)
         self._known = sc.known & ca.known & ~starved(self._usable, d_max, e.limits.watchdog_slots)
-        self._rows = applied_rows(loop.selection, self._held, d_max)
+        self._rows = applied_rows(loop.selection, self._held, d_max, loop.rig.row_sojourns)
         self._ring = d_max + 2
         self._columns = np.arange(self._runs, dtype=np.intp)
 

@@ -54,6 +54,7 @@ def answered(folder: Path, loop: Loop, language: Language, options: str = "", au
         ("dc-motor-ours-two-samples", EXACT),
         ("dc-motor-ours-integral", EXACT),
         ("dc-motor-ours-bursty", EXACT),  # gains by the sojourn time
+        ("dc-motor-ours-stays", (*EXACT, "reference.0.value=[0.25]")),  # rows by the stay of d
         ("dc-motor-two-nodes", EXACT),  # gains by the age of each node
         ("vtol-hinf", ("duration=4s",)),
     ],

@@ -45,11 +45,12 @@ class DelayStates(NamedTuple):
     stays: Matrix
 
 
-def delay_states(law: object) -> DelayStates | None:
+def delay_states(law: object, least: int = 1) -> DelayStates | None:
     """Return the chain of the age that a receiver measures under an age law; None for a law that states no chain.
 
     Args:
         law: a `SemiMarkovLaw` or a `ChainLaw`.
+        least: lengths of stay in a mode that have states of their own, whatever the hazard.
 
     >>> from transport.laws.age import IidAge
     >>> delay_states(IidAge(probabilities=(0.5, 0.3, 0.2), allow_gaps=True)).matrix.tolist()
@@ -58,7 +59,7 @@ def delay_states(law: object) -> DelayStates | None:
     if isinstance(law, RecordedLaw):
         return None
     if isinstance(law, SemiMarkovLaw):
-        chain = augmented_chain(law)
+        chain = augmented_chain(law, least=least)
         ages, slots = np.array(law.mode_ages, dtype=np.int64)[chain.modes], chain.slots
         matrix, low, high, stays = chain.matrix, chain.low, chain.high, chain.stays
     elif isinstance(law, ChainLaw):

@@ -103,17 +103,19 @@ class SemiMarkovAge(ChainAge):
         return np.array([mean_sojourn(law) for law in self.sojourn])
 
 
-def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
+def augmented_chain(law: SemiMarkovLaw, longest: int = 1000, least: int = 1) -> AugmentedChain:
     """Return the Markov chain on (mode, slots spent in it) that a semi-Markov law is.
 
     From (i, h) the chain leaves to (j, 1) with probability hazard_i(h) matrix[i][j] and else goes on to (i, h+1). A
-    constant hazard needs one state. The last state of a mode goes on to itself with its own hazard: exact where the
-    sojourn law ends or its hazard is constant from there on, otherwise an approximation, and `low` and `high` say between
-    which bounds the tail lies that is cut. A sojourn law that does not bound its hazard may do anything beyond the cut.
+    constant hazard needs one state, or `least` where the receiver distinguishes so many lengths of stay. The last state of a
+    mode goes on to itself with its own hazard: exact where the sojourn law ends or its hazard is constant from there on,
+    otherwise an approximation, and `low` and `high` say between which bounds the tail lies that is cut. A sojourn law that does
+    not bound its hazard may do anything beyond the cut.
 
     Args:
         law: the semi-Markov law, n modes.
         longest: largest number of states per mode.
+        least: lengths of stay that have states of their own, whatever the hazard; the last of them stands for all longer ones.
 
     Reference: section 8.2.1.
 
@@ -123,7 +125,7 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
     [[0.75, 0.25, 0.0], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]]
     """
     known = [hazards(sojourn, min(sojourn.support, longest)) for sojourn in law.sojourn]
-    rows = [_distinct(hazard) for hazard in known]
+    rows = [hazard[: max(len(_distinct(hazard)), least)] for hazard in known]
     first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     matrix = np.zeros((first[-1], first[-1]))
     low, high = np.zeros_like(matrix), np.zeros_like(matrix)
@@ -131,9 +133,9 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000) -> AugmentedChain:
     for i, (row, hazard, sojourn) in enumerate(zip(rows, known, law.sojourn, strict=True)):
         jumps = np.array(law.matrix[i])
         for h, leaving in enumerate(row):
-            least, most = (leaving, leaving) if h + 1 < len(row) else _tail(hazard[h:], sojourn, len(hazard))
+            below, above = (leaving, leaving) if h + 1 < len(row) else _tail(hazard[h:], sojourn, len(hazard))
             state, following = first[i] + h, min(first[i] + h + 1, first[i + 1] - 1)
-            for chain, out, stay in ((matrix, leaving, leaving), (low, least, most), (high, most, least)):
+            for chain, out, stay in ((matrix, leaving, leaving), (low, below, above), (high, above, below)):
                 chain[state, first[:-1]] = out * jumps
                 chain[state, following] += 1.0 - stay
         if hazard[-1] < 1.0:  # no slot is the last one for sure

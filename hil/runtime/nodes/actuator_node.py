@@ -14,7 +14,9 @@ CONSTANT = SELECTIONS.index("constant")
 _new = tuple.__new__  # without the Python constructor: in five files 4 % of an interpreted virtual slot
 
 
-def row_index(selection: str, d: int, g: int, measured_d: Mapping[int, int] | Sequence[int], d_max: int) -> int:
+def row_index(
+    selection: str, d: int, g: int, measured_d: Mapping[int, int] | Sequence[int], d_max: int, row_sojourns: int = 1
+) -> int:
     """Return which row the actuator applies (see :mod:`design.controllers`).
 
     Args:
@@ -22,17 +24,28 @@ def row_index(selection: str, d: int, g: int, measured_d: Mapping[int, int] | Se
         d, g: age of the packet now, and the slot in which it was generated.
         measured_d: what the actuator measured, by slot; -1 where there was no packet.
         d_max: largest age that the rows cover.
+        row_sojourns: lengths of stay at d that have a row each.
 
     >>> [row_index(s, 1, 2, [0, 1, 0, 1], 1) for s in ("constant", "generated", "applied", "previous", "both")]
     [0, 0, 1, 1, 1]
+    >>> [row_index("applied", d, k - d, [0, 1, 1, 1, 0], 1, 2) for k, d in enumerate([0, 1, 1, 1, 0])]
+    [0, 2, 3, 3, 0]
     """
     if selection == "constant":
         return 0
     if selection == "applied":
-        return d
+        return d if row_sojourns == 1 else d * row_sojourns + _lasted(measured_d, g + d, row_sojourns) - 1
     at = measured_d[max(g - 1, 0)] if selection == "previous" else measured_d[g]
     seen = at if 0 <= at <= d_max else d_max  # nothing usable was there: the longest delay
     return seen * (d_max + 1) + d if selection == "both" else seen
+
+
+def _lasted(measured_d: Mapping[int, int] | Sequence[int], k: int, most: int) -> int:
+    """Return for how many slots, slot k included, the delay of slot k has been measured; `most` if longer."""
+    slots = 1
+    while slots < most and slots <= k and measured_d[k - slots] == measured_d[k]:
+        slots += 1
+    return slots
 
 
 class Applied(NamedTuple):
@@ -65,10 +78,14 @@ class ActuatorNode:
         d_max: largest age of a packet that its rows cover, samples.
         safety: limits and watchdog, latched.
         damper: passivity controller at the port of a device with one input.
+        row_sojourns: lengths of stay at d that have a row each.
     """
 
-    def __init__(self, inputs: int, d_max: int, safety: Safety, damper: PortDamper | None = None) -> None:
+    def __init__(
+        self, inputs: int, d_max: int, safety: Safety, damper: PortDamper | None = None, row_sojourns: int = 1
+    ) -> None:
         self._d_max, self._safety, self._damper = d_max, safety, damper
+        self._row_sojourns, self._remembered = row_sojourns, max(d_max + 2, row_sojourns)
         self._command: tuple[float, ...] = (0.0,) * inputs  # without what the damper adds
         self._zero = (0.0,) * inputs
         self._held: ControlPacket | None = None
@@ -118,7 +135,7 @@ class ActuatorNode:
                 self._held_tick, self._held = g, arrived
         held, g, d_max, measured_d = self._held, self._held_tick, self._d_max, self._measured_d
         d = measured_d[k] = -1 if held is None else k - g
-        measured_d.pop(k - d_max - 2, None)
+        measured_d.pop(k - self._remembered, None)
         row, status, reason, safety = -1, SAFE, None, self._safety
         if safety.tripped is None:
             if held is None or d > d_max:
@@ -126,7 +143,7 @@ class ActuatorNode:
                 reason = safety.starved(now_ns) if k > d_max else None
             else:
                 rule, status = held.selection, OK
-                row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, measured_d, d_max)
+                row = 0 if rule == CONSTANT else row_index(SELECTIONS[rule], d, g, measured_d, d_max, self._row_sojourns)
                 u = held.rows[row]
                 reason = safety.check_command(u)
                 if reason is None:

@@ -44,12 +44,13 @@ class AnswerMatcher:
         d_max: largest age that the rows cover, samples.
         journal: takes records and events.
         period_ns: sample period, ns.
+        row_sojourns: lengths of stay at d that have a row each.
     """
 
-    def __init__(self, inputs: int, d_max: int, journal: Journal, period_ns: int) -> None:
+    def __init__(self, inputs: int, d_max: int, journal: Journal, period_ns: int, row_sojourns: int = 1) -> None:
         self._inputs, self._journal = inputs, journal
         self._forgotten = max(FLOOD * period_ns / FLOOD_NS, 1.0)  # thrown away, and no longer counted after one slot
-        self._row_counts = [row_count(selection, d_max) for selection in SELECTIONS]
+        self._row_counts = [row_count(selection, d_max, row_sojourns) for selection in SELECTIONS]
         self._k = -1
         self._t_ns = 0
         self._asked: Sequence[bytes] = ()

@@ -103,12 +103,12 @@ class Rig:
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
         self._port = loop.rig.port.output if loop.rig.port is not None and e.limits.passivity is not None else None
-        self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop))
+        self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop), loop.rig.row_sojourns)
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.rig.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
         self._nonce = None if wire is VIRTUAL else wire.nonce
         self._counter = 0
-        self.answers = AnswerMatcher(inputs, loop.model.d_max, self._journal, e.period_ns)
+        self.answers = AnswerMatcher(inputs, loop.model.d_max, self._journal, e.period_ns, loop.rig.row_sojourns)
         self._reference, self._disturbance, self._disturbed = loop.reference(), loop.disturbance(), bool(e.disturbance)
         self._after_trip = round(e.limits.after_trip / e.period)
         self._end: int | None = None

@@ -251,7 +251,7 @@ def what_if(
         for k, g, status in zip(piece["tick"].tolist(), piece["packet_tick"].tolist(), piece["status"].tolist()):
             packet = recent.of(g, answers) if status == OK else None
             if isinstance(packet, ControlPacket):
-                found.append(packet.rows[row_index(selection, k - g, g, d, d_max)])
+                found.append(packet.rows[row_index(selection, k - g, g, d, d_max, other.rig.row_sojourns)])
             else:
                 found.append((math.nan,) * len(names))
         for i, column in enumerate(rows):

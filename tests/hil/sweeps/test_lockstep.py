@@ -25,10 +25,10 @@ SHIPPED = sorted(path.stem for path in (Path(hil.__file__).parent / "experiments
 SERVED = {
     "dc-motor-1khz", "dc-motor-bursty", "dc-motor-h2", "dc-motor-h2-fast", "dc-motor-h2-friction", "dc-motor-hinf",
     "dc-motor-hinf-fast", "dc-motor-hinf-friction", "dc-motor-local", "dc-motor-local-fast", "dc-motor-ours-bursty",
-    "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-ours-two-samples",
-    "dc-motor-packets", "dc-motor-smith", "dc-motor-smith-fast", "dc-motor-two-nodes", "vtol-h2", "vtol-hinf", "vtol-ours-h2",
-    "vtol-ours-hinf", "multisensor-lossy", "multisensor-newest", "multisensor-ours", "multisensor-published",
-    "dc-motor-5g", "dc-motor-wifi",
+    "dc-motor-ours-h2", "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-ours-stays",
+    "dc-motor-ours-two-samples", "dc-motor-packets", "dc-motor-smith", "dc-motor-smith-fast", "dc-motor-two-nodes",
+    "vtol-h2", "vtol-hinf", "vtol-ours-h2", "vtol-ours-hinf", "multisensor-lossy", "multisensor-newest",
+    "multisensor-ours", "multisensor-published", "dc-motor-5g", "dc-motor-wifi",
 }  # fmt: skip
 ALONE = {
     "dc-motor-busy-can", "dc-motor-ours-busy-can", "multisensor-event", "omni-1khz", "omni-identify",
@@ -145,8 +145,9 @@ def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
         [sent("applied", 3, 2, 1, 2, ",integral=true")],
         [sent("applied", 3, 2, 1, 2, ",samples=2")],
         [f"network.sc.law={{{SEMI_MARKOV}}}", sent("applied", 4, 2, 1, 1, ",sojourns=[3,1]")],
+        [f"network.ca.law={{{SEMI_MARKOV}}}", sent("applied", 3, 6, 1, 1, ",row_sojourns=3")],
     ],
-    ids=["integral", "two samples", "sojourns"],
+    ids=["integral", "two samples", "sojourns", "row sojourns"],
 )
 def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
     same_bits(loop_of("dc-motor-hinf", "duration=10", *sets), range(4))
