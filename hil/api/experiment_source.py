@@ -135,7 +135,7 @@ def _table_of(path: str, value: Any) -> Any:
     model = control is not None and isinstance(value, control.StateSpace | control.TransferFunction)
     if path == "plant":
         plant = from_control(value) if model else value
-        if isinstance(plant, LinearPlant):
+        if type(plant) is LinearPlant:  # a subclass may have methods of its own: it runs as an object
             fields = {f.name: getattr(plant, f.name) for f in dataclasses.fields(plant)}
             return {"kind": "state-space", **fields}
     if path == "controller":

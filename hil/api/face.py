@@ -16,7 +16,7 @@ from hil.api.experiment_source import Source, as_change, checked_experiment, loa
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.files.outputs import check_output, write_output
+from hil.files.outputs import check_output, check_page, write_output
 from hil.log.read.run import read_run
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
@@ -125,7 +125,7 @@ def report(
         source: a session, or the file of a log; a comparison or a sweep over parameters, whose page needs ``output``; a folder of
             logs, whose page lists them all, and each has a page of its own.
         output: the page, a file; beside the log by default, with the ending ``.html``, and ``index.html`` for a folder.
-        force: replace a page that is there already.
+        force: replace a file that is there already and is no page; a page always is replaced.
         figures: a folder in which every plot is written as SVG and PDF too.
         folder: where the files of own modules stand that the log names; without it none of them is run, and they draw nothing.
 
@@ -156,7 +156,7 @@ def report(
     target = Path(output) if output is not None else Path(log).with_suffix(".html")
     if log is not None and target.resolve() == Path(log).resolve():
         raise HilError(f"{target} is the log itself; choose another -o (in Python output=...)")
-    check_output(target, page=True, fresh=not force, remedy="choose another -o (in Python output=..., or force=True)")
+    check_page(target, force=force, remedy="choose another -o (in Python output=...), or add --force (force=True)")
     write_output(target, render_report(view))
     return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
 
@@ -175,9 +175,9 @@ def _report_of_many(
     _page_alone(others, "many runs")
     if output is None:
         raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
-    target = check_output(Path(output), page=True, fresh=not force, remedy="choose another output=..., or add force=True")
+    target = check_page(Path(output), force=force, remedy="choose another output=..., or add force=True")
     page = compare_page(source) if isinstance(source, Comparison) else parameter_page(source)
-    write_output(target, page, replace=force)
+    write_output(target, page)
     return target
 
 

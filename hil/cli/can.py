@@ -35,21 +35,22 @@ def command() -> None:
 @click.option("--errors", type=click.IntRange(0), help="Errors that may come at once; the bounds allow for them.")
 @click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further ones.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def analyse(
     target: str, bitrate: str | None, dbitrate: str | None, sets: tuple[str, ...], duration: float, errors: int | None,
-    error_interval: float, output: Path | None, as_json: bool,
+    error_interval: float, output: Path | None, force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Show bound, measured response and deadline of every message: hil can analyse car.dbc --bitrate 500k
 
     TRAFFIC is a table of messages, .csv or .dbc; an EXPERIMENT has a medium of kind can. The exit status is 0 also where a
     message may miss its deadline.
     """
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_page, write_output
     from transport.can_analysis import ErrorBursts
 
     if output is not None:
-        check_output(output, page=True, remedy="choose another name")
+        check_page(output, force=force)
     bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round(error_interval * 1e9))
     if target.endswith(_TRAFFIC):
         if sets:

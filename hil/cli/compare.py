@@ -26,10 +26,11 @@ if TYPE_CHECKING:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of all of them.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write a page with the distributions.")
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def command(
     experiments: tuple[str, ...], runs: int, duration: str | None, sets: tuple[str, ...], jobs: int, output: Path | None,
-    as_json: bool,
+    force: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Run EXPERIMENTS for the same seeds; print and plot the distributions of their metrics.
 
@@ -44,7 +45,7 @@ def command(
     from hil.cli.sweep import check_jobs
     from hil.cli.terminal import cell, visible
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_page, write_output
     from hil.measure.signals import with_unit
     from hil.pages.many_runs import compare_page
     from hil.sweeps.comparison import compare
@@ -56,7 +57,7 @@ def command(
     if duration is not None:
         sets = (*sets, f"duration={duration}")
     if output is not None:
-        check_output(output, page=True)  # now, and not after minutes of work
+        check_page(output, force=force)  # now, and not after minutes of work
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name, list(sets)) for name in experiments}

@@ -76,7 +76,7 @@ class GainsOrWall(click.Command):
 @click.option("--trigger", is_flag=True, help="Threshold of the sensor node's trigger and gain: cost over packets; -o: a page.")
 @click.option("--can-id", is_flag=True, help="Which CAN identifiers to take: cost over their place on the bus; -o: a page.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
-@click.option("--force", is_flag=True, help="Replace a file that is there.")
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,

@@ -32,10 +32,10 @@ def show_can_id(subject: str, path: Path | None, force: bool, as_json: bool) -> 
     from hil.design_questions.can_priority import places_of, recommended
     from hil.experiment import load_experiment
     from hil.experiment.table import Seconds
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_page, write_output
 
     if path is not None:
-        check_output(path, page=True, fresh=not force, remedy="choose another -o or add --force")
+        check_page(path, force=force)
     experiment = load_experiment(subject, ("allow_uncertified=true",))
     experiment = replace(experiment, duration=Seconds(min(float(experiment.duration), LONGEST_S)))
     places, judged = places_of(experiment), []
@@ -46,7 +46,7 @@ def show_can_id(subject: str, path: Path | None, force: bool, as_json: bool) -> 
     if path is not None:
         from hil.pages.designs import can_priority_page
 
-        write_output(path, can_priority_page(experiment.name, judged, free or best), replace=force)
+        write_output(path, can_priority_page(experiment.name, judged, free or best))
     if as_json:
         print_json({
             "experiment": experiment.name, "duration_s": float(experiment.duration), "places": [_plain(each) for each in judged],

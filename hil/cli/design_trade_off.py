@@ -34,10 +34,10 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
     from design.errors import DesignError
     from hil.cli.terminal import Working, print_table, visible
     from hil.design_questions.norm_trade_off import compromises
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_page, write_output
 
     if path is not None:
-        check_output(path, page=True, fresh=not force, remedy="choose another -o or add --force")
+        check_page(path, force=force)
     try:
         with Working(f"{target.plant} trade-off {options['information']}") as watch:
             found = compromises(target, watch, **options)
@@ -46,7 +46,7 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
     if path is not None:
         from hil.pages.designs import norm_trade_off_page
 
-        write_output(path, norm_trade_off_page(target.plant, found), replace=force)
+        write_output(path, norm_trade_off_page(target.plant, found))
     if as_json:
         print_json({
             "plant": target.plant, "period_s": target.period_s, "information": options["information"],

@@ -34,12 +34,12 @@ def show_trigger(
     from design.errors import DesignError
     from hil.cli.terminal import Working
     from hil.design_questions.trigger_gains import candidates, trigger_question
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_page, write_output
     from hil.plugins.registry import names
     from hil.sweeps.trigger_cost import RUNS, experiment_with, front, run_candidate
 
     if path is not None:
-        check_output(path, page=True, fresh=not force, remedy="choose another -o or add --force")
+        check_page(path, force=force)
     if subject in names("hil.plants"):
         raise HilError(f"{subject}: --trigger: name an experiment, whose runs say cost and packets, such as dc-motor-ours-h2")
     asked = trigger_question(subject)
@@ -62,7 +62,7 @@ def show_trigger(
     if path is not None:
         from hil.pages.designs import trigger_page
 
-        write_output(path, trigger_page(subject, asked.kind, points, best), replace=force)
+        write_output(path, trigger_page(subject, asked.kind, points, best))
     if as_json:
         print_json({
             "experiment": subject, "period_s": asked.target.period_s, "trigger": asked.kind, "runs": points[0].packets.n,
@@ -78,7 +78,7 @@ def _print(name: str, kind: str, points: list[TriggerPoint], best: list[TriggerP
 
     from hil.cli.terminal import print_table, visible
 
-    said = f"{name}: cost over packets, {kind} trigger; 95 % intervals over {points[0].packets.n} runs"
+    said = f"{name}: cost over packets, {kind} trigger; ± half of a 95 % interval over {points[0].packets.n} runs"
     table = Table(title=escape(visible(said)))
     heads = ("threshold", "gain", "designed for", "squared error", "packets/s", "certificate")
     for head in (*heads, "H2 norm <=" if kind == "relative" else "ends within (rms)"):

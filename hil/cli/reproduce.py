@@ -32,7 +32,8 @@ COLOURS = ("green", "yellow", "red", "blue")
     "-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder."
 )
 @click.option("--power", "with_power", is_flag=True, help="Say too how many rows a number that is 10 % off turns.")
-def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) -> None:
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
+def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, force: bool) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
     The rule beside each row decides its verdict from its numbers, and says what kind of claim it is. With -o
@@ -48,7 +49,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool) 
     if chapter not in (*chapters(), ALL):
         raise click.UsageError(f"{chapter!r} is not one of {', '.join((*chapters(), ALL))}")
     names = chapters() if chapter == ALL else (chapter,)
-    pages = _pages(chapter, names, output)  # now, and not after the work
+    pages = _pages(chapter, names, output, force)  # now, and not after the work
     results = {}
     with ExitStack() as stack:
         state = None if output is None else output / STATE if chapter == ALL else output.with_name(output.name + ".state")
@@ -89,21 +90,21 @@ def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: 
         click.echo(f"the same command goes on: {_stages(kept)} in {kept.path}", err=True)
 
 
-def _pages(chapter: str, names: tuple[str, ...], output: Path | None) -> dict[str, Path]:
+def _pages(chapter: str, names: tuple[str, ...], output: Path | None, force: bool) -> dict[str, Path]:
     """Where each page goes, checked. The folder of ``all`` is made; an ``index.html`` of another kind is refused."""
     from hil.errors import HilError
-    from hil.files.outputs import check_output
+    from hil.files.outputs import check_page
 
     if output is None:
         return {}
     if chapter != ALL:
-        return {chapter: check_output(output, page=True)}
+        return {chapter: check_page(output, force=force)}
     try:
         output.mkdir(exist_ok=True)
     except OSError as error:
         raise HilError(f"{output}: cannot be made a folder: {(error.strerror or str(error)).lower()}") from error
     pages = {**{name: output / f"{name}.html" for name in names}, ALL: output / "index.html"}
-    return {name: check_output(path, page=True) for name, path in pages.items()}
+    return {name: check_page(path, force=force) for name, path in pages.items()}
 
 
 def _show(result: Reproduction) -> None:

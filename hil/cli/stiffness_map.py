@@ -21,7 +21,7 @@ from hil.errors import HilError
 @click.option("--lever", type=float, default=1.0, show_default=True, help="Tip per angle, m/rad; 1: kg and N s/m at the tip.")
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Write the table with the taps here.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with the contours here.")
-@click.option("--force", is_flag=True, help="Replace a table that is there; a page always is.")
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def command(
     period: tuple[float, ...], delay: tuple[float, ...], hand: tuple[float, ...], lever: float, table: Path | None,
@@ -33,7 +33,7 @@ def command(
     """
     from design.passivity.stiffness_map import stiffness_map
     from hil.cli.terminal import Working
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_output, check_page, write_output
     from hil.pages.analyses import stiffness_page
     from plants.omni import Omni
     from plants.parts.hand import Hand
@@ -42,8 +42,10 @@ def command(
         raise HilError(f"--lever: {lever!r}, expected a finite number above 0")
     if max(delay) > 40:
         raise HilError(f"--delay: {max(delay):g}; a coupler for every delay up to it takes minutes, expected at most 40")
-    for path in filter(None, (table, output)):
-        check_output(path, fresh=path is table and not force, page=path is output, remedy="choose another name or add --force")
+    if output is not None:
+        check_page(output, force=force)
+    if table is not None:
+        check_output(table, fresh=not force, remedy="choose another name or add --force")
     device = Omni(hand=Hand(), lever_m=lever)
     with Working("stiffness map"):
         cells = stiffness_map(

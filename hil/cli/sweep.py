@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 @click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="With --grid or --range: a page.")
 @click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="Write a row per run.")
-@click.option("--force", is_flag=True, help="Replace a table that is there; a page always is.")
+@click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )

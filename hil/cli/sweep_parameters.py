@@ -56,15 +56,15 @@ def run_points(
     from rich.progress import Progress, TimeRemainingColumn
 
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_output, check_page, write_output
     from hil.pages.many_runs import parameter_page
     from hil.sweeps.parameters import load_points, sweep_parameters
     from hil.sweeps.shown import interval_of
 
-    for path in (page, table):
-        if path is not None:
-            fresh = path is table and not force
-            check_output(path, page=path is page, fresh=fresh, remedy="choose another name or add --force")
+    if page is not None:
+        check_page(page, force=force)
+    if table is not None:
+        check_output(table, fresh=not force, remedy="choose another name or add --force")
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
     err = Console(stderr=True)

@@ -109,6 +109,25 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
     return path
 
 
+PAGES = (".html", ".htm")
+
+
+def check_page(path: Path, *, force: bool = False, remedy: str = "choose another -o or add --force") -> Path:
+    """Return ``path`` if a page can be written there; one of ours that is there is replaced.
+
+    Args:
+        path: file to be written.
+        force: replace also a file that is no page.
+        remedy: what the message about such a file advises.
+
+    Raises:
+        HilError: if it is not named as a page is, and as `check_output`.
+    """
+    if path.suffix.lower() not in PAGES:
+        raise HilError(f"{path}: a page is written here; expected a name that ends in .html")
+    return check_output(path, page=not force, remedy=remedy)
+
+
 def write_output(path: Path, text: str, *, replace: bool = True) -> None:
     """Write a file in one step: there is the old file or the new one, never half of it.
 

@@ -211,7 +211,7 @@ def _lines(
     label = with_unit(quantity.title, quantity.unit)
     if x is None or len(axis) < 2:
         bars = tuple(
-            BarGroup(label=name or quantity.title, values=[i.value for i in line], errors=[_half(i) for i in line], colour=c)
+            BarGroup(label=name or quantity.title, values=[i.value for i in line], whiskers=[_ends(i) for i in line], colour=c)
             for c, (name, line) in enumerate(groups.items())
         )
         return Bars(title=f"{label}: mean, 95 % interval", categories=axis, groups=bars, x_label=key, y_label=label)
@@ -236,10 +236,6 @@ def _lines(
 def _ends(interval: Interval) -> tuple[float, float]:
     """The interval, the value alone where it is infinitely wide."""
     return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
-
-
-def _half(interval: Interval) -> float:
-    return interval.half_width if np.isfinite(interval.half_width) else 0.0
 
 
 def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> Block:

@@ -124,7 +124,8 @@ def _bars(plot: Bars, axis: Any) -> None:
         at = x + (number - (len(plot.groups) - 1) / 2) * width
         colour = _colour(group.colour, number)
         face = "none" if group.hollow else colour
-        axis.bar(at, group.values, width, yerr=group.errors, label=group.label, edgecolor=colour, facecolor=face)
+        spread = None if group.whiskers is None else np.abs(np.transpose(group.whiskers) - np.asarray(group.values))
+        axis.bar(at, group.values, width, yerr=spread, label=group.label, edgecolor=colour, facecolor=face)
     axis.set_xticks(x, plot.categories)
     axis.set_xlabel(plot.x_label)
     axis.set_ylabel(_label(plot.y_label, plot.y_unit))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.errors import HilError
-from hil.files.outputs import check_output, write_output
+from hil.files.outputs import check_page, write_output
 from hil.log.read.run import read_run
 from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
@@ -132,7 +132,7 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     Args:
         folder: its ``*.mcap`` are listed by name; folders below it are not read.
         output: the page, ``index.html`` in the folder by default; elsewhere it links to no page of a run.
-        force: replace a page of the folder that is there already.
+        force: replace a file that is there already and is no page; a page always is replaced.
 
     Returns:
         the files that were written, the page of the folder first.
@@ -145,8 +145,8 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
         raise HilError(f"{folder}: holds no .mcap file; hil run EXPERIMENT -o {folder}/a.mcap writes one")
     if len(logs) > MOST_LOGS:
         raise HilError(f"{folder}: holds {len(logs)} logs, at most {MOST_LOGS} stand in one page; move some to another folder")
-    remedy = "choose another -o (in Python output=..., or force=True)"
-    target = check_output(output or folder / "index.html", page=True, fresh=not force, remedy=remedy)
+    remedy = "choose another -o (in Python output=...), or add --force (force=True)"
+    target = check_page(output or folder / "index.html", force=force, remedy=remedy)
     beside = target.resolve().parent == folder.resolve()
     found: list[LoggedRun] = []
     written: list[Path] = []
@@ -166,7 +166,7 @@ def _page_of(log: Path, view: RunView, index: Path, written: list[Path]) -> str:
     if page == index or ":" in page.name or "\\" in page.name:
         return ""
     try:
-        check_output(page, page=True)
+        check_page(page)
     except HilError:  # another file stands in its place
         return ""
     if page.exists() and page.stat().st_mtime_ns >= log.stat().st_mtime_ns:

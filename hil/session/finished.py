@@ -18,6 +18,7 @@ from hil.measure.measure import Named, Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
 from hil.notebook import as_svg, drawn
+from hil.session.named_arrays import NamedArrays
 
 if TYPE_CHECKING:
     import pandas
@@ -153,6 +154,9 @@ class Session:
     status: int
     experiment: Experiment | None = None
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "summary", Named("part of the summary", self.summary))
+
     @property
     def run(self) -> Run:
         """The log, read back; it takes memory for every record."""
@@ -166,7 +170,7 @@ class Session:
     @property
     def arrays(self) -> Mapping[str, StructuredArray]:
         """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
-        return self.run.arrays
+        return NamedArrays(self.run.arrays)
 
     def to_pandas(self) -> dict[str, pandas.DataFrame]:
         """Return the arrays as tables of pandas; see `hil.session.finished.tables`."""

@@ -155,7 +155,7 @@ def load_points(load: Callable[[list[str]], Experiment], points: Points) -> list
         try:
             found.append(load(points.changes(number)))
         except HilError as error:
-            raise HilError(f"{', '.join(points.changes(number))}: {error}") from error
+            raise HilError(f"{', '.join(points.changes(number))}: {error}") from None
     return found
 
 

@@ -120,9 +120,10 @@ def paint_points(
         order: Any = np.argsort(at, kind="stable")
         for name, found in groups.items():
             mean = np.array([i.value for i in found])
-            half = np.array([i.half_width if np.isfinite(i.half_width) else 0.0 for i in found])
+            ends = np.array([(i.low, i.high) if np.isfinite(i.half_width) else (i.value, i.value) for i in found])
+            bars = np.abs(ends.T - mean)[:, order]  # an interval of a skewed quantity has its mean not in the middle
             line = "" if x is None else "-"
-            axis.errorbar(at[order], mean[order], yerr=half[order], marker="o", linestyle=line, capsize=3, label=name or None)
+            axis.errorbar(at[order], mean[order], yerr=bars, marker="o", linestyle=line, capsize=3, label=name or None)
         if x is None:
             axis.set_xticks(at, labels)
         axis.set_xlabel(x_label)

@@ -112,11 +112,11 @@ class Figure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BarGroup:
-    """One value per category, e.g. "counted" beside "law". `errors` are symmetric whiskers, `hollow` outlines only."""
+    """One value per category, e.g. "counted" beside "law". `whiskers` are ends of intervals; `hollow` outlines only."""
 
     label: str
     values: Sequence[float]
-    errors: Sequence[float] | None = None
+    whiskers: Sequence[tuple[float, float]] | None = None  # low, high
     colour: int | None = None
     hollow: bool = False
 

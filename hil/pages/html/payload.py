@@ -101,8 +101,8 @@ def _bars(plot: Bars) -> list[Column]:
     found: list[Column] = [(plot.x_label or "category", [str(category) for category in plot.categories])]
     for group in plot.groups:
         found.append((f"{group.label}{unit}", _plain(group.values)))
-        if group.errors is not None:
-            found.append((f"{group.label}, +-{unit}", _plain(group.errors)))
+        if group.whiskers is not None:
+            found += [(f"{group.label}, {end}{unit}", _plain(side)) for end, side in zip(("low", "high"), zip(*group.whiskers))]
     return found
 
 

@@ -16,9 +16,9 @@ LEFT, RIGHT, TOP, BOTTOM = 58, 12, 18, 44
 
 
 def draw_bars(bars: Bars) -> str:
-    """Return the SVG of grouped bars; whiskers where a group has errors."""
+    """Return the SVG of grouped bars, with whiskers where a group has intervals."""
     tallest = [
-        value + (group.errors[i] if group.errors is not None else 0.0)
+        value if group.whiskers is None else group.whiskers[i][1]
         for group in bars.groups
         for i, value in enumerate(group.values)
         if math.isfinite(value)
@@ -43,8 +43,8 @@ def draw_bars(bars: Bars) -> str:
                 f'<rect class="{style}" x="{left + 1:.1f}" y="{top:.1f}" width="{width - 2:.1f}" '
                 f'height="{max(HEIGHT - BOTTOM - top, 0):.1f}"><title>{tip}</title></rect>'
             )
-            if group.errors is not None and math.isfinite(group.errors[i]):
-                x, low, high = left + width / 2, y_of(max(value - group.errors[i], 0.0)), y_of(value + group.errors[i])
+            if group.whiskers is not None and all(map(math.isfinite, group.whiskers[i])):
+                x, (low, high) = left + width / 2, (y_of(max(end, 0.0)) for end in group.whiskers[i])
                 caps = f"M{x - 4:.1f} {high:.1f}h8M{x - 4:.1f} {low:.1f}h8"
                 parts.append(f'<path class="whisker" d="M{x:.1f} {low:.1f}V{high:.1f}{caps}"/>')
     return _svg(parts, bars.title)

@@ -17,6 +17,9 @@ import hil
 import plants
 import transport
 from design import controllers
+from plants import LinearPlant
+from plants.parts.linear import LinearRun
+from plants.parts.protocols import PlantRun
 
 ROOT = Path(__file__).parents[3]
 OURS = {"plants", "transport", "design"}
@@ -153,3 +156,18 @@ def test_a_log_is_verified_with_the_models_that_it_was_run_with(tmp_path: Path) 
     assert other is not None and "/plant/measurement" in str(other)
     with pytest.raises(hil.HilError, match=r"plant: builtins\.int: .*a plant, needs `inputs`"):
         hil.verify(tmp_path / "a.mcap", plant=3)
+
+
+class Pushed(LinearPlant):
+    """Begins somewhere else than its fields say."""
+
+    def start(self, rng: np.random.Generator) -> PlantRun:
+        return LinearRun(self.model(), (1.0,))
+
+
+def test_a_subclass_of_a_shipped_plant_runs_by_its_own_methods() -> None:
+    changes = {"limits.state": {}, "allow_uncertified": True, "controller": 0.0}
+    fields: dict[str, Any] = {"A": ((-1.0,),), "B": ((1.0,),), "C": ((1.0,),)}
+    said = hil.simulate("dc-motor-hinf", plant=LinearPlant(**fields), duration=1, **changes)
+    own = hil.simulate("dc-motor-hinf", plant=Pushed(**fields), duration=1, **changes)
+    assert said.arrays["/plant/state"]["x1"][0] == 0.0 and own.arrays["/plant/state"]["x1"][0] == 1.0

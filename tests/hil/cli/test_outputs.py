@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.files.outputs import check_output, write_output
+from hil.files.outputs import check_output, check_page, write_output
 from tests.file_limit import files_up_to
 from tests.hil.cli.conftest import Hil
 
@@ -45,13 +45,31 @@ def test_a_folder_that_takes_no_file_is_told_before_the_work() -> None:
 
 @pytest.mark.parametrize("command", [["report", "LOG"], ["reproduce", "ch2"], ["compare", "dc-motor-hinf", "--runs", "2"]])
 def test_a_page_replaces_only_a_page(cli: Hil, hil_log: Path, tmp_path: Path, command: list[str]) -> None:
-    notes = tmp_path / "notes.md"
+    notes = tmp_path / "notes.html"
     notes.write_text("mine")
-    status, out, err = cli(*(hil_log if word == "LOG" else word for word in command), "-o", notes)
-    assert (status, out) == (2, "") and "exists already and is no report" in err
-    assert notes.read_text() == "mine"
+    words = [hil_log if word == "LOG" else word for word in command]
+    status, out, err = cli(*words, "-o", notes)
+    assert (status, out) == (2, "") and "exists already and is no report" in err and "--force" in err
+    status, out, err = cli(*words, "-o", tmp_path / "notes.md", "--force")
+    assert (status, out) == (2, "") and "a page is written here; expected a name that ends in .html" in err
+    assert notes.read_text() == "mine" and os.listdir(tmp_path) == ["notes.html"]
+    assert check_page(notes, force=True) == notes
     notes.write_text("<!DOCTYPE html>\n")
-    assert check_output(notes, page=True) == notes
+    assert check_page(notes) == notes
+
+
+def test_report_takes_force_and_then_replaces_any_file(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
+    notes = tmp_path / "notes.html"
+    notes.write_text("mine")
+    assert cli("report", hil_log, "-o", notes, "--force")[0] == 0 and notes.read_text().lower().startswith("<!doctype html")
+    assert cli("report", hil_log, "-o", notes)[0] == 0
+
+
+def test_a_page_is_no_gains_file(cli: Hil, tmp_path: Path) -> None:
+    for question in (("--trigger",), ("--trade-off",), ("--can-id",)):
+        status, out, err = cli("design", "dc-motor-ours-h2", *question, "-o", tmp_path / "gains.json")
+        assert (status, out) == (2, "") and "gains.json: a page is written here" in err
+    assert not os.listdir(tmp_path)
 
 
 def test_a_design_overwrites_only_with_force(cli: Hil, tmp_path: Path) -> None:

@@ -33,8 +33,11 @@ def test_a_folder_has_a_page_and_each_log_its_own(folder: Path) -> None:
 
 def test_pages_are_made_again_only_where_the_log_is_newer_and_never_over_other_files(folder: Path) -> None:
     hil.report(folder, force=True)
-    with pytest.raises(hil.HilError, match="exists already"):
+    index = folder / "index.html"
+    index.write_text("my notes")
+    with pytest.raises(hil.HilError, match="exists already and is no report"):
         hil.report(folder)
+    assert index.read_text() == "my notes"
     assert len(hil.report(folder, force=True)) == 1
     log = folder / "omni.mcap"
     os.utime(log, ns=(log.stat().st_mtime_ns + 10**12,) * 2)

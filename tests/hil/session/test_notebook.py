@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -65,3 +66,17 @@ def test_a_cell_shows_numbers_with_units_and_the_plot(session: hil.Session, monk
     assert f"{session.metrics['sse']:.5g}</b> rad² s" in html and "<svg" in html and repr(session)[1:20] in html
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "<svg" not in session._repr_html_() and "rad² s" in session._repr_html_()
+
+
+def test_a_misspelt_field_or_part_is_answered_with_the_nearest_one(session: hil.Session) -> None:
+    records = session.arrays["/plant/measurement"]
+    with pytest.raises(hil.HilError, match=r"no field of this topic is called 'angel'; did you mean 'angle'\? There are: t_ns, "):
+        records["angel"]
+    with pytest.raises(hil.HilError, match="did you mean 'angle'"):
+        records[3:]["angel"]
+    with pytest.raises(hil.HilError, match=r"no part of the summary is called 'metrcs'; did you mean 'metrics'\?"):
+        session.summary["metrcs"]
+    assert type(records["angle"]) is np.ndarray
+    assert np.array_equal(records["angle"], session.run.arrays["/plant/measurement"]["angle"])
+    assert records[["t_ns", "angle"]].dtype.names == ("t_ns", "angle") and float(records[-1]["angle"]) == records["angle"][-1]
+    assert pickle.loads(pickle.dumps(records))["angle"].tolist() == records["angle"].tolist()

@@ -130,6 +130,10 @@ def test_plots_show_what_was_computed_and_are_written(
     marked = [line for line in axis.lines if line.get_marker() == "o"]
     expected = [mean_interval(columns["sse"]).value for columns in over_gain.columns]
     assert [y for line in marked for y in line.get_ydata()] == pytest.approx(expected)
+    drawn = [tuple(ends[:, 1]) for lines in axis.collections for ends in lines.get_segments()]
+    intervals = [mean_interval(columns["sse"])[1:3] for columns in over_gain.columns]
+    assert np.array(drawn) == pytest.approx(np.array(intervals))  # they are skewed: the mean is not in their middle
+    assert max(abs(high + low - 2 * mean) for (low, high), mean in zip(intervals, expected)) > 0.1
     assert (tmp_path / "points.svg").read_text().count("<svg") == 1
     (axis,) = comparison.plot(quantity="sse").axes
     assert np.array_equal(axis.lines[1].get_xdata(), np.sort(comparison.values["dc-motor-h2"]["sse"]))
@@ -191,9 +195,11 @@ def test_pages_of_many_runs_are_written_once(comparison: hil.Comparison, over_ga
     for source in (comparison, over_gain):
         page = tmp_path / f"{type(source).__name__}.html"
         assert hil.report(source, output=page) == (page,) and page.read_text().lower().startswith("<!doctype html")
+        hil.report(source, output=page)  # a page is replaced, another file only where it is asked for
+        page.write_text("mine")
         with pytest.raises(hil.HilError, match="force=True"):
             hil.report(source, output=page)
-        hil.report(source, output=page, force=True)
+        assert page.read_text() == "mine" and hil.report(source, output=page, force=True) == (page,)
     with pytest.raises(hil.HilError, match=r"expected output='page.html'"):
         hil.report(comparison)
 

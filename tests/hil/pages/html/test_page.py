@@ -57,7 +57,7 @@ def page_with_every_block(text: str) -> str:
             markers=(Marker(x=0.5, label=text, state="bad"),),
         ),
         Bars(title=text, categories=[text], x_label=text, y_label=text, y_unit=text, note=text,
-             groups=(BarGroup(label=text, values=[1.0], errors=[0.1]), BarGroup(label=text, values=[2.0]))),
+             groups=(BarGroup(label=text, values=[1.0], whiskers=[(0.8, 1.1)]), BarGroup(label=text, values=[2.0]))),
         Histogram(title=text, edges=[0, 1, 2], counts=[3, 4], x_label=text, x_unit=text, y_label=text, note=text,
                   markers=(Marker(x=1.0, label=text),)),
         Matrix(title=text, rows=[text], columns=[text], values=[[0.5]], row_label=text, column_label=text, note=text),
@@ -139,9 +139,10 @@ def test_empty_blocks_are_drawn_empty() -> None:
 
 
 def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
+    whiskers = [(0.2, 0.5), (0.1, 0.2)]
     blocks = (
         Histogram(title="h", edges=np.array([0.0, 0.1, 0.3]), counts=np.array([1_234_567_891, 0]), x_label="late", x_unit="us"),
-        Bars(title="b", categories=["a", "b"], groups=(BarGroup(label="law", values=[0.25, np.nan], errors=[0.1, 0.2]),)),
+        Bars(title="b", categories=["a", "b"], groups=(BarGroup(label="law", values=[0.25, np.nan], whiskers=whiskers),)),
         Matrix(title="m", rows=["0"], columns=["0", "1"], values=[[0.1, None]], expected=[[0.2, 0.3]], row_label="from"),
         Scene(title="s", shapes=(Shape(points=[(0.0, 1.0), (np.nan, 2.0)], label="way"),), x_label="y (mm)"),
     )
@@ -150,6 +151,6 @@ def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
     assert [page.count(f'data-numbers="{i}"') for i in range(5)] == [1, 1, 1, 1, 0]
     columns = [{column["name"]: column["values"] for column in table} for table in tables]
     assert columns[0] == {"late (us), from": [0.0, 0.1], "late (us), to": [0.1, 0.3], "count": [1_234_567_891, 0]}
-    assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, +-": [0.1, 0.2]}
+    assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, low": [0.2, 0.1], "law, high": [0.5, 0.2]}
     assert columns[2] == {"from": ["0"], "0": [0.1], "0, expected": [0.2], "1": [None], "1, expected": [0.3]}
     assert columns[3] == {"shape": ["way", "way"], "y (mm)": [0.0, None], "y": [1.0, 2.0]}
