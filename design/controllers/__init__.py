@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from design.controllers.contract import (
         Controller,
+        DistinguishesAges,
         Gains,
         GainTable,
         HistoryGains,
@@ -26,14 +27,13 @@ if TYPE_CHECKING:
         Selection,
         SeveralSamples,
         SojournDependent,
-        TellsAges,
-        ages_told,
+        ages_distinguished,
         check_row_sojourns,
         integrates,
         packet_samples,
         row_count,
-        row_sojourns_told,
-        sojourns_told,
+        row_sojourns_distinguished,
+        sojourns_distinguished,
     )
     from design.controllers.gain_rows import GainIndex, nested
     from design.controllers.gain_rows_many import feedforward, held_exactly
@@ -73,9 +73,9 @@ _HOMES: Final = {
     "SendAll": "design.controllers.send_all",
     "SensorNodes": "design.controllers.sensor_nodes",
     "SeveralSamples": "design.controllers.contract",
-    "TellsAges": "design.controllers.contract",
+    "DistinguishesAges": "design.controllers.contract",
     "Turns": "design.controllers.sensor_nodes",
-    "ages_told": "design.controllers.contract",
+    "ages_distinguished": "design.controllers.contract",
     "check_row_sojourns": "design.controllers.contract",
     "feedforward": "design.controllers.gain_rows_many",
     "held_exactly": "design.controllers.gain_rows_many",
@@ -83,8 +83,8 @@ _HOMES: Final = {
     "nested": "design.controllers.gain_rows",
     "packet_samples": "design.controllers.contract",
     "row_count": "design.controllers.contract",
-    "row_sojourns_told": "design.controllers.contract",
-    "sojourns_told": "design.controllers.contract",
+    "row_sojourns_distinguished": "design.controllers.contract",
+    "sojourns_distinguished": "design.controllers.contract",
 }
 
 __all__ = [
@@ -92,6 +92,7 @@ __all__ = [
     "AgedRows",
     "Constant",
     "Controller",
+    "DistinguishesAges",
     "GainIndex",
     "GainTable",
     "Gains",
@@ -118,9 +119,8 @@ __all__ = [
     "SensorNodes",
     "SeveralSamples",
     "SojournDependent",
-    "TellsAges",
     "Turns",
-    "ages_told",
+    "ages_distinguished",
     "check_row_sojourns",
     "feedforward",
     "held_exactly",
@@ -128,8 +128,8 @@ __all__ = [
     "nested",
     "packet_samples",
     "row_count",
-    "row_sojourns_told",
-    "sojourns_told",
+    "row_sojourns_distinguished",
+    "sojourns_distinguished",
 ]  # fmt: skip
 
 

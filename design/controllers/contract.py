@@ -244,16 +244,16 @@ class RowsOfStays(Protocol):
 
 
 @runtime_checkable
-class TellsAges(Protocol):
+class DistinguishesAges(Protocol):
     """A table of gains that distinguishes the ages of several sensor nodes."""
 
     ages: Sequence[int]
     """How many ages 0, 1, ... of each node have gains of their own; empty: gains by the oldest age."""
 
 
-def ages_told(controller: object) -> tuple[int, ...]:
-    """Return how many ages of each node the controller distinguishes, see `TellsAges`; none: an empty tuple."""
-    return tuple(controller.ages) if isinstance(controller, TellsAges) else ()
+def ages_distinguished(controller: object) -> tuple[int, ...]:
+    """Return how many ages of each node the controller distinguishes, see `DistinguishesAges`; none: an empty tuple."""
+    return tuple(controller.ages) if isinstance(controller, DistinguishesAges) else ()
 
 
 def packet_samples(controller: object) -> int:
@@ -266,7 +266,7 @@ def integrates(controller: object) -> bool:
     return isinstance(controller, IntegralAction) and bool(controller.integral)
 
 
-def sojourns_told(controller: object) -> int | Sequence[int]:
+def sojourns_distinguished(controller: object) -> int | Sequence[int]:
     """Return which lengths of stay the controller distinguishes, see `SojournDependent`; none: an empty tuple."""
     return controller.sojourns if isinstance(controller, SojournDependent) else ()
 
@@ -289,6 +289,6 @@ def check_row_sojourns(row_sojourns: int, rule: str, field: str) -> None:
         raise FieldError("row_sojourns", said)
 
 
-def row_sojourns_told(controller: object) -> int:
+def row_sojourns_distinguished(controller: object) -> int:
     """Return how many lengths of stay at d have a row each, see `RowsOfStays`; 1 of a controller that has one for every d."""
     return int(controller.row_sojourns) if isinstance(controller, RowsOfStays) else 1

@@ -116,7 +116,7 @@ def certify_cost(
         reason=f"E|X|^2 of the stacked state {'falls' if stable else 'does not fall'}: factor {radius:.6g} per slot",
         number=radius, quantity="growth of E|X|^2 per slot", limit=1.0,
         assumptions=(
-            "the history before slot 0 is the plant's, unheard" if past else "the history before slot 0 is zero",
+            "the history before slot 0 is the plant's, not received" if past else "the history before slot 0 is zero",
             *(["sensor noise is white, drawn anew for every sample; the cost is without it"] if noisy else []),
             "the phases follow the cycle" if transition is None else "the phases follow the chain", "no packet is lost",
         ),

@@ -24,7 +24,7 @@ TOLERANCE = 1e-12
 Renewed = npt.NDArray[np.bool_] | None
 
 
-def close_heard(plant: DelayedPlant, gains: Array, transition: Array | None = None, renewed: Renewed = None) -> LiftedLoop:
+def close_received(plant: DelayedPlant, gains: Array, transition: Array | None = None, renewed: Renewed = None) -> LiftedLoop:
     """Return the loop on (X, Y), with u = K Y, or on (X, Y, h), with u = K (Y, h).
 
     Args:
@@ -70,7 +70,7 @@ def cost_from(
     Raises:
         NotStable: J is infinite.
     """
-    loop, known = close_heard(plant, gains, transition, renewed), np.asarray(history, dtype=float)
+    loop, known = close_received(plant, gains, transition, renewed), np.asarray(history, dtype=float)
     size, n = loop.L.shape[-1] - gains.shape[1] * gains.shape[3], known.shape[1]
     start = np.zeros(loop.L.shape[-1])
     start[: known.size], start[size : size + n] = known.ravel(), known[0]
@@ -95,7 +95,7 @@ def noise_costs(
         transition: chain of the phases; default the cycle.
         renewed: (phases, n), as of `design.historical_data.lifted_loop.close`.
     """
-    loop, share = close_heard(plant, gains, transition, renewed), phases
+    loop, share = close_received(plant, gains, transition, renewed), phases
     fresh = _fresh(plant, gains.shape[1] - (renewed is not None), len(loop.L[0]), deviation)
     P = share[:, None, None] * fresh
     while True:

@@ -262,7 +262,7 @@ def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int], *, 
         coupler: C; its integrator, which only helps, is left out.
         period_s: T in s.
         delays: the delays nd in samples.
-        varying: whether they are those of `varying_delay.lags`, whose F_N add up; the delay told is then the largest.
+        varying: whether they are those of `varying_delay.lags`, whose F_N add up; the delay returned is then the largest.
     """
     taps, asked = np.asarray(coupler.taps_m_per_n), sorted(delays) if varying else sorted(set(delays))
     t = np.linspace(0.0, np.pi, 64 * max(taps.size, asked[-1] + 1) + 1)

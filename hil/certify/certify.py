@@ -23,11 +23,11 @@ from hil.certify.certifier import (
     undecided,
     why_no_controller,
 )
+from hil.certify.conformance import tested
 from hil.certify.historical_loop import certify_historical
 from hil.certify.jump_loop import certify_jump_loop
 from hil.certify.send_all_loop import certify_linear_law, certify_send_all
 from hil.certify.wall_loop import certify_model_following, certify_wall_loop
-from hil.certify.word_and_deed import tested
 from hil.errors import ForeignVerdict
 from hil.plugins.user_modules import is_ours
 from hil.rig.spec import RigSpec

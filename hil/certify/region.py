@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, packet_samples, row_sojourns_told, sojourns_told
+from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
@@ -148,8 +148,8 @@ def _first_rows(loop: CertificationProblem) -> str:
     controller = loop.controller
     if packet_samples(controller) > 1:
         return "its first packets repeat their sample"
-    sojourns = sojourns_told(controller)
-    if row_sojourns_told(controller) > 1 or (sojourns if isinstance(sojourns, int) else max(sojourns, default=1)) > 1:
+    sojourns = sojourns_distinguished(controller)
+    if row_sojourns_distinguished(controller) > 1 or (sojourns if isinstance(sojourns, int) else max(sojourns, default=1)) > 1:
         return "its stays are counted from its first packet on"
     rule = controller.selection if isinstance(controller, GainTable) else "constant"
     same = rule in ("constant", "applied") or (rule in ("generated", "both") and loop.model.d_max <= 1)

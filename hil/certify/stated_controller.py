@@ -17,11 +17,11 @@ from design.controllers import (
     ModeSchedule,
     OutputFeedback,
     SendAll,
-    ages_told,
+    ages_distinguished,
     integrates,
     packet_samples,
-    row_sojourns_told,
-    sojourns_told,
+    row_sojourns_distinguished,
+    sojourns_distinguished,
 )
 from design.controllers.rendered_wall import WallController
 from design.verdict import State
@@ -118,12 +118,13 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
     if isinstance(controller, GainTable):
         K = table_of(loop, controller)
         samples, integral, stays, ages = (
-            packet_samples(controller), integrates(controller), sojourns_told(controller), ages_told(controller),
+            packet_samples(controller), integrates(controller), sojourns_distinguished(controller),
+            ages_distinguished(controller),
         )  # fmt: skip
         lengths = (stays,) if isinstance(stays, int) else tuple(stays)
         table = SendAll(
             gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
-            sojourns=() if isinstance(stays, int) else lengths, ages=ages, row_sojourns=row_sojourns_told(controller),
+            sojourns=() if isinstance(stays, int) else lengths, ages=ages, row_sojourns=row_sojourns_distinguished(controller),
         )  # fmt: skip
         return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):

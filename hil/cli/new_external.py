@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from design.controllers import (
     GainTable,
     LinearFeedback,
-    ages_told,
+    ages_distinguished,
     feedforward,
     integrates,
     packet_samples,
-    sojourns_told,
+    sojourns_distinguished,
 )
 from design.controllers.gain_rows_many import sojourn_ranges
 from hil.errors import HilError
@@ -246,7 +246,7 @@ def law_tables(loop: Loop) -> LawTables:
     if isinstance(controller, GainTable):
         K = np.asarray(controller.table(model), dtype=float)
         integral, samples = integrates(controller), packet_samples(controller)
-        stays, ages = sojourns_told(controller), ages_told(controller)
+        stays, ages = sojourns_distinguished(controller), ages_distinguished(controller)
         sojourns = (1,) * len(K) if isinstance(stays, int) or not stays else tuple(stays)
         width = p * (samples + integral)
         moved = np.zeros((p * integral, width))  # the sum of the newest errors

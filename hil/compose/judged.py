@@ -12,9 +12,9 @@ from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedba
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
+from hil.certify.conformance import one_step
 from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
-from hil.certify.word_and_deed import one_step
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from design.tracking.synthesis import Design
     from transport.law_fit.law_fit import LawFit
 
-OLDEST_TOLD = 3
+OLDEST_DISTINGUISHED = 3
 """Ages that gains tell apart, at most, where a measured latency may last longer."""
 MOST_TIMES = 1e6
 
@@ -72,7 +72,7 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
         chain = law.age_chain(fit.period_s, fit.deadline_s)
         if isinstance(chain, str):
             raise HilError(chain)
-        return Measured(fit=fit, law=law, at=at._replace(max_age=min(OLDEST_TOLD, chain.bound)))
+        return Measured(fit=fit, law=law, at=at._replace(max_age=min(OLDEST_DISTINGUISHED, chain.bound)))
     return Measured(fit=fit, law=law, at=at._replace(max_age=max(_ages(law))))
 
 

@@ -30,7 +30,7 @@ Matrix = NDArray[np.float64]
 SAME = 1e-9
 """Two drives that differ by less than this share of what they are computed from are one."""
 
-UNHEARD = 1e-6
+SILENT = 1e-6
 """Probability that a prediction may leave out: the controller has received nothing, answers zeros, and the plant moves."""
 
 LOOKED_AT = 100
@@ -106,7 +106,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
     moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
     rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
-    if loop.chains.arriving[0].silent(rest) > UNHEARD:
+    if loop.chains.arriving[0].silent(rest) > SILENT:
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]

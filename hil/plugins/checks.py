@@ -32,7 +32,7 @@ from design.controllers import (
     integrates,
     packet_samples,
     row_count,
-    row_sojourns_told,
+    row_sojourns_distinguished,
 )
 from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
@@ -236,7 +236,7 @@ def check_table(controller: GainTable, model: LoopModel) -> None:
     """
     m, p = model.B.shape[1], model.C.shape[0]
     table = asked("table(model)", lambda: np.asarray(controller.table(model), dtype=float))
-    rows = row_count(controller.selection, model.d_max, row_sojourns_told(controller))
+    rows = row_count(controller.selection, model.d_max, row_sojourns_distinguished(controller))
     width = p * packet_samples(controller) + p * integrates(controller)
     fits = table.ndim == 4 and len(table) > 0 and table.shape[1:] == (rows, m, width)
     assert fits, f"table(model) of shape {table.shape}, expected (tau, {rows}, {m}, {width}), tau up to {model.tau_max}"
@@ -252,7 +252,7 @@ def check_statements(controller: Controller, model: LoopModel) -> None:
     samples = asked("samples", packet_samples, controller)
     whole = isinstance(samples, int | np.integer) and samples >= 1
     assert whole, f"samples is {samples!r:.60}, expected a whole number of at least 1"
-    stays, rule = asked("row_sojourns", row_sojourns_told, controller), controller.start(model).selection
+    stays, rule = asked("row_sojourns", row_sojourns_distinguished, controller), controller.start(model).selection
     assert stays == 1 or (stays > 1 and rule == "applied"), f"row_sojourns is {stays}, with the rule {rule!r} expected 1"
     for states, name, arguments, kind in (
         (LinearFeedback, "linear_law", (model,), LinearLaw), (ModeSchedule, "schedule_of_modes", (), ScheduledGain),
@@ -294,7 +294,7 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
             else:
                 tau = int(rng.integers(0, model.tau_max + 1))
                 rows = asked("rows(k, tau, y, r)", running.rows, k, tau, y, (1.0,) * p)
-            expected = row_count(running.selection, model.d_max, row_sojourns_told(controller))
+            expected = row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))
             numbers = asked(f"rows() returned {rows!r:.80}", lambda rows=rows: [[float(u) for u in row] for row in rows])
             assert len(numbers) == expected, f"{len(numbers)} rows, expected {expected} for {running.selection!r}"
             assert all(len(row) == m for row in numbers), f"a row has not {m} inputs"

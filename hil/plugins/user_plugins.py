@@ -58,7 +58,7 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         raise AssertionError(f"{what}: {words(error)}") from error
 
 
-def told_of(error: BaseException, objects: Iterable[object]) -> str | None:
+def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
     """Return what an exception says that came of a class of the user's own, None for any other exception.
 
     Args:

@@ -26,12 +26,12 @@ from hil.errors import HilError
 from hil.files.regular import refuse_irregular
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.reproduce.chapter import Part, Plot
-from hil.reproduce.judgement import Approximately, Between, Check, Drawn, Equals, Row, Untold
+from hil.reproduce.judgement import Approximately, Between, Check, Drawn, Equals, NotJudged, Row
 
 CLASSES: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
-        Part, Plot, Row, Check, Approximately, Between, Drawn, Equals, Untold,
+        Part, Plot, Row, Check, Approximately, Between, Drawn, Equals, NotJudged,
         Figure, Series, Band, Marker, Bars, BarGroup, Histogram,
     )
 }

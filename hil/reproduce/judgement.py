@@ -14,7 +14,7 @@ There is one rule for each kind of number, and its kind stands beside it:
     one run     a printed run among ours: error rate 1 %, and power against runs of half or twice the size (`Drawn`)
     one-sided   a limit or an interval (`Between`)
     word        what a certificate or a search says, never one that we write down (`Equals`)
-    untold      a number that is shown and not judged, because what it depends on is not at hand (`Untold`)
+    not judged  a number that is shown and not judged, because what it depends on is not at hand (`NotJudged`)
 
 A check is undecided, and so decides nothing, where the data cannot tell: a statistic whose interval lies across the limit, an
 equality that a number 10 % off would fulfil, a run that would also be one of runs of half or twice the size.
@@ -32,7 +32,7 @@ import numpy.typing as npt
 
 Verdict = Literal["reproduced", "not reproduced", "claim false", "undecided"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
-Kind = Literal["equality", "one run", "one-sided", "word", "untold"]
+Kind = Literal["equality", "one run", "one-sided", "word", "not judged"]
 Value = float | str
 
 OFF = 0.1
@@ -137,10 +137,10 @@ class Equals:
 
 
 @dataclass(frozen=True, slots=True)
-class Untold:
+class NotJudged:
     """The value cannot be judged."""
 
-    kind: ClassVar[Kind] = "untold"
+    kind: ClassVar[Kind] = "not judged"
     why: str
 
     def says(self, value: Value) -> bool | None:
@@ -188,7 +188,7 @@ class Check:
         if isinstance(self.rule, Drawn):
             passes = 1.0 + share in self.rule.passes
             return replace(self, value=0.5 if passes else math.nan, interval=())
-        if isinstance(self.value, str) or isinstance(self.rule, Untold):
+        if isinstance(self.value, str) or isinstance(self.rule, NotJudged):
             return None
         zero = isinstance(self.rule, Approximately) and self.rule.printed == 0.0
         size = self.rule.size if zero and isinstance(self.rule, Approximately) else abs(self.value)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from string import Formatter
 from typing import Any
 
-from hil.reproduce.judgement import Approximately, Between, Check, Equals, Row, Rule, Untold, rank
+from hil.reproduce.judgement import Approximately, Between, Check, Equals, NotJudged, Row, Rule, rank
 
 ERRORS = 4.0
 """Standard errors that a Monte-Carlo mean may be off: two-sided error rate 6e-5 for a normal mean."""
@@ -140,6 +140,6 @@ def says(what: str, name: str, word: str) -> Claim:
     return _claim(what, name, lambda v: Equals(word))
 
 
-def untold(what: str, name: str, why: str) -> Claim:
+def not_judged(what: str, name: str, why: str) -> Claim:
     """The number is shown and cannot be judged."""
-    return _claim(what, name, lambda v: Untold(why))
+    return _claim(what, name, lambda v: NotJudged(why))

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, LoopModel, ages_told, row_sojourns_told, sojourns_told
+from design.controllers import GainTable, LoopModel, ages_distinguished, row_sojourns_distinguished, sojourns_distinguished
 from design.errors import FieldError
 from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
@@ -58,7 +58,7 @@ class Chains(Struct, frozen=True, kw_only=True):
 
 def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:
     """Return which lengths of stay at tau, which ages, and how many lengths of stay at d a controller distinguishes."""
-    return sojourns_told(controller), ages_told(controller), row_sojourns_told(controller)
+    return sojourns_distinguished(controller), ages_distinguished(controller), row_sojourns_distinguished(controller)
 
 
 def chains_for(rig: RigSpec, controller: object) -> Chains:

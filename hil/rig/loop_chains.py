@@ -13,11 +13,11 @@ from design.controllers import (
     GainTable,
     LinearFeedback,
     LoopModel,
-    ages_told,
+    ages_distinguished,
     packet_samples,
     row_count,
-    row_sojourns_told,
-    sojourns_told,
+    row_sojourns_distinguished,
+    sojourns_distinguished,
 )
 from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
@@ -29,7 +29,7 @@ from transport.laws.protocols import NetworkLaw, RecordedLaw
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
 
-OLDEST_TOLD = 16
+OLDEST_DISTINGUISHED = 16
 """Ages that are distinguished for a controller whose matrices all of them change."""
 
 
@@ -68,7 +68,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
                 never = sum(modes) - sc.modes - ca.modes
                 unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
         return LoopChains(sc, ca, unmet, "")
-    if sojourns_told(controller) or (ca is None and row_sojourns_told(controller) > 1):
+    if sojourns_distinguished(controller) or (ca is None and row_sojourns_distinguished(controller) > 1):
         return LoopChains(sc, ca, "", chains.why_none)
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
@@ -79,7 +79,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     elif chains.applied.states is not None:
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
-        distinguished = _told(controller, model)
+        distinguished = _distinguished(controller, model)
         slack, shares = _slack(rig) if distinguished == 1 and packet_samples(controller) == 1 else ((), ())
         found = received_ages(rig, chains.arriving, distinguished, bands=bool(slack or shares))
         if isinstance(found, str):
@@ -90,8 +90,8 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
 
 def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopChains:
     """The chains of all ages that a CAN bus with time leaves possible."""
-    told = sojourns_told(controller) or row_sojourns_told(controller) > 1
-    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or told:
+    by_stay = sojourns_distinguished(controller) or row_sojourns_distinguished(controller) > 1
+    if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or by_stay:
         return LoopChains(None, None, "", "the theory of this controller knows no CAN bus with time")
     found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
     if found is None or isinstance(found, str):
@@ -117,13 +117,13 @@ def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
     return found["dead-band"], found["relative"]
 
 
-def _told(controller: Controller, model: LoopModel) -> int | Sequence[int]:
+def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[int]:
     """How many ages a controller distinguishes, of the oldest sample or of every node's."""
     if isinstance(controller, AgedFeedback):
-        return OLDEST_TOLD
+        return OLDEST_DISTINGUISHED
     if not isinstance(controller, GainTable):
         return 1
-    if len(own := ages_told(controller)) > 1:
+    if len(own := ages_distinguished(controller)) > 1:
         return own
     K = np.array(controller.table(model), dtype=float)
     return 1 + int(np.flatnonzero((K[1:] != K[:-1]).any(axis=(1, 2, 3))).max(initial=-1) + 1)

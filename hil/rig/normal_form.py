@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from traceback import walk_tb
 
-from design.controllers import row_sojourns_told
+from design.controllers import row_sojourns_distinguished
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
-from hil.plugins.user_plugins import told_of
+from hil.plugins.user_plugins import user_failure
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of
 from hil.rig.can_frames import can_faults
 from hil.rig.packet_ages import Receiver
@@ -32,7 +32,7 @@ def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
     except HilError:
         raise
     except Exception as error:  # whatever an author's part raises when it is asked
-        text = told_of(error, _parts(experiment).values())
+        text = user_failure(error, _parts(experiment).values())
         if text is None:
             raise
         asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
@@ -81,7 +81,7 @@ def _rig_of(e: Experiment) -> RigSpec:
         at_controller=Receiver(period_s, deadline_s, network.sc.max_age, holds_input=False),
         at_actuator=Receiver(period_s, deadline_s, network.ca.max_age, holds_input=True),
         fault_schedule=fault_schedule(e, [sensor.name for sensor in sensors]), unreached=beyond_the_end(e),
-        links=links, framing=framing, row_sojourns=row_sojourns_told(e.controller),
+        links=links, framing=framing, row_sojourns=row_sojourns_distinguished(e.controller),
     )  # fmt: skip
     bus = can_bus_of(rig)
     faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)])

@@ -1,6 +1,6 @@
 """What a run is compared with while it runs: the model of its plant, slot by slot, and the table of its controller.
 
-The test before a run, `hil.certify.word_and_deed`, ends after some slots; who lies later, beyond the tested inputs or at some
+The test before a run, `hil.certify.conformance`, ends after some slots; who lies later, beyond the tested inputs or at some
 state is seen here alone. Both say by the same tolerances what is equal, and what kind a motion is that no model explains.
 """
 

@@ -20,7 +20,7 @@ LATE: Final = "change late"
 
 END: Final = "end"
 """Path of the change that ends a run."""
-END_TOLD: Final = "the run was ended"
+RUN_ENDED: Final = "the run was ended"
 
 
 class Change(Struct, frozen=True, kw_only=True):
@@ -62,5 +62,5 @@ def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
     """Log a change, with what is claimed of the loop that it makes."""
     verdict = None if change.loop is None else change.loop.verdict
     claimed = {} if verdict is None else {"kind": verdict.kind, "state": verdict.state, "reason": verdict.reason}
-    text = END_TOLD if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
+    text = RUN_ENDED if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
     sink.event(t_ns, CHANGE, text, tick=k, path=change.path, value=change.value, certificate=claimed)

@@ -38,7 +38,7 @@ def nothing_more() -> None:
 
 
 class Slot:
-    """One slot of a rig: sense, ask, record, hear, actuate, commit.
+    """One slot of a rig: sense, ask, record, receive, actuate, commit.
 
     Args:
         rig: the emulated hardware and network.

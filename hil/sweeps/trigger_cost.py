@@ -72,7 +72,7 @@ def experiment_with(asked: TriggerQuestion, candidate: Candidate) -> Experiment:
 
 
 def run_candidate(asked: TriggerQuestion, candidate: Candidate, runs: int = RUNS) -> TriggerPoint:
-    """Judge a candidate at the one door, and run it for the seeds 0, 1, ...
+    """Certify a candidate, and run it for the seeds 0, 1, ...
 
     Args:
         asked: the experiment.

@@ -16,7 +16,7 @@ from design.controllers import LoopModel, SendAll
 from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
 from hil.api.pytest_plugin import explained
-from hil.certify.word_and_deed import one_step
+from hil.certify.conformance import one_step
 from hil.compose.loop import compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts

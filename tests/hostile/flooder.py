@@ -101,7 +101,7 @@ class ZenohPeer:
             identifier: self._session.declare_publisher(f"hil/{name}/{key}", express=True, congestion_control=drop).put
             for key, identifier in (("control", CONTROL), ("sensor", SENSOR))
         }
-        for key, identifier in (("sensor", SENSOR), ("heard", CONTROL)):
+        for key, identifier in (("sensor", SENSOR), ("received", CONTROL)):
             hear = zenoh.handlers.Callback(partial(self._hear, identifier), indirect=False)
             self._session.declare_subscriber(f"hil/{name}/{key}", hear)
 

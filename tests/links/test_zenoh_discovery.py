@@ -18,7 +18,7 @@ from tests.ports import free_port
 from tests.waiting import until
 from transport import open_link
 from transport.links.contract import control, meet, sensor
-from transport.links.link import Tells
+from transport.links.link import Discoverable
 from transport.links.zenoh_discover import discover
 from transport.links.zenoh_link import ENCODING, config
 
@@ -37,10 +37,10 @@ def test_who_joins_sees_both_directions_with_slot_and_session(mode: str) -> None
                 controller.send(control(7))
                 rig.receive(0.1)
                 time.sleep(0.01)
-                return {"hil/rig0/sensor", "hil/rig0/heard"} <= set(seen)
+                return {"hil/rig0/sensor", "hil/rig0/received"} <= set(seen)
 
             until(both, "both directions")
-        for key, packet in (("sensor", sensor(7)), ("heard", control(7))):
+        for key, packet in (("sensor", sensor(7)), ("received", control(7))):
             sample = seen[f"hil/rig0/{key}"][-1]
             assert sample.payload.to_bytes() == packet and str(sample.encoding) == ENCODING
             slot, session = sample.attachment.to_string().split(";")  # type: ignore[union-attr]
@@ -54,8 +54,8 @@ def test_a_rig_and_its_controller_are_found_with_what_runs(
     assert run_main("discover") == 1 and "no rig or controller found" in capsys.readouterr().out
     with open_link("zenoh:?name=mine", "rig") as rig, open_link("zenoh:?name=mine", "controller") as controller:
         meet(rig, controller)
-        assert isinstance(rig, Tells)
-        rig.tell(about_rig(rig_of(load_experiment("multisensor-published"))))
+        assert isinstance(rig, Discoverable)
+        rig.announce(about_rig(rig_of(load_experiment("multisensor-published"))))
         assert run_main("discover", "--json", "--wait", "30") == 0
         [found] = json.loads(capsys.readouterr().out)
         assert found["name"] == "mine" and found["alive"] == ["controller", "rig"]
@@ -67,22 +67,22 @@ def test_a_rig_and_its_controller_are_found_with_what_runs(
     assert command.name == "command" and discover(f"unixsock-stream/{tmp_path}/mine", 0.2) == []
 
 
-def test_a_link_with_a_password_tells_nobody(tmp_path: Path) -> None:
+def test_a_link_with_a_password_announces_nothing(tmp_path: Path) -> None:
     users = tmp_path / "users"
     users.write_text("controller:secret\n")
     users.chmod(0o600)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with open_link(f"zenoh:{endpoint}?users={users}", "rig") as rig:
-        assert isinstance(rig, Tells)
-        rig.tell({"experiment": "secret", "period_ns": 1})
+        assert isinstance(rig, Discoverable)
+        rig.announce({"experiment": "secret", "period_ns": 1})
         assert discover(endpoint, 0.5) == []
 
 
 def test_an_answer_of_another_form_is_no_rig(tmp_path: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with open_link(f"zenoh:{endpoint}", "rig") as rig:
-        assert isinstance(rig, Tells)
-        rig.tell({"experiment": 7, "period_ns": "x"})
+        assert isinstance(rig, Discoverable)
+        rig.announce({"experiment": 7, "period_ns": "x"})
         [found] = discover(endpoint, 30)
         assert found["alive"] == ["rig"] and found["info"] is None
 

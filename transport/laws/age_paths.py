@@ -14,10 +14,16 @@ Ages = NDArray[np.int32]
 
 def uniforms_of_many(rngs: Iterable[np.random.Generator], runs: int, slots: int) -> NDArray[np.float64]:
     """Return the first uniform numbers of [0, 1) of many streams, (slots, runs)."""
-    drawn = np.empty((runs, slots))
+    (first,) = several_of_many(rngs, runs, slots, 1)
+    return np.asarray(first)
+
+
+def several_of_many(rngs: Iterable[np.random.Generator], runs: int, slots: int, numbers: int) -> NDArray[np.float64]:
+    """Return so many uniform numbers of [0, 1) of every slot of many streams, (numbers, slots, runs)."""
+    drawn = np.empty((runs, slots, numbers))
     for row, rng in zip(drawn, rngs, strict=True):
         rng.random(out=row)
-    return np.ascontiguousarray(drawn.T)
+    return np.ascontiguousarray(np.moveaxis(drawn, (2, 1), (0, 1)))
 
 
 def chain_ages(first: Row, rows: Sequence[Row], ages: Sequence[int], uniforms: NDArray[np.float64]) -> Ages:

@@ -13,18 +13,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws.age_paths import chain_ages, several_of_many
 from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
-from transport.laws.packet_chain import (
-    PacketChain,
-    SlotTimes,
-    channel_modes,
-    fives_of_batch,
-    in_order,
-    newest_received,
-    packet_chain,
-    quantiles,
-)
+from transport.laws.packet_chain import PacketChain, packet_chain
 from transport.laws.packet_draws import LATEST, PacketDraws
+from transport.laws.packet_paths import SlotTimes, in_order, newest_received, quantiles
 from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
@@ -162,11 +155,12 @@ class PacketLaw:
         latencies, times = latency(self.latency), SlotTimes(
             period_s=period_s, deadline_s=deadline_s, tolerance=SLOT_TOLERANCE, latest=LATEST
         )  # fmt: skip
-        mode, loss, level, copy, copy_level = fives_of_batch(rngs, runs, slots)
+        mode, loss, level, copy, copy_level = several_of_many(rngs, runs, slots, 5)
         taken = in_order(latencies, level)
         if taken is None:
             return np.full((slots, runs), -1, dtype=np.int32), np.zeros(runs, dtype=np.bool_)
-        modes = channel_modes(self.stationary().tolist(), self.transition_matrix().tolist(), mode)
+        rows = self.transition_matrix().tolist()
+        modes = chain_ages(self.stationary().tolist(), rows, range(len(rows)), mode)
         sent = ~((loss < np.array(self.channel_losses()).take(modes)) | np.isinf(taken))
         copied = quantiles(latencies, copy_level)
         delays = [times.delays(np.where(np.isinf(s), 0.0, s)) for s in (taken, copied)]

@@ -86,15 +86,15 @@ class AuthenticatedLink(Closing):
         now_s: a monotonic clock, s.
     """
 
-    __slots__ = ("_code", "_heard_s", "_hears", "_last", "_link", "_now_s", "_refused", "_rig", "_session", "uri")
+    __slots__ = ("_code", "_last", "_link", "_now_s", "_received_s", "_receives", "_refused", "_rig", "_session", "uri")
 
     def __init__(self, link: Link, role: Role, code: Code, now_s: Callable[[], float] = monotonic) -> None:
         self.uri = link.uri
         self._link, self._rig, self._code, self._now_s = link, role == "rig", code, now_s
-        self._hears = CONTROL if self._rig else SENSOR
+        self._receives = CONTROL if self._rig else SENSOR
         self._session: bytes | None = None
         self._last = self._refused = 0
-        self._heard_s = 0.0
+        self._received_s = 0.0
 
     @property
     def counters(self) -> LinkCounters:
@@ -118,7 +118,7 @@ class AuthenticatedLink(Closing):
             if data is None:
                 return None
             said = tag_of(data)
-            if said is not None and said.kind == self._hears and self._accepts(said):
+            if said is not None and said.kind == self._receives and self._accepts(said):
                 return data
             self._refused += 1
             left_s = end_s - self._now_s()
@@ -131,7 +131,7 @@ class AuthenticatedLink(Closing):
         """Return whether a packet is of this session, new, and has its code; take over a session that begins."""
         session, last = self._session, self._last
         if not self._rig and said.seq == HELLO and (nonce := said.nonce.to_bytes(8, "little")) != session:
-            if session is not None and self._now_s() - self._heard_s < SILENCE_S:
+            if session is not None and self._now_s() - self._received_s < SILENCE_S:
                 return False
             session, last = nonce, 0
         counter = said.counter if said.seq == HELLO else said.counter + (1 << 32)
@@ -141,7 +141,7 @@ class AuthenticatedLink(Closing):
             self._session = session
         self._last = counter
         if not self._rig:
-            self._heard_s = self._now_s()
+            self._received_s = self._now_s()
         return True
 
     def check_alone(self) -> None:

@@ -4,7 +4,7 @@
 `can_player` and `cantools monitor`. Frames travel over Unix sockets (see `transport.links.unix_mesh`) in the directory
 ``/tmp/hil-can-<uid>/<channel>``, or under `HIL_CAN_DIR` if that is set.
 
-Every frame carries the sender's time stamp, the same for all who hear it. There is no arbitration and no bit time, unless all
+Every frame carries the sender's time stamp, the same for all who receive it. There is no arbitration and no bit time, unless all
 participants say ``timed=True``: see `transport.links.shared_bus`. A frame is lost only for a participant that has
 `transport.links.unix_mesh.QUEUE_LIMIT` unread frames waiting, and the loss is counted at both ends (`dropped`, `lost`).
 """
@@ -66,8 +66,8 @@ class HilBus(can.BusABC):
     Args:
         channel: name of the bus, letters, digits, ``_.-``.
         can_filters: as in `can.BusABC.set_filters`; error frames always pass.
-        receive_own_messages: hear one's own frames, marked ``is_rx=False``.
-        fd: send and hear CAN FD frames; without it the bus is a classic one, to which FD frames are invisible.
+        receive_own_messages: receive one's own frames, marked ``is_rx=False``.
+        fd: send and receive CAN FD frames; without it the bus is a classic one, to which FD frames are invisible.
         timed: frames last as long as their bits, and identifiers are arbitrated (see `transport.links.shared_bus`); all
             participants of a bus say so, or none.
         bitrate: nominal bit rate in bit/s, or as in ``500k``; without ``timed`` it times nothing, which a warning says.
@@ -159,8 +159,8 @@ class HilBus(can.BusABC):
         except TransportError as error:
             raise can.CanOperationError(str(error)) from error
         if not taken and self.frames.timed is not None:
-            told = "the transmit buffer is full: no other participant acknowledges, or the bus is busy"
-            raise can.CanOperationError(f"{self.channel_info}: {told}")
+            full = "the transmit buffer is full: no other participant acknowledges, or the bus is busy"
+            raise can.CanOperationError(f"{self.channel_info}: {full}")
 
     @property
     def state(self) -> can.BusState:

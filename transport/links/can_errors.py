@@ -106,8 +106,8 @@ def changed(before: State, state: State, tec: int, rec: int) -> ErrorFrame:
     counters = bytes((min(tec, 255), min(rec, 255)))
     if state == "off":
         return ErrorFrame(BUS_OFF, bytes(6) + counters)
-    send, hear = ((level >= WARNING) + (level >= PASSIVE) for level in (tec, rec))
-    said = (_TRANSMIT[send] if send >= hear else 0) | (_RECEIVE[hear] if hear >= send else 0)
+    transmit, receive = ((level >= WARNING) + (level >= PASSIVE) for level in (tec, rec))
+    said = (_TRANSMIT[transmit] if transmit >= receive else 0) | (_RECEIVE[receive] if receive >= transmit else 0)
     return ErrorFrame(CONTROLLER | (RESTARTED if before == "off" else 0), bytes((0, said or _ACTIVE, 0, 0, 0, 0)) + counters)
 
 

@@ -2,12 +2,12 @@
 
 A sensor packet has the identifiers of its node, a control packet those of the controller; fragment i of 64 bytes (``fd=1``) or 8
 (``fd=0``) has the i-th of them, see `transport.links.can_identifiers`. What is put together is checked by the packet's CRC, and
-by the node's number in it: what says another number than its identifier is malformed. A slot in which no node is heard, and the
-the hello, come as the first node's. `transport/hilrig.dbc` names every signal of one node for the default base
+by the node's number in it: what says another number than its identifier is malformed. A slot without a node's packet, and the
+hello, come as the first node's. `transport/hilrig.dbc` names every signal of one node for the default base
 0x100, ``hil dbc EXPERIMENT`` those of each node of an experiment.
 A frame is as short as its packet allows; with ``pad=1`` every FD frame has 64 bytes, for tools that insist on the DBC's length.
 
-Each role hears the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
+Each role receives the other's identifiers only. Error frames, foreign frames and faults of the bus are counted; the link works
 again when the interface does.
 """
 
@@ -72,7 +72,7 @@ class CanLink(Closing):
 
     Args:
         uri: for messages.
-        role: the rig sends sensor packets and hears control packets, the controller the other way round.
+        role: the rig sends sensor packets and receives control packets, the controller the other way round.
         join: opens the bus with the given filters; called again when the interface has vanished.
         identifiers: of each node and of the controller; by default those of one node below 0x100.
         fd: one CAN FD frame of up to 64 bytes, or classic frames of 8.
@@ -80,8 +80,24 @@ class CanLink(Closing):
         claims: closed with the link.
     """
 
-    __slots__ = ("_claims", "_closed", "_counters", "_fd", "_frames", "_hear", "_join", "_lengths", "_pad", "_parts",
-                 "_row", "_say", "_state", "_statuses", "_step", "uri")  # fmt: skip
+    __slots__ = (
+        "_claims",
+        "_closed",
+        "_counters",
+        "_fd",
+        "_frames",
+        "_join",
+        "_lengths",
+        "_pad",
+        "_parts",
+        "_receives",
+        "_row",
+        "_say",
+        "_state",
+        "_statuses",
+        "_step",
+        "uri",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -97,14 +113,14 @@ class CanLink(Closing):
         self.uri = uri
         self._counters = LinkCounters()
         own = identifiers or derived(fd=fd)
-        self._say, heard = own.of(role), own.of("controller" if role == "rig" else "rig")
-        self._hear = {identifier: (node, i) for node, ids in enumerate(heard) for i, identifier in enumerate(ids)}
+        self._say, others = own.of(role), own.of("controller" if role == "rig" else "rig")
+        self._receives = {identifier: (node, i) for node, ids in enumerate(others) for i, identifier in enumerate(ids)}
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._lengths = [64 if pad else frame_length(n) for n in range(65)] if fd else [*range(9)]  # of a frame with n bytes
         self._claims, self._join = tuple(claims), join
         self._frames = join()
         self._closed = False
-        self._parts = [b""] * len(heard)  # of each sender, what has come of a packet in fragments
+        self._parts = [b""] * len(others)  # of each sender, what has come of a packet in fragments
         self._state: State = "active"
         self._statuses: deque[BusStatus] = deque(maxlen=_MOST_STATUSES)
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
@@ -116,7 +132,7 @@ class CanLink(Closing):
                        turned_away=frames.turned_away)  # fmt: skip
 
     def send(self, packet: bytes) -> None:
-        step, say, size, send, heard = self._step, self._say, len(packet), self._frames.send_frame, True
+        step, say, size, send, reached = self._step, self._say, len(packet), self._frames.send_frame, True
         node = node_of(packet) if len(say) > 1 else 0
         if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
@@ -124,19 +140,19 @@ class CanLink(Closing):
         try:
             for identifier, start in zip(say[node], range(0, size, step)):
                 data = packet[start : start + step]
-                heard &= send(identifier, data.ljust(self._lengths[len(data)], b"\0"))
+                reached &= send(identifier, data.ljust(self._lengths[len(data)], b"\0"))
         except _FAULTS as error:
             self._counters.dropped += 1
             self._fault(error, 0.0)
         else:
-            if heard:
+            if reached:
                 self._counters.sent += 1
             else:
                 self._counters.dropped += 1
 
     def receive(self, timeout_s: float) -> bytes | None:
         wait = timeout_s if timeout_s > 0 else 0.0
-        begin = monotonic()  # what is left to wait after a fragment; no link tells the time of anything
+        begin = monotonic()  # what is left to wait after a fragment; no link has the time of anything
         for _ in range(_SKIPPED):
             if self._closed:
                 return None
@@ -164,7 +180,7 @@ class CanLink(Closing):
 
     def _packet(self, identifier: int, fd: bool, data: bytes) -> bytes | None:
         """Return the packet that this frame is or completes."""
-        place = self._hear.get(identifier)  # none with any flag set
+        place = self._receives.get(identifier)  # none with any flag set
         if place is None:
             if identifier & ERROR:
                 self._counters.errors += 1
@@ -212,7 +228,7 @@ class CanLink(Closing):
         if not isinstance(frames, HilFrames):
             raise TransportError(f"link {self.uri!r}: no bus of ours, whose bits could be disturbed")
         try:
-            frames.plan(faults, seed, [[], [*self._hear]])
+            frames.plan(faults, seed, [[], [*self._receives]])
         except _FAULTS as error:
             raise TransportError(f"link {self.uri!r}: {error}") from error
 

@@ -10,7 +10,7 @@ from time import monotonic
 from traceback import extract_tb
 from typing import Final
 
-from transport.links.link import Link, Tells
+from transport.links.link import Discoverable, Link
 from transport.links.opening import check_is_link
 from transport.packets import ControlPacket, SensorPacket, encode_control, encode_sensor
 
@@ -46,7 +46,7 @@ def expect(link: Link, packet: bytes) -> None:
 
 
 def meet(rig: Link, controller: Link) -> None:
-    """Wait until both ends hear each other: a link over a network may take a moment to connect."""
+    """Wait until both ends receive from each other: a link over a network may take a moment to connect."""
     end = monotonic() + _PATIENCE_S
     received = [False, False]
     while not all(received) and monotonic() < end:
@@ -178,13 +178,13 @@ def check_link(open_pair: Callable[[], Pair]) -> list[str]:
     with rig, controller:
         name = type(rig).__name__
         said = [f"{name} is a Link: sessions in real time can run over it"]
-        if isinstance(rig, Tells):
-            said.append(f"{name} Tells: `hil discover` can ask it what runs")
+        if isinstance(rig, Discoverable):
+            said.append(f"{name} Discoverable: `hil discover` can ask it what runs")
     return said
 
 
 def check_clause(check: Callable[[Link, Link], None], open_pair: Callable[[], Pair]) -> None:
-    """Run one check on a fresh pair, once its ends hear each other."""
+    """Run one check on a fresh pair, once its ends receive from each other."""
     rig, controller = open_pair()
     for end in (rig, controller):
         check_is_link(end)

@@ -35,15 +35,15 @@ class HilFrames:
     Args:
         folder: where the participants of the channel meet.
         title: of the channel, in messages.
-        fd: send and hear CAN FD frames.
-        own: hear one's own frames.
-        bus_errors: hear an error frame for every destroyed frame, where the bus takes time.
+        fd: send and receive CAN FD frames.
+        own: receive one's own frames.
+        bus_errors: receive an error frame for every destroyed frame, where the bus takes time.
         rates: of a bus that takes time; None for one that does not.
         restart_s: from bus-off to when recovery begins, s; None: it stays off.
 
     Attributes:
         filtered: frames that a filter kept out, or that are none.
-        matches: pairs of identifier and mask that are heard; None: all.
+        matches: pairs of identifier and mask that are received; None: all.
         mesh: what carries the frames.
         timed: the way onto a bus that takes time.
 
@@ -134,10 +134,10 @@ class HilFrames:
         now = time()
         if self.timed is not None and not identifier & ERROR:
             return self.timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
-        heard = self.mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
+        reached = self.mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
             self.mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
-        return heard
+        return reached
 
     def take(self, timeout: float | None) -> tuple[tuple[Any, ...], bytes] | None:
         """Return the fields of `FRAME` and the data of the next frame that no filter keeps out.
@@ -193,7 +193,7 @@ class HilFrames:
         return fields[2], bool(fields[4] & FD_FRAME), data
 
     def _not_for_us(self, fields: tuple[Any, ...]) -> bool:
-        """Return whether this is no frame for a participant of a bus that takes time; look at its error state where told to."""
+        """Return whether this is no frame for a participant of a bus that takes time; look at its error state where asked to."""
         timed, (stamp, _, identifier, _, flags) = self.timed, fields
         if timed is None:
             return False

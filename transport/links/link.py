@@ -101,10 +101,10 @@ class Link(Protocol):
 
 
 @runtime_checkable
-class Tells(Protocol):
-    """A link that can tell others who asks what runs on it."""
+class Discoverable(Protocol):
+    """A link on which others can ask what runs on it."""
 
-    def tell(self, about: Mapping[str, object]) -> None:
+    def announce(self, about: Mapping[str, object]) -> None:
         """Answer questions of what runs here.
 
         Args:

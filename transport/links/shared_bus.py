@@ -156,8 +156,8 @@ class SharedBus:
         due, more = held.due(self._node, now)
         happened: list[tuple[int, Callable[[], None]]] = [(each.end_ns, partial(self._ended, each)) for each in due]
         happened += [(each.at_ns, partial(self._own_changed, each)) for each in held.changes_of(self._node)]
-        for _, tell in sorted(happened, key=lambda each: each[0]):
-            tell()
+        for _, notify in sorted(happened, key=lambda each: each[0]):
+            notify()
         bus = held.living
         node, following = bus.nodes[self._node], bus.next_instant()
         next_ns = now + _AGAIN_NS if more else None if following is None else BitRates.ns(following)

@@ -1,18 +1,18 @@
-"""Processes of one user that hear each other's datagrams, over Unix sockets, without a broker.
+"""Processes of one user that receive each other's datagrams, over Unix sockets, without a broker.
 
 Every participant listens on a socket in one directory and is connected to every other participant. A newcomer connects to
 all sockets that it finds there, removes those that no process answers (their owners were killed), and changes a shared mark;
-a sender that sees the mark changed lets the newcomers in and sends to them too. Hence everyone hears whatever is sent after it
+a sender that sees the mark changed lets the newcomers in and sends to them too. Hence everyone receives whatever is sent after it
 joined. The mark is read behind the sending, which who waits for the datagram does not wait for.
 The mark is read and written, never mapped: whatever is done to its file costs a newcomer, not a life (SIGBUS).
 
 The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receiver. Beyond that a datagram is lost for this
-receiver only: the sender counts it as dropped, and the next datagram that gets through tells the receiver how many it
+receiver only: the sender counts it as dropped, and the next datagram that gets through carries to the receiver how many it
 missed. No participant ever waits for another, be it slow, stopped or dead.
 
 A datagram begins with `mesh_peer.HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it,
 which is the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a
-sender says of the time decides nothing, or who says 0 would always be heard first.
+sender says of the time decides nothing, or who says 0 would always come first.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Mesh(Closing):
 
     Args:
         directory: where the participants' sockets are; made if missing, removed by the last one to leave.
-        echo: hear one's own datagrams too (those given to `echo`).
+        echo: receive one's own datagrams too (those given to `echo`).
         looks: look for an answer before a short wait sleeps; not where another thread of this process sends it, which would
             wait for the interpreter meanwhile.
 
@@ -68,7 +68,7 @@ class Mesh(Closing):
         self.dropped = self.lost = self.refused = 0
         self._lock = Lock()
         self._peers: tuple[Peer, ...] = ()  # whom we send to
-        self._sources: dict[int, Peer] = {}  # whom we hear, by file descriptor
+        self._sources: dict[int, Peer] = {}  # whose datagrams we receive, by file descriptor
         self._own: Peer | None = None
         self._listener: socket.socket | None = None
         self._listening = False  # whether newcomers wake us up
@@ -86,9 +86,9 @@ class Mesh(Closing):
             with locked(directory, _JOIN_TIMEOUT_S):
                 self._join()
             if echo:
-                ours, heard = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                ours, own = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
                 self._own = Peer(ours)
-                self._add(Peer(heard))
+                self._add(Peer(own))
         except BaseException as error:
             self._release([*self._sources.values()])
             if isinstance(error, OSError):  # no room, no descriptor

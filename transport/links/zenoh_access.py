@@ -37,7 +37,7 @@ _PASSED: Final = {"ca": "{keys}/ca.pem", "cert": "{keys}/{name}.pem", "key": "{k
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Access:
-    """Who this end is, and whom it hears.
+    """Who this end is, and whose packets it accepts.
 
     Args:
         role: this end's.
@@ -90,23 +90,23 @@ class Access:
 
 
 def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, Any]:
-    says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
+    sends, receives = ("sensor", "control") if role == "rig" else ("control", "sensor")
     to, of = ("egress", "ingress") if role == "rig" else ("ingress", "egress")  # of the rig's answers, of questions to it
 
     def allow(flow: str, message: str, *keys: str) -> dict[str, Any]:
         key_exprs = [f"hil/{name}/{key}" for key in keys]
         return {"id": f"{message} {flow}", "permission": "allow", "flows": [flow], "messages": [message], "key_exprs": key_exprs}
 
-    tokens = {"rig": ("rig", "hears/*/*/*"), "controller": ("controller", "controller/*/*/*")}
-    told = [
-        allow("egress", "declare_subscriber", hears),
+    tokens = {"rig": ("rig", "commander/*/*/*"), "controller": ("controller", "controller/*/*/*")}
+    declared = [
+        allow("egress", "declare_subscriber", receives),
         allow("egress", "declare_queryable", "info"),
         allow("egress", "liveliness_token", *tokens[role]),
     ]
     peers = [
-        allow("ingress", "put", hears),
-        allow("egress", "put", says),
-        allow("ingress", "declare_subscriber", says),
+        allow("ingress", "put", receives),
+        allow("egress", "put", sends),
+        allow("ingress", "declare_subscriber", sends),
         allow("ingress", "declare_queryable", "info"),
         allow("ingress", "liveliness_token", *tokens["controller" if role == "rig" else "rig"]),
         allow(of, "query", "info"),
@@ -115,11 +115,11 @@ def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, A
     return {
         "enabled": True,
         "default_permission": "deny",
-        "rules": [*told, *peers],
+        "rules": [*declared, *peers],
         "subjects": [{"id": "peer", **subject}, {"id": "anybody"}],
         "policies": [
-            {"id": "only", "rules": [rule["id"] for rule in (*told, *peers)], "subjects": ["peer"]},
-            {"id": "told", "rules": [rule["id"] for rule in told], "subjects": ["anybody"]},
+            {"id": "only", "rules": [rule["id"] for rule in (*declared, *peers)], "subjects": ["peer"]},
+            {"id": "declared", "rules": [rule["id"] for rule in declared], "subjects": ["anybody"]},
         ],
     }
 
@@ -197,12 +197,12 @@ def own_name(session: str) -> str:
 class Claims:
     """What one end of a link knows of the controllers on it.
 
-    One controller commands a rig, from whatever machine: the rig says by a token which one it hears.
+    One controller commands a rig, from whatever machine: the rig says by a token which one that is.
 
     A controller of ours has a liveliness token ``hil/<name>/controller/<session>/<host>/<pid>``, which zenoh takes away when it
-    ends, dies or is not heard of for a lease. The rig hears the first of them and says so with a token of its own,
-    ``hil/<name>/hears/<session>/<host>/<pid>``. A controller that sees another one's there takes no packet, and says whose it is;
-    what it has sent already, the rig throws away. The rig decides, so two that come at once cannot both win.
+    ends, dies or is silent for a lease. The rig accepts the first of them and says so with a token of its own,
+    ``hil/<name>/commander/<session>/<host>/<pid>``. A controller that sees another one's there takes no packet, and says whose it
+    is; what it has sent already, the rig throws away. The rig decides, so two that come at once cannot both win.
 
     A program without such a token is no controller of ours: what it answers shows in the answers.
 
@@ -213,24 +213,24 @@ class Claims:
         own: `own_name` of this end.
     """
 
-    __slots__ = ("_alive", "_heard", "_own", "_said", "_session", "_since_s", "_token", "_where")
+    __slots__ = ("_alive", "_commanders", "_own", "_said", "_session", "_since_s", "_token", "_where")
 
     def __init__(self, session: zenoh.Session, name: str, role: Role, own: str) -> None:
         import zenoh
 
         self._session, self._own = session, own
-        self._where = f"hil/{name}/hears"
+        self._where = f"hil/{name}/commander"
         self._alive: list[str] = []  # rig: controllers, in the order in which they came
-        self._heard: set[str] = set()  # controller: whom rigs hear
+        self._commanders: set[str] = set()  # controller: whom rigs accept
         self._said: zenoh.LivelinessToken | None = None
         self._since_s: float | None = None
         alive = session.liveliness()
         self._token = alive.declare_token(f"hil/{name}/rig" if role == "rig" else f"hil/{name}/controller/{own}")
-        key, took = (f"hil/{name}/controller", self._met) if role == "rig" else (self._where, self._told)
+        key, took = (f"hil/{name}/controller", self._met) if role == "rig" else (self._where, self._seen)
         alive.declare_subscriber(f"{key}/*/*/*", zenoh.handlers.Callback(took, indirect=False), history=True)
 
     def _met(self, sample: zenoh.Sample) -> None:
-        """Keep whom this rig hears: the first that came and has not gone."""
+        """Keep whom this rig accepts: the first that came and has not gone."""
         before, who = self._alive[:1], _end_of(sample)
         if not _came(sample):
             self._alive = [each for each in self._alive if each != who]
@@ -242,27 +242,27 @@ class Claims:
             first = self._alive[:1]
             self._said = self._session.liveliness().declare_token(f"{self._where}/{first[0]}") if first else None
 
-    def _told(self, sample: zenoh.Sample) -> None:
+    def _seen(self, sample: zenoh.Sample) -> None:
         who = _end_of(sample)
-        self._heard = self._heard | {who} if _came(sample) else self._heard - {who}
+        self._commanders = self._commanders | {who} if _came(sample) else self._commanders - {who}
 
     def admits(self, sample: zenoh.Sample) -> bool:
-        """Return whether a packet is to be taken: not from a controller of ours that the rig does not hear, and not by one.
+        """Return whether a packet is to be taken: not from a controller of ours that the rig does not accept, and not by one.
 
         Args:
             sample: from the link, with the sender's session attached.
         """
-        if not (self._alive[1:] or self._heard):
+        if not (self._alive[1:] or self._commanders):
             return True
         about = "" if sample.attachment is None else sample.attachment.to_bytes().decode(errors="replace")
         return self._alone and not any(about.endswith(f"session={who.partition('/')[0]}") for who in self._alive[1:])
 
     @property
     def _alone(self) -> bool:
-        return not self._heard or self._own in self._heard
+        return not self._commanders or self._own in self._commanders
 
     def check(self, uri: str) -> None:
-        """Refuse to go on where the rig hears another controller, and has for longer than one that died stands there.
+        """Refuse to go on where the rig accepts another controller, and has for longer than one that died stands there.
 
         Args:
             uri: of the link, for the message.
@@ -275,7 +275,7 @@ class Claims:
             return
         self._since_s = monotonic() if self._since_s is None else self._since_s
         if monotonic() - self._since_s >= _PATIENCE_S:
-            _, host, pid = min(self._heard).split("/")
+            _, host, pid = min(self._commanders).split("/")
             raise TransportError(
                 f"link {uri!r}: the rig has another controller already, process {pid} on {host}; stop it, or take another name"
             )

@@ -54,7 +54,7 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
         for reply in session.liveliness().get("hil/*/*/**", timeout=wait_s):
             if reply.ok is not None:
                 _, name, role, *_ = str(reply.ok.key_expr).split("/")
-                if role != "hears":
+                if role != "commander":
                     alive.setdefault(name, set()).add(role)
         infos: dict[str, Any] = {}
         for reply in session.get("hil/*/info", timeout=wait_s):
@@ -71,7 +71,7 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
 
 
 def _json_object(data: bytes) -> dict[str, Any] | None:
-    """Return what a rig told; None for anything else: whoever answers may be anybody."""
+    """Return what a rig has announced; None for anything else: whoever answers may be anybody."""
     kinds = {"experiment": str, "period_ns": int, "session": str}
     if len(data) > LARGEST_INFO:
         return None

@@ -3,13 +3,13 @@
 The rig listens at the endpoint and the controller connects to it; there is no router, no multicast and no gossip. Sensor
 packets are published under ``hil/<name>/sensor``, control packets under ``hil/<name>/control``, so that any zenoh program
 that is let in at the rig's endpoint can watch, or be the controller. A peer of the rig does not see what another peer
-publishes, so the rig says again under ``hil/<name>/heard`` what control packets it receives, once a subscriber listens
+publishes, so the rig says again under ``hil/<name>/received`` what control packets it receives, once a subscriber listens
 there. Every packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there
-and which controller the rig hears (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``.
+and which controller commands the rig (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``.
 Certificates and passwords keep all of that from everybody else.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
-reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is heard: see
+reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is accepted: see
 `transport.links.zenoh_access`. Over ``tcp/`` only this machine is reachable unless the URI says ``lan=1``: whoever reaches it
 can command the plant, unless ``users=FILE`` asks for a password (which travels in clear).
 
@@ -63,7 +63,7 @@ class ZenohLink(Closing):
         role: the rig listens, the controller connects (and connects again when the rig comes back).
         endpoint: zenoh endpoint, as in ``tcp/127.0.0.1:7447``.
         name: second part of the key expressions.
-        who: who this end is, and whom it hears.
+        who: who this end is, and whose packets it accepts.
         claims: closed with the link.
 
     Raises:
@@ -91,7 +91,7 @@ class ZenohLink(Closing):
         if who.tls or who.users:
             count_into(self.counters)
         self._session = zenoh.open(config(role, endpoint, who.config(name)))
-        says, hears = ("sensor", "control") if role == "rig" else ("control", "sensor")
+        sends, receives = ("sensor", "control") if role == "rig" else ("control", "sensor")
         try:
             if who.tls:
                 met = zenoh.handlers.Callback(partial(_meet, who, self.counters), indirect=False)
@@ -103,16 +103,16 @@ class ZenohLink(Closing):
                 priority=zenoh.Priority.REAL_TIME,
                 congestion_control=zenoh.CongestionControl.DROP,
             )
-            publisher = declared(f"hil/{name}/{says}")
+            publisher = declared(f"hil/{name}/{sends}")
             if role == "rig":  # what has no subscriber is not said again: it would come before an answer is looked at
-                again = declared(f"hil/{name}/heard")
+                again = declared(f"hil/{name}/received")
                 again.declare_matching_listener(zenoh.handlers.Callback(partial(_note, self._listened_to), indirect=False))
                 self._say_again = again.put
-            self._roles = Claims(self._session, name, role, own_name(self._session_id))  # before anything is heard
+            self._roles = Claims(self._session, name, role, own_name(self._session_id))  # before anything is received
             # indirect=False: no Python thread in between, which would keep the process alive for ever if left open.
             take = partial(_take, CallbackThreads().keep, self._queue, self.counters, self._roles)
-            heard = zenoh.handlers.Callback(take, indirect=False)
-            self._session.declare_subscriber(f"hil/{name}/{hears}", heard)
+            callback = zenoh.handlers.Callback(take, indirect=False)
+            self._session.declare_subscriber(f"hil/{name}/{receives}", callback)
         except BaseException:
             self._session.close()  # type: ignore[no-untyped-call]
             raise
@@ -149,7 +149,7 @@ class ZenohLink(Closing):
     def check_alone(self) -> None:
         self._roles.check(self.uri)
 
-    def tell(self, about: Mapping[str, object]) -> None:
+    def announce(self, about: Mapping[str, object]) -> None:
         """Answer queries for ``hil/<name>/info`` with this, and the session, as JSON.
 
         Args:

@@ -28,7 +28,7 @@ from hil.runtime.simulated import simulate
 
 CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06
-TOLD_APART = 0.01
+DISTINGUISHABLE = 0.01
 """Relative difference of two stiffnesses below which they cannot be distinguished."""
 
 
@@ -148,8 +148,8 @@ EQUATIONS = (
     ),
     Statement(
         "6.5.2: it is clear that different parts of the wall have different stiffness", "1000 and 800 N/m",
-        (above("relative difference of the stiffness felt", "felt", TOLD_APART),),
-        (below("that difference", "felt", TOLD_APART),),
+        (above("relative difference of the stiffness felt", "felt", DISTINGUISHABLE),),
+        (below("that difference", "felt", DISTINGUISHABLE),),
         basis="metre reading: a rendering that is safe for every passive hand is at most {ceiling:.4g} N/m stiff",
     ),
 )

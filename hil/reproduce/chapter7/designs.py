@@ -26,7 +26,7 @@ from hil.reproduce.chapter7.models import (
     norms_of,
     vtol,
 )
-from hil.reproduce.statements import Statement, above, below, equal, exactly, untold
+from hil.reproduce.statements import Statement, above, below, equal, exactly, not_judged
 
 PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
 NAME = {"motor": "motor", "vtol": "VTOL"}
@@ -199,7 +199,7 @@ DESIGNS = (
     *(
         Statement(
             f"{NAME[name]}: time for the two designs", f"{hours} h on a PC of 2012",
-            (untold("CPU time (s)", f"seconds[{name}]", "the PC of 2012 is not at hand"),),
+            (not_judged("CPU time (s)", f"seconds[{name}]", "the PC of 2012 is not at hand"),),
             computed=f"{{seconds[{name}]:.1f}} s of CPU time for four, this machine",
             basis="four: H2 and H-infinity, z stacked and summed, with all starts",
         )

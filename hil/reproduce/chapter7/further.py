@@ -197,20 +197,20 @@ def stays(report_progress: ReportProgress) -> dict[str, Any]:
     """
     model = DCMotor().model().discretise(PERIOD_S)
     sc = DelayChain(transition=np.ones((1, 1)))
-    plain, told = (DelayChain(transition=STAY, delays=DELAYS, labels=labels) for labels in (DELAYS, np.arange(6)))
+    plain, informed = (DelayChain(transition=STAY, delays=DELAYS, labels=labels) for labels in (DELAYS, np.arange(6)))
     found = [
         solve(TrackingProblem(A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, objective="h2", information="applied"))
-        for ca in (plain, told)
+        for ca in (plain, informed)
     ]
     repeated = np.asarray(found[0].gains)[:, DELAYS]
-    again = certify_loop(model.A, model.B, model.C, sc, told, repeated, "applied")
+    again = certify_loop(model.A, model.B, model.C, sc, informed, repeated, "applied")
     loops = [compose(load_experiment(EXPERIMENT, [f"controller.row_sojourns={count}"])) for count in (1, 4)]
     errors = [_squared_error(loop) for loop in loops]
     norms = [float(each.certificate.h2_norm or np.nan) for each in found]
     return {
-        "plain": norms[0], "told": norms[1], "again": again.h2_norm, "share": norms[1] / norms[0],
+        "plain": norms[0], "informed": norms[1], "again": again.h2_norm, "share": norms[1] / norms[0],
         "radius": found[1].certificate.mean_square_radius, "ran": (loops[1].certificate or {})["h2_norm"],
-        "sse_plain": errors[0][0], "sse_told": errors[1][0], "off": max(off for _, off in errors),
+        "sse_plain": errors[0][0], "sse_informed": errors[1][0], "off": max(off for _, off in errors),
     }  # fmt: skip
 
 
@@ -233,15 +233,15 @@ STAYS = (
             below("H2 norm with the stay of d over that without", "share", 1),
             below("second-moment radius with it", "radius", 1),
             exactly("H2 norm of the gains without it, by the loop that knows it", "again", "plain", 1e-9),
-            exactly("H2 norm of the loop that runs", "ran", "told", 1e-6),
+            exactly("H2 norm of the loop that runs", "ran", "informed", 1e-6),
         ),
         basis="DC motor at 0.05 s, no delay to the controller; d is 0 for three or four samples and 1 for one or two: "
-        "{told:.4f} against {plain:.4f}. `hil run dc-motor-ours-stays`: a packet has a row for every d and stay",
+        "{informed:.4f} against {plain:.4f}. `hil run dc-motor-ours-stays`: a packet has a row for every d and stay",
     ),
     Statement(
         "8.2.1: runs whose packets have a row for every d and how long it has lasted", "-",
         (below("distance of the runs from their prediction (standard errors)", "off", ERRORS),),
-        computed="squared error {sse_told:.4g} rad^2 s with the stay, {sse_plain:.4g} without",
+        computed="squared error {sse_informed:.4g} rad^2 s with the stay, {sse_plain:.4g} without",
         basis=f"{STAY_RUNS} runs of {EXPERIMENT}, packet by packet, and as many with row_sojourns = 1",
     ),
 )

@@ -28,7 +28,7 @@ class ControlNode:
 
     def __init__(self, loop: Loop) -> None:
         self._lead(loop)
-        self._heard = self._begin()
+        self._input = self._begin()
         self._to_come = 0
         self._departed: tuple[int, str] | None = None  # of a controller that was changed
         self.counts = Refusals()
@@ -54,9 +54,9 @@ class ControlNode:
         self._to_come = sum(restart in past for restart in self._restarts)
         if anew:
             self._departed = self.departed
-            self._heard = self._begin()
+            self._input = self._begin()
         else:
-            self._heard.aim(loop)
+            self._input.aim(loop)
 
     def on_frame(self, data: bytes, now_ns: int = 0) -> bytes | None:
         """Take one frame from the link; return the answer when it closes its slot.
@@ -78,7 +78,7 @@ class ControlNode:
             return self._answer(seq, 0) if self._keep(packet, seq) and not packet.flags & MORE else None
         frames = self._questions.take(packet, data, now_ns)
         if self._questions.begun:
-            self._heard, self._to_come, self._counter = self._begin(), 0, 0
+            self._input, self._to_come, self._counter = self._begin(), 0, 0
         if (self._restarts and self._down(seq)) or frames is None:
             return None
         sound = [(packet, data) for packet, data in frames if data]
@@ -90,13 +90,13 @@ class ControlNode:
     @property
     def departed(self) -> tuple[int, str] | None:
         """The slot in which the answers left the controller's table, and by how much; None if they did not."""
-        return self._departed or (None if self._heard.watch is None else self._heard.watch.departed)
+        return self._departed or (None if self._input.watch is None else self._input.watch.departed)
 
     def _keep(self, packet: SensorPacket, seq: int) -> bool:
         """Keep the sample of a packet; return False where it is not of this loop, or from the future."""
         if packet.flags & EMPTY:
             return True
-        if packet.sample_ns > seq * self._period_ns or not self._heard.take(packet):
+        if packet.sample_ns > seq * self._period_ns or not self._input.take(packet):
             self.counts.malformed += 1  # two rigs on one link, or a rig with another plant
             return False
         return True
@@ -107,24 +107,24 @@ class ControlNode:
             return None
         if not self._questions.hello(packet.nonce, now_ns):
             return None
-        if not packet.nonce and self._heard.sample_ns >= 0:
-            self._heard, self._to_come, self._counter = self._begin(), 0, 0
+        if not packet.nonce and self._input.sample_ns >= 0:
+            self._input, self._to_come, self._counter = self._begin(), 0, 0
         self._hellos += 1
         nothing = ControlPacket(HELLO, -1, 0, 0, self._selection, self._zeros, echo([data]), self._hellos)
         return encode_control(nothing)
 
     def _answer(self, k: int, echoed: int) -> bytes | None:
-        t_ns, sample_ns = k * self._period_ns, self._heard.sample_ns
+        t_ns, sample_ns = k * self._period_ns, self._input.sample_ns
         tau = (t_ns - sample_ns) // self._period_ns if sample_ns >= 0 else 0
         if tau < 0:  # a slot from before the newest sample
             self.counts.malformed += 1
             return None
-        rows = self._heard.rows(k) if sample_ns >= 0 else self._zeros
+        rows = self._input.rows(k) if sample_ns >= 0 else self._zeros
         self._counter += 1
         return encode_control(_new(ControlPacket, (k, sample_ns, t_ns, tau, self._selection, rows, echoed, self._counter, b"")))
 
     def _down(self, k: int) -> bool:
         """Forget everything where a restart has begun; return whether nothing is received in slot k."""
         while self._to_come < len(self._restarts) and self._restarts[self._to_come][0] <= k:
-            self._heard, self._to_come = self._begin(), self._to_come + 1
+            self._input, self._to_come = self._begin(), self._to_come + 1
         return any(first <= k < end for first, end in self._restarts)

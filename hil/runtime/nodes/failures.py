@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.log.events import PLANT_FAILED, PLUG_IN_FAILED
-from hil.plugins.user_plugins import told_of
+from hil.plugins.user_plugins import user_failure
 from hil.rig.loop import Loop
 from plants.errors import PlantError
 
@@ -19,5 +19,5 @@ def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, 
     if isinstance(error, PlantError):
         return PLANT_FAILED, str(error)
     parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
-    text = None if isinstance(error, KeyboardInterrupt) else told_of(error, parts)
+    text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
     return None if text is None else (PLUG_IN_FAILED, text)

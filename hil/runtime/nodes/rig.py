@@ -1,6 +1,6 @@
 """The rig: a plant, its sensor nodes and its actuator node, and the emulated network on both sides of them.
 
-Nothing here does I/O or reads a clock: :meth:`Rig.sense` returns the frames that leave, :meth:`Rig.hear` takes those that
+Nothing here does I/O or reads a clock: :meth:`Rig.sense` returns the frames that leave, :meth:`Rig.on_frame` takes those that
 come, records go to a sink, and time is the nominal time that the kernel hands over. The order of a slot stands in
 :mod:`hil.runtime.slot`.
 """

@@ -90,7 +90,7 @@ def serve(
                     for _, change in changes.due(sys.maxsize):
                         if change.loop is not None:
                             node.change(change.loop, anew=False)
-                elif isinstance(link, OneOfARole):  # whom the rig does not hear takes no packet
+                elif isinstance(link, OneOfARole):  # whom the rig does not accept takes no packet
                     link.check_alone()
         except Stopped:
             raise

@@ -37,7 +37,7 @@ class StopSignals:
 
     def __init__(self, on_signal: Callable[[int], None] = lambda number: None, force_s: float | None = None) -> None:
         self.seen: int | None = None
-        self._told = on_signal
+        self._on_signal = on_signal
         self._force_s = force_s
         self._old: dict[int, Any] = {}
 
@@ -53,7 +53,7 @@ class StopSignals:
 
     def _see(self, number: int, _frame: object) -> None:
         again, self.seen = self.seen is not None, self.seen or number
-        self._told(number)
+        self._on_signal(number)
         if self._force_s is None:
             WATCH.get().stopping()
         if self._force_s is not None:

@@ -35,7 +35,7 @@ from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
-from transport.links.link import Link, OnBus, Tells, TransportError
+from transport.links.link import Discoverable, Link, OnBus, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
@@ -173,8 +173,8 @@ def _run(job: Job) -> None:
     standard_output_is_free()  # results leave through the pipe, words through standard error
     node = ControlNode(job.loop) if local else None
     with LocalLink(node) if node is not None else open_link(job.link.uri, "rig") as link:
-        if isinstance(link, Tells):
-            link.tell(about_rig(job.loop.rig))
+        if isinstance(link, Discoverable):
+            link.announce(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire, node)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
         greeter = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)

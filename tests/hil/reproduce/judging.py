@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from hil.reproduce import Check, Row
-from hil.reproduce.judgement import OFF, Approximately, Drawn, Equals, Untold
+from hil.reproduce.judgement import OFF, Approximately, Drawn, Equals, NotJudged
 from hil.reproduce.power import turns
 
 FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)
@@ -48,7 +48,7 @@ def assert_every_number_decides(rows: Iterable[Row]) -> None:
     is 10 % off, both ways.
     """
     for row in rows:
-        if any(isinstance(check.rule, Untold) for check in row.checks):
+        if any(isinstance(check.rule, NotJudged) for check in row.checks):
             assert row.verdict != "reproduced", row.item
             continue
         good = tuple(with_outcome(check, True) for check in row.checks)

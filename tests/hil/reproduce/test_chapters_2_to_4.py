@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.reproduce import Reproduction, Row, Step, reproduce
-from hil.reproduce.chapter2.numbers import FEASIBILITY, _feasibility
+from hil.reproduce.chapter2.feasibility import FEASIBILITY, feasibility
 from hil.reproduce.pages import chapter_page
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
@@ -52,7 +52,7 @@ def test_chapter_4_says_that_the_published_controller_diverges() -> None:
 
 
 def test_more_sections_are_feasible_where_fewer_are_not() -> None:
-    rows = judge(FEASIBILITY, _feasibility(lambda text, done=0, total=0, /: None))
+    rows = judge(FEASIBILITY, feasibility(lambda text, done=0, total=0, /: None))
     assert [row.verdict for row in rows if row.item.startswith("M = 4 yields")] == ["reproduced", "reproduced"]
     assert verdicts(rows)["computation time of the gains of Corollary 2.2, M = 2"] == "undecided"  # that PC is not at hand
     assert_every_number_decides(rows)

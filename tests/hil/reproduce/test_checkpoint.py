@@ -18,7 +18,7 @@ from hil.reproduce import Chapter, Part, Plot, Stage
 from hil.reproduce.chapter import compute
 from hil.reproduce.checkpoint import KeptStages
 from hil.reproduce.pages import chapter_page
-from hil.reproduce.statements import Statement, below, equal, run, says, untold
+from hil.reproduce.statements import Statement, below, equal, not_judged, run, says
 
 X = np.linspace(0.0, 1.0, 5)
 
@@ -33,7 +33,9 @@ def numbers(number: float = 0.5) -> dict[str, Any]:
     return {"x": number, "y": 1.0, "runs": X, "w": "y", "z": float("inf"), "figures": (Plot(title="p", panels=panels),)}
 
 
-CLAIMS = (below("x", "x", 1), equal("y", "y", "1.00"), run("share", "runs", "0.5"), says("w", "w", "y"), untold("t", "y", "why"))
+CLAIMS = (
+    below("x", "x", 1), equal("y", "y", "1.00"), run("share", "runs", "0.5"), says("w", "w", "y"), not_judged("t", "y", "why"),
+)  # fmt: skip
 SAID = (Statement("a", "1", CLAIMS, (below("z", "z", 1),), beside=(below("x", "x", 1),), readings=True),)
 
 

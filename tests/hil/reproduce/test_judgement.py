@@ -17,7 +17,7 @@ from hil.reproduce import VERDICTS, Check, Statement, chapters, power
 from hil.reproduce.chapter2.numbers import REMARK_2_2
 from hil.reproduce.judgement import OFF, Between, Row, rank, share_interval
 from hil.reproduce.power import power_in_words, turns
-from hil.reproduce.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, run, says, untold, within
+from hil.reproduce.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, not_judged, run, says, within
 from tests.hil.reproduce.judging import assert_equalities_turn, assert_every_number_decides
 
 ROOM = Path(hil.reproduce.__file__).parent
@@ -108,7 +108,7 @@ def test_the_role_of_a_partition_is_decided_where_both_conditions_say_the_same()
 
 
 def test_what_is_not_at_hand_cannot_be_judged() -> None:
-    old = untold("CPU time", "seconds", "the PC is not at hand")
+    old = not_judged("CPU time", "seconds", "the PC is not at hand")
     assert row(old, seconds=0.01).verdict == "undecided" and "not at hand" in row(old, seconds=0.01).rule
     assert row(old, says("gains", "gains", "certified"), seconds=0.01, gains="refused").verdict == "not reproduced"
 

@@ -18,8 +18,8 @@ from transport.law_fit.profile_intervals import angles_of, critical, minimum, pr
 from transport.law_fit.proportions import clopper_pearson, wilson
 from transport.law_fit.region import arrivals, confidence_region
 from transport.laws.age import MarkovAge
+from transport.laws.age_paths import chain_ages
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.packet_chain import channel_modes
 
 T, DEADLINE = 0.010, 0.006
 RUNS, LOW, HIGH = 2000, 0.93, 0.97
@@ -39,7 +39,8 @@ def test_wilsons_interval_of_arrivals_covers_in_93_to_97_percent() -> None:
 def channel_losses(channel: GilbertElliott, n: int, seed: int) -> NDArray[np.bool_]:
     law = PacketLaw(latency=0.0, loss=channel)
     rng = np.random.default_rng([27, seed])
-    modes = channel_modes(law.stationary().tolist(), law.transition_matrix().tolist(), rng.random((n, 1)))[:, 0]
+    rows = law.transition_matrix().tolist()
+    modes = chain_ages(law.stationary().tolist(), rows, range(len(rows)), rng.random((n, 1)))[:, 0]
     return np.asarray(rng.random(n) < np.array(law.channel_losses())[modes])
 
 

@@ -16,8 +16,9 @@ from scipy import stats
 from transport.draws import LOST, SENT
 from transport.errors import FieldError
 from transport.law_tests.analysis import analyse_law
+from transport.laws.age_paths import chain_ages, several_of_many
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.packet_chain import PacketChain, channel_modes, fives_of_batch
+from transport.laws.packet_chain import PacketChain
 from transport.laws.protocols import AgeChain, InitialLaw, PacketAges, prepare
 from transport.medium.independent import impair
 
@@ -51,8 +52,9 @@ def counted(law: PacketLaw, chain: PacketChain, seed: int, runs: int, slots: int
     """Transitions and first states of the packets that `newest_of_batch` delivers, which is what runs."""
     newest, told = law.newest_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, T, DEADLINE)
     assert told.all()
-    levels = fives_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots)[0]
-    channel = channel_modes(law.stationary().tolist(), law.transition_matrix().tolist(), levels)
+    levels = several_of_many([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, 5)[0]
+    rows = law.transition_matrix().tolist()
+    channel = chain_ages(law.stationary().tolist(), rows, range(len(rows)), levels)
     ages = np.minimum(np.arange(slots)[:, None] - newest, max(chain.mode_ages))
     number = states_of(law, chain)
     visited = np.empty((slots, runs), dtype=np.int64)

@@ -10,7 +10,7 @@ import pytest
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
 from design.historical_data.gapped_history import gapped_gains, gaps_undecided, phase_gains
 from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.measurement_noise import close_heard
+from design.historical_data.measurement_noise import close_received
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of
@@ -51,7 +51,7 @@ def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str) -> None:
     nodes, plant = loop.model.nodes, delayed_plant_of(loop.experiment.plant, loop.model)
     assert plant is not None
     each = gapped_gains(loop.controller.history(), nodes)  # type: ignore[attr-defined]
-    loops = [close_heard(plant, each.gains, renewed=each.renewed)]
+    loops = [close_received(plant, each.gains, renewed=each.renewed)]
     past = np.array([loop.experiment.plant.initial_state, *loop.experiment.plant.initial_history])  # type: ignore[attr-defined]
     if len(past) == 1:
         loops.append(close(plant, each.gains, renewed=each.renewed))

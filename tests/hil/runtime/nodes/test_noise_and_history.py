@@ -32,7 +32,7 @@ def test_a_run_from_a_history_costs_what_its_certificate_says(name: str, expecte
     """No sensor has seen the history: gains on it act from the slot on in which their sample has been taken."""
     loop = compose(load_experiment(f"multisensor-{name}", [HISTORY]))
     assert loop.verdict is not None and loop.verdict.details["cost"] == pytest.approx(expected, abs=1e-4)
-    assert "the history before slot 0 is the plant's, unheard" in loop.verdict.assumptions
+    assert "the history before slot 0 is the plant's, not received" in loop.verdict.assumptions
     assert cost_of(loop) == pytest.approx(expected, abs=1e-3)
 
 

@@ -1,4 +1,4 @@
-"""The test before a run: what plant and controller do, beside what they say of themselves.
+"""The test before a run: whether plant and controller do what they state of themselves.
 
 A certificate is a proof about matrices. That the plant moves by them, and that the controller answers by them, no proof shows:
 both are driven with random inputs and compared. Different at small inputs is another system, and refused; different at large
@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,10 +33,6 @@ from hil.certify.motion_test import (
 from hil.certify.stated_controller import answers_of
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 from hil.rig.watched import EQUAL, FreeMotion, OneStep
-
-if TYPE_CHECKING:
-    pass
-
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 """Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
