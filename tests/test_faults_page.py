@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -194,6 +195,7 @@ HEADS = [after - 1 for after, line in enumerate(PAGE) if line.startswith("|---")
 LINES = [line.split(" | ")[0].removeprefix("| ") for i, line in enumerate(PAGE) if line.startswith("| ") and i not in HEADS]
 
 
+@cache
 def defined() -> set[str]:
     return {name for path in ROOT.glob("tests/**/test_*.py") for name in re.findall(r"^def (test_\w+)", path.read_text(), re.M)}
 

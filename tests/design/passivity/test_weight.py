@@ -24,7 +24,7 @@ def test_no_other_safe_coupler_weighs_less():
     """The program is convex: a safe coupler near the answer, moved in any direction and made safe again, is no better."""
     found = stiffest_coupler(range(4), weight=RISING, **SET).coupler
     rng, least = np.random.default_rng(0), RISING.peak(found)
-    for _ in range(20):
+    for _ in range(10):
         taps = np.array(found.taps_m_per_n) * (1.0 + 0.05 * rng.standard_normal(24))
         for _ in range(200):
             moved = type(found)(taps_m_per_n=tuple(taps.tolist()))

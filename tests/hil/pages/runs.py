@@ -26,11 +26,11 @@ def run_of(name: str, *sets: str, timed: bool = False) -> Run:
         assert put is not None
         lateness = 20.0 + rng.pareto(2.5, rig.k + 1) * 10.0
         for k in range(rig.k + 1):
-            late = k % 5000 == 4999
+            late = k % 2000 == 1999
             trip = float("nan") if late else float(90.0 + rng.gamma(2.0, 15.0))
             put(k * experiment.period_ns, pack(float(lateness[k]), trip, 80.0, k, late, 0))
         sink.event(0, "started", "rig started", scheduler="SCHED_FIFO 60")
-        sink.event(4999 * experiment.period_ns, "late", "no control packet", tick=4999, severity="warning")
+        sink.event(1999 * experiment.period_ns, "late", "no control packet", tick=1999, severity="warning")
     about = Provenance(
         experiment=experiment.name,
         experiment_text=experiment.text,

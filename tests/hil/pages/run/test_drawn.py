@@ -14,7 +14,7 @@ import hil
 from hil.cli import main
 from hil.compose import loop as composing
 from hil.errors import HilError
-from hil.measure import avatar, measure, network_paths
+from hil.measure import measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
 from hil.pages.html.plain_section import plain_section
@@ -22,6 +22,7 @@ from hil.pages.run.run_page import render_report
 from hil.pages.run.sections import sections_of
 from hil.rig import delay_chains, normal_form
 from hil.rig.loop import Loop
+from hil.session.replay import avatar
 from plants.dc_motor import DCMotor
 
 MINE = """
