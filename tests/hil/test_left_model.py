@@ -21,8 +21,8 @@ from hil.compose.loop import compose
 from hil.log.read.run import read_run
 from hil.pages.run.run_page import verdicts
 from hil.rig.loop import Loop
-from hil.rig.watched import Watched
-from hil.runtime.nodes.plant_watch import left_over
+from hil.rig.watched import OneStep, Watched
+from hil.runtime.nodes.plant_watch import BLOCK, PlantWatch, left_over
 from hil.session import Session, run_session, simulated_session
 from hil.sweeps.seeds import run_seeds
 from plants.omni import Omni
@@ -231,6 +231,28 @@ def test_the_record_of_a_plant_without_its_states_is_compared_by_its_outputs() -
     rows[30][0] += 1e-3
     left, scale = left_over(step.taps, np.array(rows))
     assert np.abs(left[:28]).max() < 1e-12 < 1e-4 < np.abs(left[28:31]).min(axis=0).max()
+
+
+def test_no_slot_waits_until_a_block_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = loop_of(Plant(), Table())
+    step = loop.watched and loop.watched.plant
+    assert isinstance(step, OneStep) and np.count_nonzero(step.taps) > 3
+    watch = PlantWatch(step, lambda which: pytest.fail("a plant at rest is not run again"), lambda k: (0.0,), 1_000_000)
+    sums: list[object] = []
+    add = np.abs
+
+    def counted(value: object) -> object:
+        sums.append(value)
+        return add(value)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(np, "abs", counted)
+    in_slot = []
+    for _ in range(2 * BLOCK):
+        before = len(sums)
+        watch.take([0.0] * (step.taps.shape[2] - 2), [0.0], [0.0], [0.0])
+        in_slot.append(len(sums) - before)
+    assert sum(in_slot) > np.count_nonzero(step.taps) and max(in_slot) == 1 and not any(in_slot[: BLOCK - 1])
+    assert watch.departed() is None and len(sums) > 2 * np.count_nonzero(step.taps)
 
 
 def test_a_sweep_says_it_of_its_first_run() -> None:
