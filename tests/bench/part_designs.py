@@ -133,7 +133,7 @@ def _certificates(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(figure.name, row["CPU s"], row["peer s"], "value {:.6g}, the peer's {:.6g}".format(*both))
 
 
-PART = Part("designs", "designs and certificates over many modes", 540.0, (
+PART = Part("designs", "designs and certificates over many modes", 150.0, (
     Measure((CERTIFICATE, *ONE_MODE.values()), _certificates),
     Measure((H2[4],), partial(_h2, figure=H2[4], most=4)),
     Measure((LARGE_H2,), partial(_h2, figure=LARGE_H2, most=0)),

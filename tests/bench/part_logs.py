@@ -132,7 +132,7 @@ def _read(tell: Tell, name: str, command: tuple[str, ...], folder: Path, slots: 
     return spent([*HIL, command[0], str(log), *options])
 
 
-PART = Part("logs", "a log in virtual time: a slot of it, a million slots, what reads and mends them", 220.0, (
+PART = Part("logs", "a log in virtual time: a slot of it, a million slots, what reads and mends them", 480.0, (
     Measure((SLOT, BARE, DIFFERENT, FULL, CHUNK), _slot, loops=True),
     Measure((AS_BEFORE, BARE_AS_BEFORE), _before, loops=True),
     Measure((HELD,), _held),

@@ -134,7 +134,7 @@ def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(figure.name, ours, peer, told)
 
 
-PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 290.0, (
+PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 400.0, (
     Measure((CAN, CAN_C, ONE_CPU, BOTH_CPUS), _links, loops=True),
     Measure((LATE,), _late_answers),
     Measure((IN_LOOP,), _in_loop, loops=True),

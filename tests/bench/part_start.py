@@ -63,7 +63,7 @@ def _session(tell: Tell, quick: bool) -> Iterator[Found]:
         yield Found(SESSION.name, wall_s - length_s, 3 * _least(NUMPY, times).wall_s, f"a run of {length_s:g} s over can:hil")
 
 
-PART = Part("start", "start and stop of commands and sessions", 25.0, (
+PART = Part("start", "start and stop of commands and sessions", 60.0, (
     Measure((HELP, SLOT, COMPOSING), _start, loops=True),
     Measure((CACHED,), _cached),
     Measure((SESSION,), _session, loops=True),

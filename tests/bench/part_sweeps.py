@@ -103,7 +103,7 @@ def _report(tell: Tell, quick: bool) -> Iterator[Found]:
     yield Found(REPORT.name, ours.wall_s, _alone_s(quick) * 100, "1000 slots; peer projected from 8 runs")
 
 
-PART = Part("sweeps", "many runs: in lockstep, 100,000 of them, over dask, in a report", 75.0, (
+PART = Part("sweeps", "many runs: in lockstep, 100,000 of them, over dask, in a report", 90.0, (
     Measure(
         tuple(Figure(name=_of_sweep(name), unit="us", peer=ALONE, condition=TOGETHER) for name in SWEEPS), _sweeps, loops=True
     ),
