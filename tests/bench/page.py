@@ -15,11 +15,11 @@ TEXT: Final = """\
 Made by `python -m tests.bench page` of what `python -m tests.bench all --json` printed: nothing here is typed. A figure and its
 peer come from the same run, and only ratios of one run mean anything on a machine that others use too: `ratio` is that to the
 peer, which stands below the table. Less is better everywhere. What runs slots is measured interpreted and compiled, one after
-the other, each beside a peer of its own; the compiled form is judged where it was measured, and the interpreted one beside it
-where its verdict is another. A goal is what was aimed at, reached or missed, as a share of the peer: it means the same on any
-machine. A condition is what has to hold on any machine. A ratio of few events, as of late answers, is undecided where its 95 %
-interval holds what was to be reached. `hil guide performance` says how it is done, and what stands in the way of what was
-missed.
+the other, each beside a peer of its own; the compiled form is judged where it was measured, and the verdict of the interpreted
+one stands below the table where it is another. A goal is what was aimed at, reached or missed, as a share of the peer: it means
+the same on any machine. A condition is what has to hold on any machine. A ratio of few events, as of late answers, is undecided
+where its 95 % interval holds what was to be reached. `hil guide performance` says how it is done, and what stands in the way of
+what was missed.
 """
 
 
@@ -58,20 +58,17 @@ def machine_line(found: dict[str, Any]) -> str:
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """Return a row of the table.
+    """Return a row of the table; verdicts are those of what is judged.
 
     >>> numbers = {"ours": 3.0, "ratio": 0.75, "goal_verdict": "missed", "condition_verdict": "reached"}
     >>> whole = {"name": "a", "unit": "s", "goal": "2 times the peer", "condition": "0.8 times the peer", **numbers}
     >>> cells(whole)
     ('a', '3 s', '0.75', '', '', 'missed: 2 times; condition holds: 0.8 times')
     >>> cells(whole | {"compiled": numbers | {"ours": 2.0, "ratio": 0.5, "goal_verdict": "reached"}})[1:]
-    ('3 s', '0.75', '2 s', '0.5', 'reached (interpreted missed): 2 times; condition holds: 0.8 times')
+    ('3 s', '0.75', '2 s', '0.5', 'reached: 2 times; condition holds: 0.8 times')
     """
-    texts = []
-    if row["goal"] is not None:
-        texts.append(f"{_both(row, 'goal')}: {row['goal']}")
-    if row["condition"] is not None:
-        texts.append(f"condition {_both(row, 'condition', reached='holds', missed='fails')}: {row['condition']}")
+    verdicts = _verdicts(judged(row))
+    texts = [f"{said}: {row[key]}" for key, said in verdicts.items() if row[key] is not None]
     if not texts and judged(row)["ours"] is None:
         texts.append("not measured")
     compiled = row.get("compiled")
@@ -80,17 +77,20 @@ def cells(row: Row) -> tuple[str, ...]:
     return row["name"], *numbers, *second, "; ".join(texts).replace(" the peer", "")
 
 
-def _both(row: Row, key: str, **words: str) -> str:
-    """Return the verdict, with that of the interpreted loop where it is another."""
-    verdict, other = (str(of[f"{key}_verdict"]).partition(":")[0] for of in (judged(row), row))
-    verdict, other = words.get(verdict, verdict), words.get(other, other)
-    return verdict if verdict == other else f"{verdict} (interpreted {other})"
+def _verdicts(numbers: Row) -> dict[str, str]:
+    goal, condition = (str(numbers[f"{key}_verdict"]).partition(":")[0] for key in ("goal", "condition"))
+    return {"goal": goal, "condition": f"condition {({'reached': 'holds', 'missed': 'fails'}).get(condition, condition)}"}
 
 
 def remark(row: Row) -> str:
     """Return what stands beside a figure, and what else there is to say of it."""
     text = f"{row['name']}: beside {row['peer_is']}{_said(row, row['unit'])}"
-    return text if row.get("compiled") is None else f"{text}; compiled{_said(row['compiled'], row['unit'])}"
+    compiled = row.get("compiled")
+    if compiled is None:
+        return text
+    own, other = _verdicts(row), _verdicts(compiled)
+    text += "".join(f"; {own[key]}" for key in own if row[key] is not None and own[key] != other[key])
+    return f"{text}; compiled{_said(compiled, row['unit'])}"
 
 
 def _said(numbers: Row, unit: str) -> str:
