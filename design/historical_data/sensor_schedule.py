@@ -45,10 +45,10 @@ class Information:
         unknown = sorted(set(self.order) - set(self.nodes))
         if not self.order or unknown:
             raise FieldError("order", f"{list(self.order)}, expected nodes that measure something: {sorted(set(self.nodes))}")
-        if not 1 <= self.buffer <= self.memory + 1:
-            raise FieldError("buffer", f"{self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")
         if self.memory < 0:
             raise FieldError("memory", f"{self.memory}, expected 0 or more")
+        if not 1 <= self.buffer <= self.memory + 1:
+            raise FieldError("buffer", f"{self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")
         if not 0 <= self.delay <= self.memory:
             raise FieldError("delay", f"{self.delay} samples, expected 0 to the memory, {self.memory}")
 

@@ -30,6 +30,8 @@ def test_there_and_back_is_the_same_model() -> None:
     for name in "ABC":
         np.testing.assert_array_equal(getattr(back.model(), name), getattr(plant.model(), name))
     assert to_control(plant).input_labels == [s.name for s in plant.inputs]
+    assert to_control(plant).output_labels == [s.name for s in plant.outputs]
+    assert to_control(plant).state_labels == [s.name for s in plant.states]
     assert to_control(plant.model().discretise(0.1)).dt == 0.1
 
 

@@ -75,6 +75,7 @@ def test_the_mask_is_what_literal_packets_bring() -> None:
         ({"order": (0, 7)}, r"order: \[0, 7\], expected nodes that measure"),
         ({"delay": 6}, "delay: 6 samples, expected 0 to the memory, 5"),
         ({"nodes": ()}, "nodes: "),
+        ({"memory": -1}, "memory: -1, expected 0 or more"),
     ],
 )
 def test_an_arrangement_that_cannot_be_is_refused_by_its_field(change: dict[str, object], says: str) -> None:

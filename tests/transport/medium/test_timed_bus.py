@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 
 from transport.can_bus_model.bit_rates import BitRates
@@ -110,3 +112,11 @@ def test_traffic_comes_in_order_with_its_jitter_and_its_bytes_from_its_own_strea
     other = Periodic(node=2, frame=CanFrame(identifier=0x21), period_ns=700)
     merged = list(Traffic([message.frames(np.random.default_rng(1)), other.frames(np.random.default_rng(2))]).until(50_000))
     assert [due.at_ns for due in merged] == sorted(due.at_ns for due in merged) and len(merged) == 50 + 72
+
+
+def test_a_long_packet_fills_frames_of_64_bytes_and_the_last_is_padded_to_a_length_of_can_fd() -> None:
+    values = [float(n) for n in range(19)]
+    first, last = value_frames(0x100, values, fd=True)
+    assert (first.identifier, last.identifier, len(first.data), len(last.data)) == (0x100, 0x101, 64, 12)
+    assert first.data + last.data == struct.pack("<19f", *values)
+    assert [len(frame.data) for frame in value_frames(0x100, values[:3] * 3, fd=True)] == [48]  # not 36
