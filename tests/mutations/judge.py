@@ -92,7 +92,9 @@ class Judge:
 
     def _failing(self, tests: Sequence[str]) -> str | None:
         """Return the first of the tests that fails, or how pytest ended where none could."""
-        files = sorted({test.partition("::")[0] for test in tests})
+        files = sorted(file for file in {test.partition("::")[0] for test in tests} if (self._folder / file).exists())
+        if not files:  # they have moved since they were measured
+            return None
         order = self._folder.parent / "order"
         order.write_text("\n".join(tests))
         words = ["-x", "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "--tb=no", "-rfE", *files]

@@ -147,6 +147,7 @@ def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pyt
     assert judges.killer(unseen, ours) is None
     assert judges.killer(unseen, ["test_m.py::test_moody", *ours]) is None, "what fails without a fault too kills none"
     assert judges.killer(seen, ["test_m.py::of_yesterday"]) is None
+    assert judges.killer(seen, ["test_of_yesterday.py::test_odd"]) is None
     monkeypatch.setattr(judge, "LIMITS", {resource.RLIMIT_CPU: 3})
     stuck = dataclasses.replace(by_line["range(n, 10)  ->  (range(10, n))"], new="iter(lambda: n, None)")
     assert judges.killer(stuck, ours) == "pytest ends with -9"

@@ -62,6 +62,15 @@ def test_two_equal_laws_are_seldom_called_different() -> None:
         assert false <= int(binom.ppf(1.0 - 1e-4, 600, 0.05))
 
 
+@pytest.mark.parametrize(("unit", "end"), [("rad² s", " rad² s,"), ("", ",")])
+def test_a_difference_has_its_unit_where_a_share_means_nothing(unit: str, end: str) -> None:
+    quantity = Quantity(name="sse", title="squared error", unit=unit, better="lower")
+    spread = np.linspace(-0.5, 0.5, 10)
+    values = {name: {"stopped": np.zeros(10), "sse": mean + spread} for name, mean in (("a", -12.0), ("b", -9.0))}
+    said = hil.Comparison(runs=10, values=values, quantities=(quantity,)).verdict("b")
+    assert said == f"b is worse than a: sse +3, 95 % interval +3 to +3{end} 10 runs"
+
+
 def test_the_table_of_the_page_has_runs_differences_and_intervals_first(both: hil.Comparison) -> None:
     page = compare_page(both)
     assert page.index("Differences are against dc-motor-ours-h2") < page.index("share of runs at or below")
