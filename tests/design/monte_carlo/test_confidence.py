@@ -102,6 +102,18 @@ def test_two_samples_of_one_law_seldom_differ(n: int, law: str) -> None:
         assert false >= fewest_hits(0.05, STUDIES)
 
 
+def test_a_deviation_is_that_of_bonett() -> None:
+    """His interval about the trimmed mean, of which 1 / (2 sqrt(n - 4)) is cut at each end: 2 of 14 (CSDA 50, 2006, (3))."""
+    x = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 2.0, 5.0, 8.0, 9.0, 9.0, 10.0, 10.0, 10.0, 12.0])
+    n, z = x.size, stats.norm.ppf(0.975)
+    kurtosis = n * ((x - np.sort(x)[2:-2].mean()) ** 4).sum() / ((x - x.mean()) ** 2).sum() ** 2
+    c = n / (n - z)
+    half = z * c * math.sqrt((kurtosis - (n - 3) / n) / (n - 1))
+    variances = [c * x.var(ddof=1) * math.exp(side * half) for side in (-1.0, 1.0)]
+    found = deviation_interval(x)
+    np.testing.assert_allclose([found.low, found.high], np.sqrt(variances), rtol=1e-12)
+
+
 def test_a_difference_of_two_deviations_is_seen() -> None:
     """Power: half a deviation's difference over 50 pairs of normal values has t = 2.5, seen in two of three."""
     rng = np.random.default_rng(8)

@@ -12,6 +12,7 @@ from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
 from design.lmi.exact import prove
+from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
@@ -30,6 +31,17 @@ def test_required_level_is_certified_from_the_returned_gains(bound: float, requi
     assert certificate.gain is not None and certificate.gain.norm <= bound
     assert certificate.gamma is not None and certificate.gamma <= required
     assert certificate.check() > 0 and prove(certificate).proved
+
+
+def test_a_mode_that_grows_is_held_by_slow_jumps_out_of_it() -> None:
+    """Of x' = x / 10 (mode 1) and x' = -2 x (mode 0), 0.5 jumps a second between them: E x^2 falls, mode 1 alone does not."""
+    one = np.ones((2, 1, 1))
+    system = DelayedJumpSystem(
+        a=np.array([[[-2.0]], [[0.1]]]), ad=0.0 * one, b=one, e=one, c=one, delay_max_s=0.0, delay_slopes=np.zeros(2)
+    )
+    process = SemiMarkov(rates=((None, constant_rate(0.5)), (constant_rate(0.5), None)))
+    certificate = delayed_hinf(system, process, gain_bound=1e-6)
+    assert certificate.certified and certificate.gamma is not None and certificate.gamma > 1.0 / 2.0
 
 
 @cache
