@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from design.verdict import FROM_A_SOLVER, Verdict
 from hil.log.read.run import read_run
 from tests.other_processors import together
@@ -22,8 +23,12 @@ OTHERS = {name: environment for name, environment in together().items() if "Neha
 def logs(folder: Path, environment: dict[str, str]) -> dict[str, Path]:
     """Run the experiments for an instant, as on another machine; return their logs."""
     folder.mkdir()
-    run = f"import hil\nfor name in {NAMES}: hil.run(name, duration='0.5 s', log=f'{{name}}.mcap')"
-    subprocess.run([sys.executable, "-P", "-c", run], cwd=folder, env={**os.environ, **environment}, check=True)
+    if environment:
+        run = f"import hil\nfor name in {NAMES}: hil.run(name, duration='0.5 s', log=f'{{name}}.mcap')"
+        subprocess.run([sys.executable, "-P", "-c", run], cwd=folder, env={**os.environ, **environment}, check=True)
+    else:
+        for name in NAMES:
+            hil.run(name, duration="0.5 s", log=folder / f"{name}.mcap")
     return {name: folder / f"{name}.mcap" for name in NAMES}
 
 

@@ -25,26 +25,26 @@ def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 @needs_compiler
 def test_every_link_gets_a_row_with_its_ratio_to_the_floor_and_nothing_stays_behind(bus_directory: Path) -> None:
     links = ("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}", "plain-zenoh:unixsock-stream/{folder}/plain")
-    rows = bench_links(500.0, 0.5, links=links)
+    rows = bench_links(500.0, 0.2, links=links)
     assert [(row["link"], row["affinity"]) for row in rows] == [
         (FLOOR, "free"), ("can:hil:bench", "free"), ("zenoh:tcp/127.0.0.1:*", "free"), ("zenoh:tcp/127.0.0.1:*", "shared"),
         ("plain-zenoh:unixsock-stream/*/plain", "free"),
     ]  # fmt: skip
     for row in rows:
-        assert row["note"] == "" and 0 <= row["lost"] < 250 and row["lost"] / 250 <= row["late_share"] <= 1
+        assert row["note"] == "" and 0 <= row["lost"] < 100 and row["lost"] / 100 <= row["late_share"] <= 1
         assert 0 < row["p50_us"] <= row["p99_us"] <= row["p99_9_us"]
         assert row["times_floor"] == pytest.approx(row["p50_us"] / rows[0]["p50_us"])
 
 
 def test_without_a_compiler_the_links_are_measured_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("shutil.which", lambda name: None)
-    floor, link = bench_links(500.0, 0.5, links=("can:hil:bench",))
+    floor, link = bench_links(500.0, 0.1, links=("can:hil:bench",))
     assert "no C compiler" in floor["note"] and math.isnan(floor["p50_us"])
     assert link["p50_us"] > 0 and math.isnan(link["times_floor"])
 
 
 @needs_compiler
 def test_a_link_that_cannot_be_had_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    floor, broken = bench_links(500.0, 0.5, links=("can:nosuch:x",))
+    floor, broken = bench_links(500.0, 0.1, links=("can:nosuch:x",))
     assert "python-can has no interface 'nosuch'" in broken["note"] and math.isnan(broken["p50_us"])
     assert floor["p50_us"] > 0

@@ -25,7 +25,7 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         assert f"hil run mine/{name.replace('-', '_')}.toml" in out
         status, _, err = cli("run", f"mine/{name.replace('-', '_')}.toml")
         assert status == 0, err
-    tests = [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", "mine"]
+    tests = [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "mine"]
     done = subprocess.run(tests, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     written = "".join(path.read_text() for path in Path("mine").glob("test_*.py"))
