@@ -137,7 +137,6 @@ def synthesise(
     *,
     transition: Array | None = None,
     initial: Array | None = None,
-    progress: Callable[[float], None] = lambda value: None,
 ) -> Array:
     """Return gains of least cost under a mask, by quasi-Newton descent with the exact gradient.
 
@@ -147,7 +146,6 @@ def synthesise(
         start: what the cost is averaged over.
         transition: chain of the phases; default the cycle.
         initial: gains to start from; default zero.
-        progress: called with the cost of every iteration.
 
     Returns:
         K of shape (phases, memory + 1, p, n); a local optimum.
@@ -191,7 +189,7 @@ def synthesise(
     scale = _stable_scale(value, v)
     for _ in range(ROUNDS):
         goal = min(1.0, scale)
-        v = _descend(lambda x, s=goal: value(x, s), v, progress if goal == 1.0 else (lambda _: None), goal == 1.0)  # type: ignore[misc]
+        v = _descend(lambda x, s=goal: value(x, s), v, goal == 1.0)  # type: ignore[misc]
         if goal == 1.0:
             return gains_of(v)
         larger = _stable_scale(value, v) if np.isfinite(value(v, 1.0)[0]) else _largest_scale(value, v, goal)
@@ -219,13 +217,8 @@ def _largest_scale(value: Callable[[Array, float], tuple[float, Array]], v: Arra
     return good * 0.999 if good < 1.0 else 1.0
 
 
-def _descend(
-    objective: Callable[[Array], tuple[float, Array]], v: Array, progress: Callable[[float], None], finish: bool
-) -> Array:
-    found = minimize(
-        objective, v, jac=True, method="BFGS", callback=lambda intermediate_result: progress(float(intermediate_result.fun)),
-        options={"maxiter": 1500 if finish else 40, "gtol": 1e-9},
-    )  # fmt: skip
+def _descend(objective: Callable[[Array], tuple[float, Array]], v: Array, finish: bool) -> Array:
+    found = minimize(objective, v, jac=True, method="BFGS", options={"maxiter": 1500 if finish else 40, "gtol": 1e-9})
     return np.asarray(found.x) if np.isfinite(found.fun) else v
 
 

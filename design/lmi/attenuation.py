@@ -41,13 +41,13 @@ def with_gamma(program: LmiProgram, scaled_gamma: float) -> LmiProgram:
     return fixed
 
 
-def smallest_gamma(build: Callable[[float], LmiProgram], what: str, guess: float = 1.0) -> Attenuation:
+def smallest_gamma(build: Callable[[float], LmiProgram], what: str) -> Attenuation:
     """Minimise gamma over ``build(scale)``; ``what`` names the request in the error.
 
     Raises:
         Infeasible: nothing could be verified; the message says whether dual matrices prove that nothing is there.
     """
-    scale, gamma = 1.0 / guess, math.inf
+    scale, gamma = 1.0, math.inf
     for _ in range(6):
         objective = build(scale).solve("g2").objective
         if not math.isfinite(objective):
@@ -63,7 +63,7 @@ def smallest_gamma(build: Callable[[float], LmiProgram], what: str, guess: float
             found = with_gamma(program, scale * trial).solve()
             if found.holds:
                 return Attenuation(gamma=trial, scale=scale, found=found)
-    return at_gamma(build, 100.0 * guess, what)
+    return at_gamma(build, 100.0, what)
 
 
 def at_gamma(build: Callable[[float], LmiProgram], gamma: float, what: str) -> Attenuation:

@@ -108,20 +108,20 @@ def initial_law(sc: DelayChain, ca: DelayChain) -> Literal["uniform", "stationar
 Array = npt.NDArray[np.float64]
 
 
-def check_gains(gains: npt.ArrayLike, shape: tuple[int, int, int, int], field: str = "gains") -> Array:
+def check_gains(gains: npt.ArrayLike, shape: tuple[int, int, int, int]) -> Array:
     """Return gains as an array of `shape` (sc labels, rows, m, p), or refuse them.
 
     Raises:
-        ValueError: wrong shape or not finite; the message starts with `field`.
+        ValueError: wrong shape or not finite; the message names the entry.
     """
     try:
         array = np.array(gains, dtype=np.float64)
     except (TypeError, ValueError):
-        raise FieldError(field, f"expected a regular nested list of shape {shape} [tau][row][m][p]") from None
+        raise FieldError("gains", f"expected a regular nested list of shape {shape} [tau][row][m][p]") from None
     if array.shape != tuple(shape):
-        raise FieldError(field, f"shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
+        raise FieldError("gains", f"shape {array.shape}, expected {tuple(shape)} [tau][row][m][p]")
     if not np.isfinite(array).all():
-        raise FieldError(f"{field}{np.argwhere(~np.isfinite(array))[0].tolist()}", "not finite")
+        raise FieldError(f"gains{np.argwhere(~np.isfinite(array))[0].tolist()}", "not finite")
     return array
 
 

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Objective = Callable[[Array], tuple[float, Array]]
-Watcher = Callable[[int, float], None]
 
 ARMIJO = 1e-4
 CURVATURE = 0.5
@@ -43,7 +42,6 @@ def bfgs(
     value_tolerance: float = 1e-12,
     patience: int = 3,
     stop: Callable[[float], bool] | None = None,
-    watch: Watcher | None = None,
     ceiling: Callable[[float], None] | None = None,
     metric: Callable[[Array], Array] | None = None,
 ) -> Descent:
@@ -54,7 +52,6 @@ def bfgs(
         gradient_tolerance: stop where the gradient is below it, relative to max(1, |value|).
         value_tolerance, patience: stop after `patience` iterations that each gained relatively less than this.
         stop: asked with each new value; True ends the descent.
-        watch: called with (iteration, value).
         ceiling: called with every value that is not to be exceeded from now on: above it the objective may answer inf.
         metric: x -> first guess of the inverse Hessian at x, where the objective was evaluated last; positive definite. Without,
             a multiple of the identity, fitted to the first step.
@@ -97,8 +94,6 @@ def bfgs(
         x, value, gradient = new_x, new_value, new_gradient
         if ceiling is not None:
             ceiling(value)
-        if watch is not None:
-            watch(iteration, value)
         if stop is not None and stop(value):
             return Descent(x, value, gradient, iteration, evaluations, "stopped")
         if idle >= patience:

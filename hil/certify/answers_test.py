@@ -87,14 +87,14 @@ def question(
     )  # fmt: skip
 
 
-def over_nodes(model: LoopModel, *, memory: int, slots: int = SLOTS) -> Question:
+def over_nodes(model: LoopModel, *, memory: int) -> Question:
     """Return what scheduled nodes send: turns and losses as the medium states them, held as long as gains look back.
 
     Args:
         model: the loop, with its sensor nodes.
         memory: age of the oldest sample that is used.
-        slots: how many.
     """
+    slots = SLOTS
     rng, nodes, turns = np.random.default_rng(SEED), model.nodes, model.nodes.turns
     turn, lost_in = rng.integers(len(nodes.names), size=slots).tolist(), (rng.integers(5, size=slots) == 0).tolist()
     kept: list[set[int]] = [set() for _ in nodes.names]

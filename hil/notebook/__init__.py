@@ -54,10 +54,10 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     return sheet
 
 
-def as_svg(paint: Callable[[Figure], None], width_mm: float = 160.0, height_mm: float = 90.0) -> str:
+def as_svg(paint: Callable[[Figure], None]) -> str:
     """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
     try:
-        return drawn(paint, None, width_mm, height_mm).svg()
+        return drawn(paint, None, 160.0, 90.0).svg()
     except HilError:
         return ""
 

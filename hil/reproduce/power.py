@@ -32,9 +32,9 @@ def power(rows: Iterable[Row], share: float = OFF) -> dict[str, tuple[int, int]]
     return found
 
 
-def power_in_words(rows: Iterable[Row], share: float = OFF) -> str:
+def power_in_words(rows: Iterable[Row]) -> str:
     """Return `power` as a sentence."""
-    found = power(rows, share)
+    found = power(rows)
     kinds = ", ".join(f"{turned} of {of} {kind}" for kind, (turned, of) in found.items())
     turned, of = (sum(each) for each in zip(*found.values()))
-    return f"every number {share:.0%} larger or smaller turns {turned} of {of} reproduced rows with numbers: {kinds}"
+    return f"every number {OFF:.0%} larger or smaller turns {turned} of {of} reproduced rows with numbers: {kinds}"

@@ -37,7 +37,8 @@ def trade_off(report_progress: ReportProgress) -> dict[str, Any]:
         y_label="H2 norm", sync=None, note="the last design has no level; stacked z, rows by the d when they are applied",
     )  # fmt: skip
     return {
-        "beta": beta, "gamma": gamma, "over": float(max(gamma[:-1] / [level for _, level in asked])) - 1.0,
+        "beta": beta, "gamma": gamma, "ends": [gamma[0], gamma[-1], beta[0], beta[-1]],
+        "over": float(max(gamma[:-1] / [level for _, level in asked])) - 1.0,
         "rise": float((beta[1:] / beta[:-1]).max()) - 1.0, "paid": float(beta[0] / beta[-1]) - 1.0,
         "gained": 1.0 - float(gamma[0] / gamma[-1]), "chain": _over_chains(), "packets": _packet_by_packet(),
         "figures": (Plot(title="Trade-off of the two norms", panels=(figure,)),),
@@ -95,7 +96,7 @@ TRADE_OFF = (
             above("what the tightest level costs in beta", "paid", SLACK),
             above("what it gains in gamma", "gained", SLACK),
         ),
-        computed="gamma {gamma[0]:.5g} ... {gamma[5]:.5g}, beta {beta[0]:.5g} ... {beta[5]:.5g}",
+        computed="gamma {ends[0]:.5g} ... {ends[1]:.5g}, beta {ends[2]:.5g} ... {ends[3]:.5g}",
         basis="the motor over its network, stacked z, R = 0.01, rows by the d when they are applied; no mixed design is printed",
     ),
     Statement(
