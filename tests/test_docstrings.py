@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,12 +16,14 @@ import plants
 import transport
 
 FILES = [path for package in (design, hil, plants, transport) for path in sorted(Path(package.__path__[0]).rglob("*.py"))]
+SECTION = re.compile(r"^\w+:$", re.M)
+"""What of a docstring names or explains something; the others have no form."""
 Documented = ast.FunctionDef | ast.ClassDef
 
 
 def documented(path: Path) -> Iterator[tuple[Documented, str]]:
     for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and (text := ast.get_docstring(node)) and SECTION.search(text):
             yield node, text
 
 
@@ -29,7 +32,8 @@ def parameters(node: Documented) -> set[str]:
     if isinstance(node, ast.ClassDef):
         fields = {s.target.id for s in node.body if isinstance(s, ast.AnnAssign) and isinstance(s.target, ast.Name)}
         methods = [s for s in node.body if isinstance(s, ast.FunctionDef)]
-        own = {t.attr for m in methods for t in ast.walk(m) if isinstance(t, ast.Attribute) and ast.unparse(t.value) == "self"}
+        reads = (t for m in methods for t in ast.walk(m) if isinstance(t, ast.Attribute) and isinstance(t.value, ast.Name))
+        own = {t.attr for t in reads if isinstance(t.value, ast.Name) and t.value.id == "self"}
         given = {name for m in methods if m.name == "__init__" for name in parameters(m)}
         return fields | own | given | {m.name for m in methods}
     a = node.args

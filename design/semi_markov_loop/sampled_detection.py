@@ -91,13 +91,15 @@ class DetectionLoop:
         """The section of the gains at count 0."""
         return int(np.searchsorted(self.pairs.gain.starts_s[pair], self.pairs.tau * self.pairs.period_s, side="right")) - 1
 
-    def variation(self, pair: int) -> FloatArray:
-        """The most that each rate out of a pair varies within two periods (1/s)."""
-        i, k = divmod(pair, self.seen)
-        out = np.zeros((self.process.failure.modes, self.seen))
-        out[:, k] += _variation(self.process.failure, i, self.pairs.period_s)
-        out[i, :] += _variation(self.process.detection[i], k, self.pairs.period_s)
-        return out.ravel()
+    def variations(self) -> FloatArray:
+        """The most that each rate out of each pair varies within two periods (1/s), (pairs, pairs)."""
+        modes, T = self.process.failure.modes, self.pairs.period_s
+        out = np.zeros((modes, self.seen, modes, self.seen))
+        for i, detection in enumerate(self.process.detection):
+            out[i, range(self.seen), :, range(self.seen)] += _variation(self.process.failure, i, T)
+            for k in range(self.seen):
+                out[i, k, i, :] += _variation(detection, k, T)
+        return out.reshape(modes * self.seen, -1)
 
 
 def _variation(process: SemiMarkov, mode: int, period_s: float) -> FloatArray:
@@ -145,7 +147,7 @@ def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
     pairs, T = loop.pairs, loop.pairs.period_s
     everywhere = [loop.box(pair, math.inf) for pair in range(pairs.system.modes)]
     maps = period_moments(pairs.system, everywhere, T, pairs.delay, True)
-    program = LmiProgram(reach=CONDITION)
+    program, delta = LmiProgram(reach=CONDITION), loop.variations()
     size = pairs.size
     for pair in range(pairs.system.modes):
         starts = pairs.gain.starts_s[pair]
@@ -155,19 +157,21 @@ def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
             program.require(f"{name} >= I", lambda p: np.eye(size) - p, name, strict=False)
             program.require(f"{name} bounded", lambda p: p - CONDITION * np.eye(size), name, strict=False)
             box = loop.box(pair, stop + 2 * T)
-            _require_decrease(program, loop, maps, pair, b, box)
+            _require_decrease(program, loop, maps, pair, b, box, delta[pair])
             if b + 1 < starts.size:
                 program.require(f"{name} falls", lambda p, q: q - p, name, f"P[{pair},{b + 1}]", strict=False)
     return program.solve()
 
 
-def _require_decrease(program: LmiProgram, loop: DetectionLoop, maps: PeriodMoments, pair: int, section: int, box: Box) -> None:
+def _require_decrease(
+    program: LmiProgram, loop: DetectionLoop, maps: PeriodMoments, pair: int, section: int, box: Box, delta: FloatArray
+) -> None:
     pairs, T = loop.pairs, loop.pairs.period_s
     sampled = pairs.sampled_at(pairs.gain.gain[pair, section])
     lift, own = congruence(sampled), f"P[{pair},{section}]"
     weights = maps.weights_s * np.exp(-float(box.low.sum()) * maps.nodes_s)
     basis = isometry(pairs.size)
-    targets, delta = loop.targets(pair), loop.variation(pair)
+    targets = loop.targets(pair)
     # seen to stay in r: the count goes on; seen to change: it starts anew. By the pair at the end of the period.
     ends = list(range(pairs.system.modes))
     landing = [own if j == pair else f"P[{j},{section if j % loop.seen == pair % loop.seen else loop.first(j)}]" for j in ends]

@@ -63,7 +63,7 @@ def test_the_shipped_walls_are_certified_and_give_no_energy_away(name: str) -> N
     e = load_experiment(name, duration="1 s" if "khz" in name else "8 s")
     loop = compose(e)
     assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "passivity"
-    for seed in (0, 1, 2):
+    for seed in (0, 1):
         x = simulate(loop, seed).arrays["/plant/state"]
         assert x["given"].max() < 1e-12
         assert np.abs(x["position"]).max() < 0.25

@@ -145,7 +145,7 @@ def test_interval_at_the_stop_holds_the_truth_as_often_as_promised(statistic: st
     # gamma(4): mean 4, deviation 2. The first look is large enough for the asymptotics of the deviation.
     rule = StopRule(half_width=0.12, statistic=statistic, level=0.95, first_look=300)  # type: ignore[arg-type]
     truth = 4.0 if statistic == "mean" else 2.0
-    studies, hits = 600, 0
+    studies, hits = 400, 0
     for _ in range(studies):
         values, found = np.empty(0), None
         for look in range(1, 40):

@@ -90,11 +90,14 @@ def test_intervals_of_a_channel_cover_in_93_to_97_percent(channel: GilbertElliot
         assert LOW <= share <= HIGH, (name, share)
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_every_parameter_of_a_channel_has_an_interval_that_covers(channel: GilbertElliott) -> None:
-    """30 records of 5000 packets: 23 or fewer of 95 % come once in 1700; of those of half the width, 67 %, 91 times in 100."""
-    for name, share in shares_covered(channel, 30, 5000).items():
-        assert share > 23 / 30, (name, share)
+@pytest.mark.parametrize(("channel", "records", "few"), [(CHANNELS[0], 30, 23), (CHANNELS[1], 15, 10)])
+def test_every_parameter_of_a_channel_has_an_interval_that_covers(channel: GilbertElliott, records: int, few: int) -> None:
+    """Records of 5000 packets: 23 or fewer of 30 of 95 % come once in 1700; of those of half the width, 67 %, 91 times in 100.
+
+    Where a loss is 0 or 1, 10 or fewer of 15 come once in 1600, and of half the width 60 times in 100.
+    """
+    for name, share in shares_covered(channel, records, 5000).items():
+        assert share > few / records, (name, share)
 
 
 def test_intervals_of_a_markov_row_cover() -> None:
