@@ -168,7 +168,7 @@
     const options = {
       width: place.clientWidth || 800,
       height: figure.height,
-      padding: [labelled ? 18 : 8, 12, 0, 0],
+      padding: [labelled ? 18 : 8, 18, 0, 0],
       legend: {
         live: true,
         markers: { width: 0, fill: (u, i) => (i ? `var(--c${curves[i - 1].colour})` : "transparent") },

@@ -11,8 +11,16 @@ export const text = (tag, words, attributes = {}) => {
   made.textContent = words;
   return made;
 };
-export const number = (v, digits = 4) =>
-  v == null || Number.isNaN(v) ? "–" : String(+(+v).toPrecision(digits)).replace("-", "−");
+export const number = (v, digits = 4) => {
+  if (v == null || Number.isNaN(v)) return "–";
+  const rounded = +(+v).toPrecision(digits);
+  return (rounded !== 0 && Math.abs(rounded) < 1e-4 ? rounded.toExponential() : String(rounded)).replaceAll("-", "−");
+};
+const apart = (a, b) => {  // digits by which two numbers are seen to differ
+  let digits = 4;
+  while (digits < 12 && a !== b && number(a, digits) === number(b, digits)) digits++;
+  return digits;
+};
 const SIGN = { certified: ["✓", "good"], refused: ["✗", "bad"], undecided: ["?", "warning"], none: ["?", "warning"] };
 export const MEANS = { certified: "stable", refused: "not stable", undecided: "undecided", none: "no certificate" };
 const STATUS = { running: ["▶", "good"], held: ["❚❚", "warning"], ended: ["■", ""], log: ["≡", ""], waiting: ["·", ""], lost: ["✗", "bad"] };
@@ -22,9 +30,11 @@ export function badge(place, [sign, state], words) {
   place.replaceChildren(text("span", sign, { className: "sign", ariaHidden: "true" }), text("span", words, { className: "what" }));
 }
 
-export const claimBadge = (place, claim) =>
+export const claimBadge = (place, claim) => {
+  const digits = claim.limit == null ? 4 : apart(claim.number, claim.limit);
   badge(place, SIGN[claim.state] || SIGN.none, (claim.kind === "passivity" && claim.state === "certified" ? "passive" : MEANS[claim.state]) +
-    (claim.number == null ? "" : `: ${claim.quantity || "margin"} ${number(claim.number)}${claim.limit == null ? "" : `, below ${number(claim.limit)}`}`));
+    (claim.number == null ? "" : `: ${claim.quantity || "margin"} ${number(claim.number, digits)}${claim.limit == null ? "" : `, below ${number(claim.limit, digits)}`}`));
+};
 
 // One wish after the other: on two connections a later one could come before an earlier one.
 let before = Promise.resolve();

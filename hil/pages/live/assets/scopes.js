@@ -57,7 +57,7 @@ function makeScope(place, title, traces, view) {
     cursor: { y: false, drag: { x: true, y: false, setScale: false }, sync: { key: "live" } },
     scales: { x: { time: false }, y: { range: (u, low, high) => {
       if (low == null) return [0, 1];
-      const room = (high - low || Math.abs(high) || 1) * 0.07;
+      const size = Math.max(Math.abs(low), Math.abs(high)), room = (high - low > 1e-5 * size ? high - low : size || 1) * 0.07;
       return [low - room, high + room];
     } } },
     axes: [axis(26), axis(66)],
