@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from hil.runtime.real.child import Child, is_stopped, python_module
+from tests.waiting import until
 
 OFTEN = """
 import os
@@ -131,6 +132,8 @@ def test_a_child_has_one_blas_thread_where_its_user_says_nothing_else(
     if own is not None:
         monkeypatch.setenv("OPENBLAS_NUM_THREADS", own)
     child = Child("rig", "json.tool", None)
-    said = Path(f"/proc/{child.pid}/environ").read_bytes().split(b"\0")
+    environment = Path(f"/proc/{child.pid}/environ")
+    until(lambda: b"OPENBLAS_NUM_THREADS=" in environment.read_bytes(), "the environment of a process that begins")
+    said = environment.read_bytes().split(b"\0")
     child.kill()
     assert f"OPENBLAS_NUM_THREADS={expected}".encode() in said
