@@ -167,12 +167,15 @@ class DCMotor:
 
         Friction is at most the break-away torque; a driver misses its command by half a count and the dead zone, an encoder the
         angle by half a count.
+
+        With c = clip(u + w, within) = u + e, e between 0 and w where u is within, what the driver puts out for u + w is no
+        further from c than half a count and the dead zone: so it clips, and a disturbance behind it meets no limit.
         """
         driver, found = self.driver, []
         if not driver.ideal:
             half, supply = 0.5 * driver.pwm_step_v, driver.saturation_v
             within = () if supply is None else (supply - half,)
-            found.append(Departure(DRIVER, "input", (half + driver.dead_zone_v,), within))
+            found.append(Departure(DRIVER, "input", (half + driver.dead_zone_v,), within, clips=bool(within)))
         if self.friction.dry:
             found.append(Departure(DRY, "input", (self.friction.breakaway_v,)))
         if self.encoder.step_rad:

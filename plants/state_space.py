@@ -109,7 +109,7 @@ class LinearPlant:
     def departures(self) -> tuple[Departure, ...]:
         """Return that actuators put out what is asked for, up to their limits."""
         asked = (0.0,) * len(self.inputs)
-        return (Departure("saturated actuators", "input", asked, self.saturation),) if self.saturation else ()
+        return (Departure("saturated actuators", "input", asked, self.saturation, clips=True),) if self.saturation else ()
 
     def own_inputs(self) -> tuple[str, ...]:
         """Return the process noise, where there is one."""

@@ -180,13 +180,16 @@ def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, d
     """(E u_l(k)^d) in the monomials of y, (K, m, s N, count), and what all pushes add up to, (m,)."""
     turned, start = [_turned(power(a, degree)) for a in A], np.array([power(each, degree) for each in S])
     M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(1, 0, 2)  # (m, N, count)
-    of_pushes = [np.array([at(e, degree) for e in column]) for column in pushes.transpose(2, 0, 1)]
+    z = np.zeros((len(A), start.shape[1], pushes.shape[2]))
+    for i, q in np.ndindex(len(A), pushes.shape[2]):
+        z[i, :, q] = at(pushes[i, :, q], degree)
     free, total = np.empty((slots, len(M), len(S) * len(A), start.shape[2])), np.zeros(len(M))
     for k in range(slots):
         free[k] = np.concatenate([M @ each for each in start], axis=1)
         mean = transition @ M
-        for z in of_pushes:
-            total += _value(mean, z).max(axis=1) ** (1.0 / degree)
+        forms = mean.transpose(1, 0, 2)
+        moved = np.maximum(forms @ z, 0.0) + ROUNDING * (np.abs(forms) @ np.abs(z))
+        total += (moved.max(axis=0) ** (1.0 / degree)).sum(axis=1)
         M = np.stack([(each @ mean[:, i].T).T for i, each in enumerate(turned)], axis=1)
     return free, total
 

@@ -26,7 +26,7 @@ from hil.certify.region import ClosedLoop, inside
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
-PARTS = 64
+PARTS = 16
 """Parts of a slot over which the motion of an input that changes within the slot is bounded."""
 ROUNDING = 1e-9
 Modes = Callable[[Array, Array, Array], ClosedLoop]
@@ -38,15 +38,17 @@ class Pushed(Struct, frozen=True, kw_only=True):
 
     Args:
         names: noun phrases.
-        states: what it moves each state by in a slot at most, (n,).
+        states: what signals of size 1 move the state by in a slot, together, (n, q).
         outputs: what it adds to each output at most, (p,).
         within: largest command up to which these bounds hold, (m,); inf where they hold at any.
+        clips: whether a disturbance acts by a share of itself where it would take the input beyond that.
     """
 
     names: tuple[str, ...]
     states: Array
     outputs: Array
     within: Array
+    clips: bool
 
     @property
     def pushes(self) -> bool:
@@ -66,8 +68,9 @@ def pushed_by(loop: CertificationProblem) -> Pushed | None:
     for each in known:
         (inputs if each.at == "input" else outputs)[:] += each.bounds
         within = np.minimum(within, each.within or np.inf)
+    clips = all(each.clips for each in known if each.within)
     names = tuple(each.name for each in known) + (("a dead-band trigger",) if loop.slack else ())
-    return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop), within=within)
+    return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop), within=within, clips=clips)
 
 
 def _slack(loop: CertificationProblem) -> Array:
@@ -75,24 +78,32 @@ def _slack(loop: CertificationProblem) -> Array:
 
 
 def _moved(plant: Plant, model: LoopModel, inputs: Array) -> Array:
-    r"""What inputs up to a size, at any instants of a slot, move each state by at most.
+    r"""What inputs up to a size F, at any instants of a slot, move the state by: a column by signals of size 1, (n, q).
 
-    .. math:: \int_0^T |e^{A s} B| F ds \le \sum_k h\, e^{|A| h} |e^{A k h} B| F
+    One signal for every part of a slot, of length h, moves it by the mean over the part; what is left of a part is at most h / 2
+    times what the response varies by there.
+
+    .. math:: \int_0^T e^{A s} B F e(s) ds = \sum_k \int_{kh}^{(k+1)h} e^{A s} B F ds \; \bar e_k + r, \qquad
+        |r| \le \tfrac{h}{2} \int_0^T |e^{A s} A B| F ds \le \tfrac{h^2}{2} e^{|A| h} \sum_k |e^{A k h} A B| F
     """
     if not inputs.any():
-        return np.zeros(len(model.A))
+        return np.zeros((len(model.A), 0))
     from scipy.linalg import expm
 
     from plants.parts.linear import StateSpace
 
     moves = plant.motion() if isinstance(plant, MovesOtherwise) else plant.model()
     if not isinstance(moves, StateSpace):  # in slots an input changes with the slot
-        return np.asarray(np.abs(model.B) @ inputs)
-    h = model.period_s / PARTS
-    step, reached, total = expm(moves.A * h), moves.B, np.zeros_like(moves.B)
+        return np.asarray(model.B * inputs)
+    h, (n, m) = model.period_s / PARTS, moves.B.shape
+    held = expm(np.block([[moves.A, moves.B], [np.zeros((m, n + m))]]) * h)
+    step, part, slope, columns, left = held[:n, :n], held[:n, n:], moves.A @ moves.B, [], np.zeros((n, m))
     for _ in range(PARTS):
-        total, reached = total + np.abs(reached), step @ reached
-    return np.asarray(h * expm(np.abs(moves.A) * h) @ total @ inputs)
+        columns.append(part * inputs)
+        left += np.abs(slope)
+        part, slope = step @ part, step @ slope
+    rest = 0.5 * h**2 * expm(np.abs(moves.A) * h) @ left @ inputs
+    return np.hstack([*columns, np.diag(rest)])
 
 
 def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
@@ -117,9 +128,9 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     closed, chances, applied, standing = modes(
         np.block([[A, np.zeros((n, p))], [np.zeros((p, n + p))]]), np.vstack([B, np.zeros((p, m))]), np.hstack([C, np.eye(p)])
     )
-    kept = np.r_[0:n, n + p : closed.shape[-1]]
-    own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), n + p))
-    E[:, :n, :n], E[:, :, n:] = np.diag(pushed.states), closed[:, kept][:, :, n : n + p] * pushed.outputs
+    kept, q = np.r_[0:n, n + p : closed.shape[-1]], pushed.states.shape[1]
+    own, E = closed[:, kept][:, :, kept], np.zeros((len(closed), len(kept), q + p))
+    E[:, :n, :q], E[:, :, q:] = pushed.states, closed[:, kept][:, :, n : n + p] * pushed.outputs
     limited = bool(np.isfinite(pushed.within).any())
     ends = {}
     try:
@@ -142,7 +153,8 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         return found
     adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0)
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
-    return inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, named=", ".join(pushed.names))
+    named = ", ".join(pushed.names)
+    return inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
 
 
 def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
@@ -193,24 +205,27 @@ def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[Non
         return None, ("the plant departs from its model by no more than it says: not compared, as it is moved from within too",)
     m = model.B.shape[1]
     unit = np.minimum(np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float), pushed.within)
-    still, steps = (0.0,) * m, 0
-    for size in (1e-3, 0.03, 1.0):
+    steps, furthest = 0, np.abs(pushed.states).sum(axis=1)
+    disturbed = 3.0 if pushed.clips and np.isfinite(pushed.within).all() else 0.0
+    for size, beside in ((1e-3, 0.0), (0.03, 0.0), (1.0, 0.0), (1.0, disturbed)):
         run = plant.start(np.random.default_rng(SEED))
-        for u in random_inputs(SLOTS, m) * unit * size:
+        for u, w in zip(inputs := random_inputs(SLOTS, m) * unit * size, beside * inputs[::-1]):
             x = np.array(run.state)
-            run.advance(round(model.period_s * 1e9), tuple(u.tolist()), still)
+            run.advance(round(model.period_s * 1e9), tuple(u.tolist()), tuple(w.tolist()))
             after, y = np.array(run.state), np.array(run.measure())
             if not np.isfinite(after).all() or np.abs(after).max() > 1e12:
                 break
             lost = ROUNDING * (np.abs(x).max() + np.abs(after).max() + (np.abs(model.B) @ np.abs(u)).max() + 1e-300)
+            half = 0.5 * model.B * w  # of a disturbance any share may act: as much as half of it beside half of it
             for what, found, most in (
-                ("states", after - model.A @ x - model.B @ u, pushed.states),
+                ("states", after - model.A @ x - model.B @ u - half.sum(axis=1), furthest + np.abs(half).sum(axis=1)),
                 ("outputs", y - model.C @ after, pushed.outputs - _slack(loop)),
             ):
                 if (np.abs(found) > most + lost).any():
                     at = int((np.abs(found) - most).argmax())
+                    asked = size * (1.0 + beside) * float(unit.max())
                     return "refused", (
-                        f"your plant departs further than stated: inputs up to {size * float(unit.max()):.3g} move its {what} by "
+                        f"your plant departs further than stated: inputs up to {asked:.3g} move its {what} by "
                         f"{abs(found[at]):.4g} beyond its model in a slot, and departures() says at most {float(most[at]):.4g}"
                     )
             steps += 1

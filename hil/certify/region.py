@@ -49,7 +49,8 @@ class ClosedLoop(NamedTuple):
 
 
 def inside(
-    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, named: str
+    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, clips: bool,
+    named: str,
 ) -> Verdict:
     """Return a verdict on a loop within limits as one on the loop that may leave them.
 
@@ -60,6 +61,7 @@ def inside(
         limits: largest command, (m,); inf where there is none.
         pushes: (N, size, q), what signals of size 1 push it by in a slot.
         adds: what departures add to each command at once, at most, (m,).
+        clips: whether a disturbance acts by a share of itself where it would take the input beyond a limit.
         named: what departs, as phrases.
     """
     from design.jump_linear.leaving import leaving
@@ -88,8 +90,8 @@ def inside(
         regions.append({
             "probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree,
         })  # fmt: skip
-    # a disturbance may act before a limit or behind it
-    left = 1.0 - max((float((np.abs(np.array(w))[which] / room).max()) for _, _, w in loop.pulses), default=0.0)
+    taken = (float((np.abs(np.array(w))[which] / room).max()) for _, _, w in loop.pulses)  # it may act before a limit
+    left = 1.0 if clips else 1.0 - max(taken, default=0.0)
     if starts and left <= 0.0:
         starts, why = [], "a disturbance takes the whole command"
     own = found.probability(*starts, left=left) if starts else None
@@ -190,6 +192,6 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     slots = [0, *(slot for slot, _ in sorted(loop.steps))]
     jumps = [states[0] - points[0], *(before - after for before, after in pairwise(points))]
     begun: dict[int, Array] = {}
-    for slot, jump in [*zip(slots, jumps), *pushes]:
+    for slot, jump in zip(slots, jumps):
         begun[slot] = begun.get(slot, np.zeros(len(A))) + jump
-    return list(begun.items()), steady, ""
+    return [*begun.items(), *pushes], steady, ""  # pushes on their own: of a disturbance a share may act

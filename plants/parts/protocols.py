@@ -91,12 +91,15 @@ class Departure(NamedTuple):
         at: ``input``: acts beside the input at any instant; ``output``: adds to what is measured.
         bounds: largest magnitude, one entry per input in its unit, or per output in its unit.
         within: largest command, one entry per input in its unit, up to which the bounds hold; empty: at any.
+        clips: whether a disturbance that would take the input beyond `within` acts by a share of itself only, as where a
+            supply saturates, or does not pass the limit at all: then a limit on the command without it is enough.
     """
 
     name: str
     at: Literal["input", "output"]
     bounds: tuple[float, ...]
     within: tuple[float, ...] = ()
+    clips: bool = False
 
 
 @runtime_checkable

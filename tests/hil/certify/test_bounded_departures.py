@@ -114,6 +114,25 @@ def test_a_plant_that_departs_by_more_than_it_says_is_refused(changes: dict[str,
     assert verdict is not None and verdict.state == "refused" and "departures() says at most" in verdict.reason
 
 
+def test_what_signals_within_a_slot_move_is_the_sum_of_its_parts() -> None:
+    """Held signals add up to B F; in every direction the worst signal that changes within the slot is found, but for the rest."""
+    from scipy.linalg import expm
+
+    from hil.certify.bounded_departures import _moved
+
+    motor, fine = DCMotor(), 640
+    loop = composed("dc-motor-h2", **{"plant.friction": DRY})
+    columns = _moved(motor, loop.model, np.array([0.5]))
+    np.testing.assert_allclose(columns[:, :-2].sum(axis=1), 0.5 * loop.model.B[:, 0], rtol=1e-9)
+    A, B, h = np.array(motor.model().A), np.array(motor.model().B)[:, 0], 0.05 / fine
+    response = np.array([expm(A * (k + 0.5) * h) @ B for k in range(fine)]) * h * 0.5
+    for angle in np.linspace(0.0, np.pi, 60):
+        row = np.array([np.cos(angle), np.sin(angle) / 50.0])  # what comes early may be against what comes late
+        worst, parts, rest = np.abs(response @ row).sum(), *(np.abs(row @ c).sum() for c in (columns[:, :-2], columns[:, -2:]))
+        assert parts <= worst * (1.0 + 1e-6) <= (parts + rest) * (1.0 + 2e-6)
+        assert rest < 0.1 * np.abs(row) @ np.abs(response).sum(axis=0)
+
+
 def test_the_bound_of_a_scalar_loop_is_that_of_its_worst_signal() -> None:
     """|x| ends within 1 / (1 - a) for x' = a x + e, where a constant e comes; of two modes by chance a is that of E x^2."""
     one = ultimate_bound(np.array([[[0.9]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))
