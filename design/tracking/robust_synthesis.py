@@ -39,7 +39,7 @@ def robust(
     Args:
         design: gains for the nominal plant, of the problem whose information pattern and bounds are kept.
         M, N1, N2: (n, a), (b, n), (b, m).
-        progress: called with the stage, 1, 1 and the value.
+        progress: called with the stage, 1, 1 and the value, in every iteration.
 
     Raises:
         NotStable: the gains found have no certificate.
@@ -67,15 +67,20 @@ def robust(
 
     v = space.coordinates(design.gains)
     if channel(v) > 1.0 / ENOUGH:
-        found = bfgs(_with_slope(channel), v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH)
+        found = bfgs(
+            _with_slope(channel), v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH,
+            watch=lambda _, value: report("margin", 1, 1, 1.0 / value if value else np.inf),
+        )  # fmt: skip
         v = found.x
-        report("margin", 1, 1, 1.0 / found.value if found.value else np.inf)
     if channel(v) < 1.0:
         _, multiplier = robust_h2(structure, space.gains(v), M, N1, N2, problem.initial)
         x = np.append(v, np.log10(multiplier))
         for _ in range(2):  # once more with a forgotten Hessian
-            x = bfgs(_with_slope(cost), x, value_tolerance=1e-9, iterations=200).x
-        report("guaranteed h2", 1, 1, cost(x))
+            found = bfgs(
+                _with_slope(cost), x, value_tolerance=1e-9, iterations=200,
+                watch=lambda _, value: report("guaranteed h2", 1, 1, value),
+            )  # fmt: skip
+            x = found.x
         v = x[:-1]
     return certified(problem, space.gains(v), starts=design.starts, evaluations=design.evaluations + count)
 

@@ -114,7 +114,10 @@ def candidates(asked: TriggerQuestion, progress: Progress | None = None, **optio
     relative = asked.kind == "relative"
     with one_blas_thread():
         shares = asked.thresholds if relative else POOL
-        aware = {share: gains_for_share(asked.target, nominal, share, progress) for share in shares}
+        aware = {
+            share: gains_for_share(asked.target, nominal, share, _of_threshold(progress, share, n, len(shares)))
+            for n, share in enumerate(shares)
+        }
         found = [Candidate(0.0, 0.0, nominal.gains[0, 0], nominal.certificate.h2_norm)]
         for threshold in asked.thresholds:
             designed = {threshold: aware[threshold]} if relative else aware
@@ -122,6 +125,16 @@ def candidates(asked: TriggerQuestion, progress: Progress | None = None, **optio
                 bound = guaranteed(asked.target, design, threshold) if relative else None
                 found.append(Candidate(threshold, share, design.gains[0, 0], bound))
     return found
+
+
+def _of_threshold(progress: Progress | None, share: float, number: int, count: int) -> Progress:
+    """Progress that says for which share gains are designed, and how many shares are done."""
+
+    def report(stage: str, start: int, starts: int, value: float) -> None:
+        if progress is not None:
+            progress(f"gains for {share:.0%} wrong, {stage}", number, count, value)
+
+    return report
 
 
 def nominal_design(target: TrackingTarget, progress: Progress | None = None, **options: Any) -> Design:

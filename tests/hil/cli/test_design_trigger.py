@@ -32,11 +32,21 @@ from hil.sweeps.trigger_cost import TriggerPoint, experiment_with, front, run_ca
 LARGE = 0.4
 
 
+STAGES: list[tuple[str, int, int, float]] = []
+
+
 @pytest.fixture(scope="module")
 def large() -> list[Candidate]:
     """The node that sends in every slot, then the nominal gain and the one that knows the trigger, both at `LARGE`."""
     asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
-    return candidates(asked, starts=1)
+    return candidates(asked, lambda *said: STAGES.append(said), starts=1)
+
+
+def test_every_iteration_says_for_which_threshold_it_is_and_what_it_has_reached(large: list[Candidate]) -> None:
+    found = [(value, done, count) for stage, done, count, value in STAGES if stage == "gains for 40% wrong, guaranteed h2"]
+    values = [value for value, _, _ in found]
+    assert len(found) > 3 and {each[1:] for each in found} == {(0, 1)}
+    assert values == sorted(values, reverse=True) and values[-1] == pytest.approx(large[-1].bound, rel=1e-2)
 
 
 def own(folder: Path, trigger: str) -> str:
