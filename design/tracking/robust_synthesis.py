@@ -27,6 +27,9 @@ from design.tracking.synthesis import Design, Progress, certified
 STEP: Final = 1e-5
 """Of a difference, relative to the size of the coordinates."""
 
+KNOWN: Final = 1e-9
+"""Share to which a guaranteed cost is known: ends of a difference that are no farther apart say no slope."""
+
 ENOUGH: Final = 1.02
 """Margin with which the descent of the guaranteed cost begins."""
 
@@ -39,7 +42,7 @@ def robust(
     Args:
         design: gains for the nominal plant, of the problem whose information pattern and bounds are kept.
         M, N1, N2: (n, a), (b, n), (b, m).
-        progress: called with the stage, 1, 1 and the value, in every iteration.
+        progress: called with the stage, 1, 1 and the value, at every point of the search.
 
     Raises:
         NotStable: the gains found have no certificate.
@@ -67,38 +70,33 @@ def robust(
 
     v = space.coordinates(design.gains)
     if channel(v) > 1.0 / ENOUGH:
-        found = bfgs(
-            _with_slope(channel), v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH,
-            watch=lambda _, value: report("margin", 1, 1, 1.0 / value if value else np.inf),
-        )  # fmt: skip
-        v = found.x
+        shown = _with_slope(channel, lambda value: report("margin", 1, 1, 1.0 / value if value else np.inf))
+        v = bfgs(shown, v, value_tolerance=1e-7, iterations=200, stop=lambda value: value < 1.0 / ENOUGH).x
     if channel(v) < 1.0:
         _, multiplier = robust_h2(structure, space.gains(v), M, N1, N2, problem.initial)
         x = np.append(v, np.log10(multiplier))
         for _ in range(2):  # once more with a forgotten Hessian
-            found = bfgs(
-                _with_slope(cost), x, value_tolerance=1e-9, iterations=200,
-                watch=lambda _, value: report("guaranteed h2", 1, 1, value),
-            )  # fmt: skip
-            x = found.x
+            shown = _with_slope(cost, lambda value: report("guaranteed h2", 1, 1, value))
+            x = bfgs(shown, x, value_tolerance=1e-9, iterations=200).x
         v = x[:-1]
     return certified(problem, space.gains(v), starts=design.starts, evaluations=design.evaluations + count)
 
 
-def _with_slope(value: Callable[[Array], float]) -> Objective:
+def _with_slope(value: Callable[[Array], float], report: Callable[[float], None]) -> Objective:
     """The value and its central differences; one-sided where a step leaves the domain."""
 
     def both(v: Array) -> tuple[float, Array]:
         here, slope = value(v), np.zeros_like(v)
         if not np.isfinite(here):
             return np.inf, slope
+        report(here)
         step = STEP * max(1.0, float(np.abs(v).max()))
         for i in range(v.size):
             ends = [(s * step, value(v + s * step * np.eye(v.size)[i])) for s in (-1.0, 1.0)]
             known = [(at, found) for at, found in ends if np.isfinite(found)] or [(0.0, here)]
             known = known if len(known) == 2 else [*known, (0.0, here)]
-            width = known[1][0] - known[0][0]
-            slope[i] = (known[1][1] - known[0][1]) / width if width else 0.0
+            width, rise = known[1][0] - known[0][0], known[1][1] - known[0][1]
+            slope[i] = rise / width if width and abs(rise) > KNOWN * abs(here) else 0.0
         return here, slope
 
     return both

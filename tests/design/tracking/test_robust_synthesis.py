@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.networked_loop.uncertainty import guaranteed_h2, robust_norms, uncertainty_margin
-from design.tracking.robust_synthesis import robust
+from design.tracking.robust_synthesis import _with_slope, robust
 from design.tracking.synthesis import Design, TrackingProblem, solve
 
 M, N1, N2 = np.array([[1.0]]), np.array([[0.0]]), np.array([[0.6]])
@@ -47,3 +47,10 @@ def test_no_gains_nearby_have_a_smaller_guaranteed_cost(nominal: Design) -> None
 def test_what_no_gains_bear_ends_with_the_largest_margin_that_was_found(nominal: Design) -> None:
     found = robust(nominal, M, N1, 5.0 * N2)
     assert bears(nominal, 5.0) < bears(found, 5.0) < 1.0
+
+
+def test_a_difference_below_what_a_cost_is_known_to_says_no_slope() -> None:
+    noisy = _with_slope(lambda v: 5.0 + 1e-9 * float(v[0] > 0.0) + 0.5 * float(v[1]), lambda _: None)
+    value, slope = noisy(np.zeros(2))
+    assert value == 5.0 and slope[0] == 0.0, "a search that follows rounding does not end"
+    assert slope[1] == pytest.approx(0.5, rel=1e-4)
