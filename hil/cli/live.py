@@ -11,7 +11,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.foxglove_option import foxglove_beside, foxglove_option
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Working, json_option, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -82,7 +82,8 @@ def command(
         from hil.pages.live.script import Scripted, read_script
         from hil.session import run_session
 
-        scripted = Scripted(read_script(script), real=clock == "real")
+        working = Working("changes, each with its certificate")
+        scripted = Scripted(read_script(script), real=clock == "real", working=working)
         experiment = load_experiment(experiments[0], sets, seed=seed, duration=duration)
         with foxglove_beside(scripted, foxglove) as onlooker:
             session = run_session(experiment, clock=clock, link=link, path=path(experiment), onlooker=onlooker)  # type: ignore[arg-type]

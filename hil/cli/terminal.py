@@ -177,6 +177,10 @@ class Working:
         """Show how far a design is, and the norm that it has reached."""
         self._bar.update(self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total)
 
+    def counted(self, done: int, total: int) -> None:
+        """Show how many are done."""
+        self._bar.update(self._task, description=f"{self._title}: {done} of {total}", completed=done, total=total)
+
 
 _OUT: Final = "hil.cli.terminal"
 _Command = TypeVar("_Command", bound=Callable[..., Any])

@@ -9,6 +9,7 @@ import collections.abc
 import dataclasses
 import json
 import math
+import re
 import types
 import typing
 from collections.abc import Iterator, Mapping
@@ -158,6 +159,22 @@ def form(hint: Any) -> str:
     return next(filter(None, map(form, args)), "")
 
 
+_TYPES: Final = {
+    "float": "a number", "int": "a whole number", "str": "text", "bool": "true or false", "array": "a list", "object": "a table",
+    "null": "nothing",
+}  # fmt: skip
+"""What msgspec calls a type, in the words of a file."""
+
+
+def _in_words(message: str) -> str:
+    """Return a message of msgspec with its types in words.
+
+    >>> _in_words("expected `int | null`, got `str`")
+    'expected a whole number or nothing, got text'
+    """
+    return re.sub(r"`([a-z |]+)`", lambda found: " or ".join(_TYPES.get(t, f"`{t}`") for t in found[1].split(" | ")), message)
+
+
 def _word(kind: Any) -> str:
     return {float: "number", int: "integer", str: '"text"', bool: "true or false"}.get(kind, "value")
 
@@ -276,6 +293,6 @@ class TableCheck:
             at += where.rstrip("`")
             cause = e.__cause__  # what a class of its own said of its values
             self.faults.append(
-                fault_at(at, cause) if isinstance(cause, FieldFault) else f"{at}: {message[0].lower()}{message[1:]}"
+                fault_at(at, cause) if isinstance(cause, FieldFault) else f"{at}: {message[0].lower()}{_in_words(message[1:])}"
             )
             return None

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import msgspec
 
@@ -64,18 +65,27 @@ def script_of(asked: Sequence[Asked]) -> bytes:
     return b"".join(msgspec.json.encode(Line(slot=k, field=path, value=value)) + b"\n" for k, path, value in asked)
 
 
+class Counter(Protocol):
+    """Shows how many are done."""
+
+    def counted(self, done: int, total: int) -> None: ...
+
+
 class Scripted:
     """Looks at nothing, and changes a run as a script says; see `hil.session.Onlooker`.
 
     Args:
         asked: the changes, in the order of slots.
         real: whether the run is in real time.
+        working: shows how many changes are composed, of how many.
     """
 
     clock = None
 
-    def __init__(self, asked: Sequence[Asked], *, real: bool = False) -> None:
-        self._asked, self._real = asked, real
+    def __init__(
+        self, asked: Sequence[Asked], *, real: bool = False, working: AbstractContextManager[Counter | None] | None = None
+    ) -> None:
+        self._asked, self._real, self._working = asked, real, working or nullcontext()
         self._to_come: list[tuple[int, Change]] = []
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
@@ -83,7 +93,13 @@ class Scripted:
         for _, path, _ in self._asked if self._real else ():
             if path != END:
                 refuse_in_real_time(loop, path)
-        self._to_come = list(composed(loop, self._asked))[::-1]
+        found: list[tuple[int, Change]] = []
+        with self._working as counter:
+            for each in composed(loop, self._asked):
+                found.append(each)
+                if counter is not None:
+                    counter.counted(len(found), len(self._asked))
+        self._to_come = found[::-1]
         return {}
 
     def changes(self, k: int) -> Sequence[Change]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -280,3 +281,19 @@ def test_a_noise_that_a_plant_does_not_have_cannot_begin_in_a_run() -> None:
     loop = compose(load_experiment("dc-motor-hinf", sets))
     with pytest.raises(ExperimentError, match=r"plant\.measurement_noise: does not change while it runs .*process_noise"):
         changed(loop, 10, "plant.measurement_noise", [0.1])
+
+
+class Counted:
+    """Keeps what is counted."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[int, int]] = []
+
+    def counted(self, done: int, total: int) -> None:
+        self.seen.append((done, total))
+
+
+def test_a_script_counts_its_changes_while_it_composes_them(motor: Loop) -> None:
+    counter = Counted()
+    Scripted(EVERYTHING[:3], working=nullcontext(counter)).begin(motor, {})
+    assert counter.seen == [(1, 3), (2, 3), (3, 3)]

@@ -119,11 +119,11 @@ def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "fault"),
     [
-        ("inputs", [{"name": "force", "unit": "N"}], 'inputs[0]: expected `array`, got `object`; it is written ["name", "unit"]'),
-        ("inputs", ["force", "N"], 'inputs[0]: expected `array`, got `str`; it is written ["name", "unit"]'),
-        ("outputs", "position", 'outputs: expected `array`, got `str`; it is written [["name", "unit"], ...]'),
-        ("C", 3, "C: expected `array`, got `int`; it is written [[number, ...], ...]"),
-        ("initial_state", 3, "initial_state: expected `array`, got `int`; it is written [number, ...]"),
+        ("inputs", [{"name": "force", "unit": "N"}], 'inputs[0]: expected a list, got a table; it is written ["name", "unit"]'),
+        ("inputs", ["force", "N"], 'inputs[0]: expected a list, got text; it is written ["name", "unit"]'),
+        ("outputs", "position", 'outputs: expected a list, got text; it is written [["name", "unit"], ...]'),
+        ("C", 3, "C: expected a list, got a whole number; it is written [[number, ...], ...]"),
+        ("initial_state", 3, "initial_state: expected a list, got a whole number; it is written [number, ...]"),
     ],
 )
 def test_an_array_of_another_form_is_told_how_it_is_written(key: str, value: object, fault: str) -> None:

@@ -101,7 +101,7 @@ class Vessel:
         ({"spares": [{"level": 1.0}, {"level": 1.0, "stat": 1}]}, "plant.spares[1].stat: unknown field; did you mean 'start'?"),
         ({"named": {"a": {"level": 1.0, "stat": 1}}}, "plant.named.a.stat: unknown field; did you mean 'start'?"),
         ({"pair": [{"mass": 1.0}, {"level": 1.0, "x": 1}]}, "plant.pair[1].x: unknown field; there are level, start"),
-        ({"pair": [{"mass": 1.0}]}, "plant.pair: expected `array` of length 2, got 1"),
+        ({"pair": [{"mass": 1.0}]}, "plant.pair: expected a list of length 2, got 1"),
         ({"inner": {"inner": {"tank": {"level": 1.0, "strat": 1}}}}, "plant.inner.inner.tank.strat: unknown field; did you mean"),
     ],
 )
