@@ -81,11 +81,11 @@ def studies() -> Iterator[tuple[str, str]]:
     a = [[[-1.0, 0.3], [0.2, -0.7]], [[0.1, 1.0], [0.4, -0.5]], [[-0.4, 0.1], [0.0, -0.9]]]
     gain = ScheduledGain(gain=np.full((3, 2, 1, 2), -0.6), starts_s=np.array([[0.0, 0.5]] * 3))
     loop = JumpLoop(system=JumpSystem(a=np.array(a), b=np.ones((3, 2, 1))), gain=gain, process=AGEING, start=(1.0, -2.0))
-    yield "settling times", _sha256(settling_times(loop, 200, duration_s=10.0).tobytes())
+    yield "settling times", _sha256(settling_times(loop, 50, duration_s=10.0).tobytes())
     A, ones = np.array([[[0.9, 0.2], [0.0, 0.7]], [[1.02, 0.1], [-0.3, 0.5]]]), np.ones((2, 1, 2))
     system = MJLS(A=A, B=np.ones((2, 2, 1)), C=ones, transition=[[0.9, 0.1], [0.4, 0.6]])
     for name, noise in (("jump-linear batch", False), ("jump-linear batch with noise", True)):
-        batch = simulate_mjls(system, 700, 40, start=(1.0, 2.0), noise=noise)
+        batch = simulate_mjls(system, 200, 40, start=(1.0, 2.0), noise=noise)
         yield name, _sha256(b"".join(np.ascontiguousarray(part).tobytes() for part in batch))
 
 
