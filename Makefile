@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/.installed
 RUN := runs/make-run
-# A test process a core, and one that works while another waits for a process, a link or the clock; each imports everything first.
+# A test process a core, and two that work while others wait for a process, a link or the clock; each imports everything first.
 WORKERS := $(shell n=$$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 2); echo $$((n + 2)))
 
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.

@@ -47,6 +47,7 @@ def test_the_tests_run_as_written_and_leave_what_the_job_keeps(name: str, tmp_pa
     (tmp_path / "test_step.py").write_text(TEST)
     command = shlex.split(COMMANDS[name][1])
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PYTEST")}
+    environment["PYTEST_ADDOPTS"] = "-p no:hypothesispytest"  # it imports all of hypothesis at the end of each process
     done = subprocess.run(
         [sys.executable, "-m", *command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=240, check=False
     )

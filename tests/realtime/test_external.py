@@ -82,7 +82,7 @@ def test_a_test_may_ask_for_an_external_controller_and_its_report_says_whose_it_
         """
     )
     with diverging(tmp_path, channel):
-        result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--junitxml=report.xml")
+        result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-p", "no:hypothesispytest", "--junitxml=report.xml")
     result.assert_outcomes(failed=1)
     result.stdout.fnmatch_lines(["*status 3, real time*", "*safety:*"])
     assert 'name="hil_verdict" value="undecided"' in (pytester.path / "report.xml").read_text(encoding="utf-8")

@@ -40,7 +40,7 @@ def test_the_face_and_the_fixture_say_it(shadowing: Path) -> None:
     done = python(folder, "-c", "import hil; hil.run('dc-motor-hinf')")
     assert "hil.errors.HilError" in done.stderr and str(shadowing) in done.stderr
     (folder / "test_mine.py").write_text("def test_rig(hil): hil.run('dc-motor-hinf')\ndef test_other(): pass\n")
-    done = python(folder, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py")
+    done = python(folder, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "test_mine.py")
     assert "1 failed, 1 passed" in done.stdout and str(shadowing) in done.stdout and "--import-mode=importlib" in done.stdout
 
 
