@@ -155,9 +155,10 @@ def drawn(files: Sequence[str], number: int, seed: int, root: Path = ROOT) -> li
     for _, found in sorted(rooms.items()):
         share = min(len(found), max(2, round(number * len(found) / total)))
         keyed += [((n + rng.random()) / share, place) for n, place in enumerate(rng.sample(found, share))]
-    return [place for _, place in sorted(keyed, key=lambda each: each[0]) if (place.file, *place.words) not in known]
+    return [place for _, place in sorted(keyed, key=lambda each: each[0]) if (place.file, place.block, *place.words) not in known]
 
 
-def equivalent() -> set[tuple[str, str, str]]:
-    """Return the faults that change nothing that a user or a test could see: file, old and new text."""
-    return {(each["file"], each["old"], each["new"]) for each in tomllib.loads(EQUIVALENT.read_text()).get("fault", [])}
+def equivalent() -> set[tuple[str, str, str, str]]:
+    """Return the faults that change nothing that a user or a test could see: file, block, old and new text."""
+    table = tomllib.loads(EQUIVALENT.read_text()).get("fault", [])
+    return {(each["file"], each["block"], each["old"], each["new"]) for each in table if each["why"]}

@@ -153,9 +153,9 @@ def nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     return [i * step for i in range(first, last + 1)]
 
 
-WIDTH = 440
-LEFT, RIGHT, TOP, BOTTOM = 50, 12, 12, 42
-LOW, HIGH = 110, 330
+SCENE_WIDTH = 440
+SCENE_LEFT, SCENE_RIGHT, SCENE_TOP, SCENE_BOTTOM = 50, 12, 12, 42
+SCENE_LOW, SCENE_HIGH = 110, 330
 """Least and largest height of what is drawn, px."""
 
 
@@ -166,30 +166,30 @@ def draw_scene(scene: Scene) -> str:
     points = points[np.isfinite(points).all(axis=1)]
     low, high = points.min(axis=0), points.max(axis=0)
     span = np.maximum(high - low, 1e-12)
-    left, bottom = (LEFT, BOTTOM) if scene.axes else (RIGHT, TOP)
-    scale = min((WIDTH - left - RIGHT) / span[0], HIGH / span[1])
-    drawn = max(scale * span[1], LOW)
-    height = round(TOP + drawn + bottom)
-    shift = left + (WIDTH - left - RIGHT - scale * span[0]) / 2
+    left, bottom = (SCENE_LEFT, SCENE_BOTTOM) if scene.axes else (SCENE_RIGHT, SCENE_TOP)
+    scale = min((SCENE_WIDTH - left - SCENE_RIGHT) / span[0], SCENE_HIGH / span[1])
+    drawn = max(scale * span[1], SCENE_LOW)
+    height = round(SCENE_TOP + drawn + bottom)
+    shift = left + (SCENE_WIDTH - left - SCENE_RIGHT - scale * span[0]) / 2
 
     def at(x: float, y: float) -> tuple[float, float]:
-        return shift + scale * (x - low[0]), TOP + (drawn + scale * span[1]) / 2 - scale * (y - low[1])
+        return shift + scale * (x - low[0]), SCENE_TOP + (drawn + scale * span[1]) / 2 - scale * (y - low[1])
 
     parts = [_shape(shape, at) for shape in scene.shapes]
     if scene.axes:
         for tick in (t for t in nice_ticks(low[0], high[0]) if low[0] - 1e-12 <= t <= high[0] + 1e-12):
-            parts.append(_text("tick", at(tick, 0.0)[0], height - BOTTOM + 18, "middle", text_of(tick, 3)))
+            parts.append(_text("tick", at(tick, 0.0)[0], height - SCENE_BOTTOM + 18, "middle", text_of(tick, 3)))
         for tick in (t for t in nice_ticks(low[1], high[1], 4) if low[1] - 1e-12 <= t <= high[1] + 1e-12):
             parts.append(_text("tick", at(low[0], 0.0)[0] - 7, at(0.0, tick)[1] + 4, "end", text_of(tick, 3)))
-        parts.append(_text("axis-label", left + (WIDTH - left - RIGHT) / 2, height - 6, "middle", scene.x_label))
+        parts.append(_text("axis-label", left + (SCENE_WIDTH - left - SCENE_RIGHT) / 2, height - 6, "middle", scene.x_label))
         upright = _text("axis-label", 0, 0, "middle", scene.y_label)
-        parts.append(f'<g transform="translate(13 {TOP + drawn / 2:.0f}) rotate(-90)">{upright}</g>')
+        parts.append(f'<g transform="translate(13 {SCENE_TOP + drawn / 2:.0f}) rotate(-90)">{upright}</g>')
     for x, y, label in scene.labels:
         px, py = at(x, y)
-        anchor = "start" if px < WIDTH / 3 else "end" if px > 2 * WIDTH / 3 else "middle"
+        anchor = "start" if px < SCENE_WIDTH / 3 else "end" if px > 2 * SCENE_WIDTH / 3 else "middle"
         parts.append(_text("axis-label", px, py, anchor, label))
     name = escape(scene.title, quote=True)
-    return f'<svg style="min-width:0" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="{name}">{"".join(parts)}</svg>'
+    return f'<svg style="min-width:0" viewBox="0 0 {SCENE_WIDTH} {height}" role="img" aria-label="{name}">{"".join(parts)}</svg>'
 
 
 def scene_legend(scene: Scene) -> str:

@@ -97,4 +97,5 @@ def test_a_scene_has_one_scale_and_escapes_its_words():
     corners = [tuple(map(float, pair)) for pair in re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", svg.split("Z")[0])]
     (left, bottom), (right, _), (_, top), _ = corners
     assert right - left == pytest.approx(bottom - top, abs=0.2)
+    assert (left - 50.0, top - 12.0) == pytest.approx((428.0 - right, 342.0 - bottom), abs=0.2), "it stands between its margins"
     assert "<b>" not in svg + scene_legend(scene) and "&amp;" in svg and svg.count("nan") == 0

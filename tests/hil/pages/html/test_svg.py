@@ -1,0 +1,45 @@
+"""Pictures of numbers: what is drawn lies in its box, and fills it."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from hil.pages.html.figures import BarGroup, Bars, Histogram, Scene, Shape
+from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene
+
+PICTURES = {
+    "bars": draw_bars(Bars(title="delays", categories=("0", "1"), groups=(BarGroup(label="sc", values=np.array([3.0, 1.0])),))),
+    "histogram": draw_histogram(Histogram(title="lateness", edges=np.arange(4.0), counts=np.array([1.0, 5.0, 2.0]))),
+}
+
+
+@pytest.mark.parametrize("svg", PICTURES.values(), ids=PICTURES)
+def test_what_is_drawn_fills_a_box_of_560_by_250(svg: str) -> None:
+    assert re.findall(r'viewBox="([^"]*)"', svg) == ["0 0 560 250"]
+    (left, y, right) = map(float, re.findall(r'class="axis" d="M(\S+) (\S+)H(\S+)"', svg)[0])
+    assert (left, right) == (58.0, 548.0) and 200.0 < y < 234.0, "there is room for numbers left and below"
+
+
+def tops(svg: str) -> list[float]:
+    return [float(y) for y in re.findall(r'<rect[^>]* y="([\d.]+)"', svg)]
+
+
+def test_counts_on_a_logarithmic_axis_rise_by_equal_steps_for_equal_factors() -> None:
+    one, ten, hundred = tops(
+        draw_histogram(Histogram(title="n", edges=np.arange(4.0), counts=np.array([1.0, 10.0, 100.0]), y_log=True))
+    )
+    assert one - ten == pytest.approx(ten - hundred, abs=0.2) and one - ten > 30.0
+    linear = tops(draw_histogram(Histogram(title="n", edges=np.arange(4.0), counts=np.array([1.0, 2.0, 3.0]))))
+    assert linear[0] - linear[1] == pytest.approx(linear[1] - linear[2], abs=0.2)
+
+
+def test_words_of_a_scene_stay_inside_and_shapes_have_the_ink_of_their_number() -> None:
+    way = Shape(points=[(0.0, 0.0), (4.0, 1.0)])
+    patch = Shape(points=[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], colour=2, filled=True)
+    svg = draw_scene(Scene(title="s", shapes=(way, patch), labels=((0.0, 0.5, "west"), (2.0, 0.5, "amid"), (4.0, 0.5, "east"))))
+    anchors = dict(re.findall(r'text-anchor="(\w+)"[^>]*>(west|amid|east)<', svg))
+    assert {anchors[anchor]: anchor for anchor in anchors} == {"west": "start", "amid": "middle", "east": "end"}
+    assert "stroke:var(--text)" in svg and "fill:var(--c2)" in svg
