@@ -28,6 +28,12 @@ def test_every_key_of_every_plug_in_of_ours_is_explained(cli: Hil, group: str, n
     assert found["about"] and [key for key, said in found["keys"].items() if not said["meaning"] and key != "uri"] == []
 
 
+def test_of_another_package_alone_it_is_said_from_which(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "provider", lambda group, name: "my-laws" if name == "iid" else "hilrig")
+    _, out, _ = cli("list")
+    assert "iid (from my-laws)" in out and out.count("(from ") == out.count("iid") == 1
+
+
 def test_lines_fit_eighty_columns(cli: Hil) -> None:
     for arguments in ((), ("controllers",), ("plants",), ("laws",), ("controllers", "designed")):
         assert max(map(len, cli("list", *arguments)[1].splitlines())) <= 80
