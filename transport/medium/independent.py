@@ -30,7 +30,7 @@ from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, NetworkLaw, Pac
 __all__ = ["REASONS", "AgeImpairment", "Draw", "GappedAgeImpairment", "Impairment", "PacketImpairment", "impair"]
 
 Arrivals = list[tuple[int, object]]
-_new = tuple.__new__  # without the Python constructor: in five files 4 % of an interpreted virtual slot
+_new = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 
 
 class Impairment(Protocol):
@@ -82,7 +82,7 @@ class AgeImpairment:
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
         held = self._held
-        if k < self._next or (held and k <= held[-1][0]):
+        if k < self._next or (held and k <= held[-1][0]):  # here and in `collect` without a call: 6 % of an interpreted slot
             _check_offer(k, self._next, held[-1][0] if held else -1)
         held.append((k, packet))
 

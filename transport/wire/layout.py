@@ -61,7 +61,7 @@ MAX_REFERENCES: Final = 127
 TAG_BYTES: Final = 8
 _TAGGED: Final = 0x80
 _flat: Final = chain.from_iterable
-_new: Final = tuple.__new__  # without the Python constructor: in five files 4 % of an interpreted virtual slot
+_new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 
 
 @lru_cache(maxsize=1024)  # bounded: shapes may come from the wire
@@ -183,7 +183,7 @@ def _control_reader(shape: int, count: int, inputs: int) -> Reader[ControlPacket
 
     def read(data: bytes) -> ControlPacket | None:
         fields = unpack(data)  # seq, echo, sample_ns, control_ns, tau, counter, values, the tag
-        rows = (fields[6:end],) if count == 1 else tuple([fields[i : i + inputs] for i in starts])
+        rows = tuple([fields[i : i + inputs] for i in starts])
         tag = fields[end] if tagged else b""
         said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], fields[5], tag)
         return _new(ControlPacket, said)

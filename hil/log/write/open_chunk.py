@@ -99,28 +99,21 @@ class OpenChunk:
 
     def adds(self, layouts: Layouts) -> Callable[[int, Sequence[Any]], None]:
         """Return the function that takes a row: its time in ns, 0 where it is less, and its values."""
-        at, layout_of, count, messages = layouts.frame_at, layouts.of, layouts.count, layouts.messages
-        keep, note = self._rows.append, self._layouts.append
-        length = 0  # of the last frame
-        pack, layout = layout_of(length)
+        at, messages = layouts.frame_at, layouts.messages
 
         def add(t_ns: int, values: Sequence[Any]) -> None:
-            nonlocal length, pack, layout
             if self.closed:
                 self.refused += messages
                 return
-            if t_ns < 0:
-                t_ns = 0
+            t_ns = max(t_ns, 0)
             try:
-                if at is not None and len(values[at]) != length:
-                    length = len(values[at])
-                    pack, layout = layout_of(length)
-                keep(pack(t_ns, t_ns, *values))
+                pack, layout = layouts.of(0 if at is None else len(values[at]))
+                self._rows.append(pack(t_ns, t_ns, *values))
             except (struct.error, LookupError, TypeError):
-                if len(values) != count:
-                    raise TypeError(f"{len(values)} values, expected {count} in {messages} records") from None
+                if len(values) != layouts.count:
+                    raise TypeError(f"{len(values)} values, expected {layouts.count} in {messages} records") from None
                 raise
-            note(layout)
+            self._layouts.append(layout)
             self.size += layout.size
 
         return add

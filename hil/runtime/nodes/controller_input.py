@@ -154,7 +154,7 @@ class NewestSample:
     def rows(self, k: int) -> Rows:
         """Return what the control law says; see `ControllerInput.rows`."""
         sampled = self._sampled_ns
-        oldest = sampled[0] if len(sampled) == 1 else self._oldest()
+        oldest = sampled[0] if len(sampled) == 1 else self._oldest()  # one node, at once: 7 % of an interpreted virtual slot
         if oldest < 0:
             return self._nothing
         return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference(k))

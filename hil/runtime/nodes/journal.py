@@ -76,7 +76,7 @@ class Journal:
             self._sensed = (tuple(state), tuple(y), tuple(r), tuple(frames))
         draws, numbers = sent[0][0], self._numbers
         at_once = self._asked_at_once.get(len(draws)) if len(sent) == 1 == len(frames) else None
-        if at_once is not None:  # the usual slot
+        if at_once is not None:  # the usual slot: with the other such place 20 % of an interpreted virtual slot with its log
             at_once(t_ns, (*state, k, *y, k, *r, k, *_values_of(draws, numbers[0]), k, *self._sensor_ids[0], 0, frames[0]))
             return
         self.sensed(t_ns, k, state, y, r)
@@ -95,7 +95,7 @@ class Journal:
         at_once = self._answered_at_once.get(len(draws))
         if at_once is not None and injected is None and packet is not None:
             _, sample_ns, control_ns, tau, selection, rows, _, _, _ = packet
-            if rows and len(rows) * len(rows[0]) == self._row_values:  # the usual slot
+            if rows and len(rows) * len(rows[0]) == self._row_values:  # the usual slot, see `slot_asked`
                 at_once(t_ns, (
                     *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
                     *chain.from_iterable(rows), sample_ns, control_ns, k, tau, selection,

@@ -56,7 +56,7 @@ class PlantWatch:
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
-        self._pack(self._seen, self._filled, *x, *y, *(map(add, u, w) if any(w) else u))
+        self._pack(self._seen, self._filled, *x, *y, *map(add, u, w))
         self._filled += self._bytes
         if self._work is not None:
             self._go_on()

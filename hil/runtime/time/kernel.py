@@ -45,18 +45,11 @@ class Kernel:
 
     def run(self) -> None:
         """Run until no event is left, or :meth:`stop`."""
-        heap, seq, wait, push, pop = self._heap, self._seq, self.clock.wait_until, heapq.heappush, heapq.heappop
-        while heap and not self.stopped:
-            wait(heap[0][0])
+        while self._heap and not self.stopped:
+            self.clock.wait_until(self._heap[0][0])
             if self.stopped:
                 return
-            t_ns, _, handler, period_ns, last = pop(heap)
+            t_ns, _, handler, period_ns, last = heapq.heappop(self._heap)
             handler(t_ns)
-            while not heap and t_ns < last and not self.stopped:  # nothing else is to come: a slot after the other
-                t_ns += period_ns
-                wait(t_ns)
-                if self.stopped:
-                    return
-                handler(t_ns)
             if t_ns < last:
-                push(heap, (t_ns + period_ns, next(seq), handler, period_ns, last))
+                heapq.heappush(self._heap, (t_ns + period_ns, next(self._seq), handler, period_ns, last))
