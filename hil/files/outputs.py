@@ -123,7 +123,7 @@ def check_page(path: Path, *, force: bool = False, remedy: str = "choose another
     Raises:
         HilError: if it is not named as a page is, and as `check_output`.
     """
-    if path.suffix.lower() not in PAGES:
+    if path.suffix.lower() not in PAGES and not os.path.isdir(path):
         raise HilError(f"{path}: a page is written here; expected a name that ends in .html")
     return check_output(path, page=not force, remedy=remedy)
 
