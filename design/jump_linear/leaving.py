@@ -31,8 +31,8 @@ from design.errors import NotStable
 from design.jump_linear.forms import at, count, power, power_of_row
 from design.jump_linear.second_moment import Array, backward, cost_once
 
-DEGREES = (2, 4, 6, 8)
-MOST_PRODUCTS = 2_500_000
+DEGREES = (2, 4, 6, 8, 10)
+MOST_PRODUCTS = 6_500_000
 """Multiplications of a slot, up to which a degree is looked at: a second or two for 1000 slots."""
 SLOTS = 1000
 """Slots that are looked at one by one; where the loop is pushed, those over which the bound holds."""

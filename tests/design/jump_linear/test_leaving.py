@@ -35,11 +35,11 @@ def test_of_one_mode_the_moments_are_powers_and_their_sums_geometric() -> None:
     for d in still.degrees:
         assert still.probability((0, np.array([0.3])), degree=d) == pytest.approx(0.3**d / (1.0 - 0.5**d), rel=1e-6)
     degree, (radius,) = still.radii(0.01)
-    assert degree == 8 and radius == pytest.approx((0.01 * (1.0 - 0.5**8)) ** (1 / 8), rel=1e-6)
+    assert degree == 10 and radius == pytest.approx((0.01 * (1.0 - 0.5**10)) ** (1 / 10), rel=1e-6)
     pushed = scalar(0.5, push=0.1, limit=2.0, slots=50)
     assert pushed.slots == 50 and all(b[0] == pytest.approx(0.1, rel=1e-9) for b in pushed.pushed)
     assert pushed.probability((0, NOTHING), degree=2) == pytest.approx(50 * 0.1**2, rel=1e-9)
-    assert pushed.needed(0.01) == pytest.approx((50 * 0.1**8 / 0.01) ** (1 / 8), rel=1e-9)
+    assert pushed.needed(0.01) == pytest.approx((50 * 0.1**10 / 0.01) ** (1 / 10), rel=1e-9)
     assert scalar(0.5, push=0.1, limit=2.0 * 0.99 * pushed.needed(0.01), slots=50).radii(0.01)[1][0] == 0.0
     assert scalar(0.5, push=0.1, limit=2.0 * 1.01 * pushed.needed(0.01), slots=50).radii(0.01)[1][0] > 0.0
 

@@ -129,7 +129,7 @@ def test_a_realistic_motor_whose_supply_suffices_is_certified_until_supply_or_fr
     assert verdict.certified and verdict.kind == "stability in a region" and "ends, in the root mean square" in verdict.reason
     assert verdict.number is not None and 0.0 < verdict.number <= RISK
     less: list[dict[str, Any]] = [
-        {"plant.driver.saturation_v": 0.9}, {"plant.friction.static_v": 0.05}, {"reference": [{"at": "1 s", "value": [4.0]}]},
+        {"plant.driver.saturation_v": 0.7}, {"plant.friction.static_v": 0.05}, {"reference": [{"at": "1 s", "value": [5.0]}]},
     ]  # fmt: skip
     for change in less:
         undecided = verdict_of(composed_as_shipped(**change))
