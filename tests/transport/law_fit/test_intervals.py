@@ -6,6 +6,10 @@ once in 10^4, and lets 91 % or 99 % pass once in 1000.
 
 from __future__ import annotations
 
+import itertools
+import math
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -188,3 +192,23 @@ def test_what_cannot_be_counted_has_no_region() -> None:
     fit = fit_law(PacketRecord(sent_s=np.arange(len(lost)) * T, latency_s=latency), T, DEADLINE)
     assert fit.law_class == "gilbert-elliott"
     assert "mode" in str(confidence_region(fit, 1))
+
+
+def test_the_loss_that_a_channel_predicts_is_that_of_all_paths_of_its_states() -> None:
+    lost = np.random.default_rng(2).random(400) < np.repeat([0.1, 0.8, 0.1, 0.7], 100)
+    fit = next(each for each in fit_loss(lost, whole=True) if each.kind == "gilbert-elliott")
+    p_gb, p_bg, good, bad = (fit.values[name] for name in ("p_gb", "p_bg", "loss_good", "loss_bad"))
+    step, loss = np.array([[1.0 - p_gb, p_gb], [p_bg, 1.0 - p_bg]]), np.array([good, bad])
+
+    def likelihood(seen: Sequence[bool]) -> float:
+        """P(seen), over every path of the channel from its stationary law."""
+        total = 0.0
+        for path in itertools.product((0, 1), repeat=len(seen)):
+            start = (p_bg, p_gb)[path[0]] / (p_gb + p_bg)
+            moves = math.prod(step[a, b] for a, b in itertools.pairwise(path))
+            total += start * moves * math.prod(loss[s] if gone else 1.0 - loss[s] for s, gone in zip(path, seen))
+        return total
+
+    first = lost[:7].tolist()
+    expected = [likelihood([*first[:k], True]) / (likelihood(first[:k]) if k else 1.0) for k in range(7)]
+    np.testing.assert_allclose(fit.predicted[:7], expected, rtol=1e-9)
