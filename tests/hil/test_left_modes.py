@@ -16,6 +16,7 @@ from hil.compose.loop import compose
 from hil.rig.loop import Loop
 from hil.rig.watched import JumpStep
 from hil.runtime.nodes.jump_watch import JumpWatch
+from hil.runtime.nodes.plant_watch import BLOCK
 from hil.session import simulated_session
 from plants import SwitchedExample
 from plants.vtol_fault import FaultyVTOL
@@ -147,6 +148,28 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
         watch.take(run.state, run.measure(), u, (0.0,))
         run.advance(5_000_000, u, (0.0,))
     assert (watch.departed() is None) is kept
+
+
+def test_no_slot_waits_until_a_block_of_a_plant_that_jumps_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
+    loop = compose(load_experiment("smjls-robust"))
+    assert loop.watched is not None and isinstance(loop.watched.plant, JumpStep)
+    sums: list[object] = []
+    add = np.abs
+
+    def counted(value: object) -> object:
+        sums.append(value)
+        return add(value)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(np, "abs", counted)
+    run, in_slot = loop.experiment.plant.start(np.random.default_rng(4)), []
+    watch = JumpWatch(loop.watched.plant, lambda: pytest.fail("a plant that keeps to its modes is not run again"), 5_000_000)
+    for _ in range(2 * BLOCK):
+        before = len(sums)
+        watch.take(run.state, run.measure(), (0.1,), (0.0,))
+        in_slot.append(len(sums) - before)
+        run.advance(5_000_000, (0.1,), (0.0,))
+    assert max(in_slot) <= 3 < 20 < sum(in_slot) and not any(in_slot[: BLOCK - 1])
+    assert watch.departed() is None and len(sums) > 40
 
 
 def test_a_plant_with_a_delay_inside_is_not_compared_and_the_verdict_says_so() -> None:

@@ -2,24 +2,28 @@
 
 A jump that comes and goes within a slot is not seen, so that a few slots may miss: no more than the rates let be. Where noise
 moves the plant, a second run of the same seed without commands has the same modes and noise, and the difference is compared:
-many slots at a time, and slot by slot where that finds anything.
+many slots at a time, and slot by slot where that finds anything. In the run a block is compared in small steps, one in each slot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from math import log
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN
+from hil.runtime.nodes.steps import Steps, at_once
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
+Result = TypeVar("Result")
+InSteps = Generator[None, None, Result]
+"""Work in steps, of a slot each."""
 UNLIKELY: Final = 1e-9
 """Chance of so many jumps that were not seen, by Chernoff's bound."""
 SUSPECT: Final = 1e-3
@@ -59,15 +63,18 @@ class JumpWatch:
         self._next = self._compared = self._missed = 0
         self._first = -1  # slot of the first of what was kept
         self._kept: list[Array] = []
+        self._steps = Steps()  # of the last block
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
         self._pack(self._seen, self._filled, *y, *u, *w)
         self._filled += self._bytes
+        self._steps.go_on()
         if self._filled == len(self._seen):
-            self._block()
+            self._steps.begin(self._block())
 
-    def _block(self) -> None:
+    def _block(self) -> Iterator[None]:
+        """Compare the block that is there: a copy of it is taken at once."""
         now = np.frombuffer(self._seen)[: self._filled // 8].reshape(-1, self._width)
         z, begin = np.concatenate([self._past, now]), self._next - len(self._past)
         self._next, self._filled = self._next + len(now), 0
@@ -75,8 +82,9 @@ class JumpWatch:
         if self._next > MOST_KEPT and self._kept:
             return
         if not self._suspected():  # else a second run decides
+            yield
             columns = np.ascontiguousarray(z.T)
-            found = self._missed_in(columns[: self._n], columns, begin, 1, 0.0)
+            found = yield from self._missed_in(columns[: self._n], columns, begin, 1, 0.0)
             self._compared, self._missed = self._compared + found.compared, self._missed + found.steps
             if not self._kept and not found.steps:
                 return
@@ -86,7 +94,7 @@ class JumpWatch:
     def _suspected(self) -> bool:
         return _too_many(self._missed, self._step.unseen * self._compared)
 
-    def _missed_in(self, x: Array, z: Array, begin: int, stride: int, lost: float) -> Missed:
+    def _missed_in(self, x: Array, z: Array, begin: int, stride: int, lost: float) -> InSteps[Missed]:
         """Compare the motion x, (n, steps + 1), in every so many slots of a record z, which begins in a slot.
 
         Rounding has lost so much of it.
@@ -95,9 +103,11 @@ class JumpWatch:
         if count < 1:
             return Missed(0, 0, None)
         modes = np.where((np.abs(z) < LARGEST).all(axis=0), z[n], -1.0).astype(np.int64)
+        yield
         v = z[n + 1 : n + 1 + m] + z[n + 1 + m :]
         starts = modes[: stride * count : stride]
         stays = starts >= 0
+        yield
         for i in range(1, stride + 1):
             stays &= modes[i : i + stride * (count - 1) + 1 : stride] == starts
         at = np.flatnonzero(stays)
@@ -105,13 +115,17 @@ class JumpWatch:
         share, apart = np.full((n, len(at)), np.inf), np.zeros((n, len(at)))
         for i, (flow, band) in enumerate(zip(step.flows, step.bands)):
             own = np.flatnonzero(mode == i if step.seen else ~(share.max(axis=0) <= EQUAL))
+            yield
             k = at[own]
             known = np.concatenate([x[:, k], v[:, stride * k]])
             for slot in range(1, stride):
+                yield
                 known = np.concatenate([_after(flow, known), v[:, stride * k + slot]])
-            of, by = _beyond(flow, band, known, x[:, k + 1], lost)
+            of, by = yield from _beyond(flow, band, known, x[:, k + 1], lost)
+            yield
             nearer = of.max(axis=0) < share[:, own].max(axis=0)
             share[:, own[nearer]], apart[:, own[nearer]] = of[:, nearer], by[:, nearer]
+        yield
         far = np.flatnonzero(~(share.max(axis=0) <= EQUAL))
         unseen = step.unseen * (stride**2 if step.seen else stride)
         for number, at_far in enumerate(far.tolist(), start=1):
@@ -123,8 +137,10 @@ class JumpWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its modes, and by how much, once the run has ended; None if it did not."""
+        self._steps.finish()
         if self._filled:
-            self._block()
+            self._steps.begin(self._block())
+            self._steps.finish()
         if not self._kept or not self._suspected():
             return None
         own, left = np.concatenate(self._kept), None
@@ -144,7 +160,7 @@ class JumpWatch:
             return self._first + stride * int(other[0]), "a mode that its inputs change"
         lost = CANCELS * float(np.abs(same[:, :n]).max(initial=0.0) + np.abs(alone[:, :n]).max(initial=0.0))
         difference = np.ascontiguousarray((same[:, :n] - alone[:, :n]).T)
-        return self._missed_in(difference, np.ascontiguousarray(own.T), self._first, stride, lost).left
+        return at_once(self._missed_in(difference, np.ascontiguousarray(own.T), self._first, stride, lost)).left
 
     def _alone(self, count: int, stride: int) -> Array:
         """Return the outputs of a run without commands, every so many slots from the first that was kept, as far as it goes."""
@@ -169,15 +185,18 @@ def _after(flow: Array, known: Array) -> Array:
     return np.array([sum((a * column for a, column in zip(row, known)), np.zeros(known.shape[1])) for row in flow.tolist()])
 
 
-def _beyond(flow: Array, band: Array, known: Array, after: Array, lost: float) -> tuple[Array, Array]:
+def _beyond(flow: Array, band: Array, known: Array, after: Array, lost: float) -> InSteps[tuple[Array, Array]]:
     """By how much the states after a slot leave their band: as a share of the terms of the sum, and as it is; (n, slots) each."""
     left, scale, allowed = after.copy(), np.abs(after), np.full_like(after, lost)
     for i, column in zip(*np.nonzero(flow)):  # in one order on every machine
+        yield
         term = flow[i, column] * known[column]
         left[i] -= term
         scale[i] += np.abs(term)
     for i, column in zip(*np.nonzero(band)):
+        yield
         allowed[i] += band[i, column] * np.abs(known[column])
+    yield
     apart = np.maximum(np.abs(left) - allowed, 0.0)
     return apart / (scale.max(axis=0) + 1e-300), apart
 

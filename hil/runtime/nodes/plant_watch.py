@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, OneStep, kind_of
+from hil.runtime.nodes.steps import Steps
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
@@ -52,32 +53,18 @@ class PlantWatch:
         self._first = -1  # slot of the first of what was kept
         self._kept: list[tuple[Array, Array]] = []
         self._count = 0
-        self._work: Iterator[None] | None = None  # what is left to do of the last block
+        self._steps = Steps()  # of the last block
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
         self._pack(self._seen, self._filled, *x, *y, *map(add, u, w))
         self._filled += self._bytes
-        if self._work is not None:
-            self._go_on()
+        self._steps.go_on()
         if self._filled == len(self._seen):
-            self._finish()
-            self._begin()
-
-    def _begin(self) -> None:
-        """Begin with the block that is there: a copy of it is taken at once."""
-        self._work = self._compare()
-        self._go_on()
-
-    def _go_on(self) -> None:
-        if self._work is not None and next(self._work, True):  # a step returns None
-            self._work = None
-
-    def _finish(self) -> None:
-        while self._work is not None:
-            self._go_on()
+            self._steps.begin(self._compare())
 
     def _compare(self) -> Iterator[None]:
+        """Compare the block that is there: a copy of it is taken at once."""
         begin, history, count = self._next, len(self._step.taps) - 1, self._filled // self._bytes
         z = np.concatenate([self._past, np.frombuffer(self._seen)[: self._filled // 8].reshape(count, -1)])
         self._next += count
@@ -102,10 +89,10 @@ class PlantWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
-        self._finish()
+        self._steps.finish()
         if self._filled:
-            self._begin()
-            self._finish()
+            self._steps.begin(self._compare())
+            self._steps.finish()
         if not self._kept:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
