@@ -16,22 +16,24 @@ import numpy as np
 
 from plants.parts.exponential import log1p
 
+Coefficients = tuple[Sequence[float], Sequence[float]]
+
 BLOCK: Final = 512
 """Uniform numbers drawn at once; the quantile of each is computed when it is asked for: of all it takes 80 us of one slot."""
 
-_CENTRE: Final = (
+_CENTRE: Final[Coefficients] = (
     (2509.0809287301227, 33430.57558358813, 67265.7709270087, 45921.95393154987,
      13731.69376550946, 1971.5909503065513, 133.14166789178438, 3.3871328727963665),
     (5226.495278852854, 28729.085735721943, 39307.89580009271, 21213.794301586597,
      5394.196021424751, 687.1870074920579, 42.31333070160091, 1.0),
 )  # fmt: skip
-_MIDDLE: Final = (
+_MIDDLE: Final[Coefficients] = (
     (0.0007745450142783414, 0.022723844989269184, 0.2417807251774506, 1.2704582524523684,
      3.6478483247632045, 5.769497221460691, 4.630337846156546, 1.4234371107496835),
     (1.0507500716444169e-09, 0.0005475938084995345, 0.015198666563616457, 0.14810397642748008,
      0.6897673349851, 1.6763848301838038, 2.053191626637759, 1.0),
 )  # fmt: skip
-_TAIL: Final = (
+_TAIL: Final[Coefficients] = (
     (2.0103343992922881e-07, 2.7115555687434876e-05, 0.0012426609473880784, 0.026532189526576124,
      0.29656057182850487, 1.7848265399172913, 5.463784911164114, 6.657904643501103),
     (2.0442631033899397e-15, 1.421511758316446e-07, 1.8463183175100548e-05, 0.0007868691311456133,
@@ -39,7 +41,7 @@ _TAIL: Final = (
 )  # fmt: skip
 
 
-def _ratio(of: tuple[Sequence[float], Sequence[float]], r: float) -> float:
+def _ratio(of: Coefficients, r: float) -> float:
     above, below = of[0][0], of[1][0]
     for a, b in zip(of[0][1:], of[1][1:]):
         above = above * r + a
