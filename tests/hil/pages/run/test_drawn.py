@@ -14,6 +14,7 @@ import hil
 from hil.cli import main
 from hil.compose import loop as composing
 from hil.errors import HilError
+from hil.files.outputs import PAGE
 from hil.measure import measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
@@ -96,19 +97,20 @@ def test_python_and_the_command_write_the_same_page(mine: Path) -> None:
     assert not end.value.code and (mine / "a.html").read_bytes() == (mine / "b.html").read_bytes()
 
 
-def test_a_page_is_written_over_with_force_and_never_over_another_file(tmp_path: Path) -> None:
+def test_a_page_replaces_a_page_and_another_file_with_force_alone(tmp_path: Path) -> None:
     session = hil.run("dc-motor-hinf", seed=0, duration=1)
     with pytest.raises(HilError, match="output="):
         hil.report(session)
     target = tmp_path / "page.html"
     assert hil.report(session, output=target) == (target,)
-    with pytest.raises(HilError, match="exists already"):
-        hil.report(session, output=target)
-    hil.report(session, output=target, force=True)
+    target.write_text(f"{PAGE.decode()} of yesterday")
+    assert hil.report(session, output=target) == (target,) and "yesterday" not in target.read_text()
     target.write_text("my notes")
     with pytest.raises(HilError, match="is no report"):
-        hil.report(session, output=target, force=True)
+        hil.report(session, output=target)
     assert target.read_text() == "my notes"
+    hil.report(session, output=target, force=True)
+    assert "my notes" not in target.read_text()
 
 
 def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
