@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 2); ech
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures compiled pictures docs clean
+.PHONY: pins help run test .types .rules .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures compiled pictures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -28,11 +28,13 @@ run: $(INSTALLED) ## the networked DC motor in real time for 10 s; says where lo
 test: export OMP_NUM_THREADS = 1
 test: $(INSTALLED) ## lint, types, import rules, tests and doctests, in virtual and in real time
 	$(BIN)/ruff check
-	$(BIN)/lint-imports
-	@$(MAKE) --no-print-directory -j2 .types .tests
+	@$(MAKE) --no-print-directory -j3 .types .rules .tests
 
 .types:
 	$(BIN)/mypy
+
+.rules:
+	@out=$$($(BIN)/lint-imports) || { echo "$$out"; exit 1; }
 
 .tests:
 	$(BIN)/pytest -n $(WORKERS) --dist worksteal $(PYTEST_ARGS)
@@ -40,8 +42,7 @@ test: $(INSTALLED) ## lint, types, import rules, tests and doctests, in virtual 
 check: export OMP_NUM_THREADS = 1
 check: $(INSTALLED) ## lint, types, import rules, and the fast tests of what changed since main
 	$(BIN)/ruff check
-	$(BIN)/lint-imports
-	@$(MAKE) --no-print-directory -j2 .types .changed
+	@$(MAKE) --no-print-directory -j3 .types .rules .changed
 
 .changed:
 	@tests=$$($(BIN)/python -m tests.changed) || exit; [ -z "$$tests" ] && echo "no tests of what changed" || \

@@ -21,5 +21,5 @@ def copy_of_the_checkout(folder: Path) -> Path:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Return the environment of tests of a copy, whose packages come before the installed ones."""
-    return {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+    """Return the environment of tests of a copy: its own packages first, and no options of the pytest that runs outside."""
+    return {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "PYTEST_ADDOPTS": ""}
