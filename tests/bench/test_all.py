@@ -139,8 +139,21 @@ def _figures(out: str) -> list[dict[str, Any]]:
     return found
 
 
+TWO_PARTS = """
+import dataclasses, json, sys
+from tests.bench.catalogue import PARTS
+from tests.bench.run_parts import run_parts
+start, *_, designs = PARTS
+short = dataclasses.replace(designs, measures=designs.measures[:1])
+found, _ = run_parts((start, short), lambda text: print(text, file=sys.stderr), quick=True)
+print(json.dumps(found))
+"""
+"""What ``all --quick --only start --only designs`` does, with the first measure of the designs alone."""
+
+
 def test_a_part_whose_process_dies_is_named_and_the_next_is_measured() -> None:
-    with _started("--only", "start", "--only", "designs") as hil:
+    command = [sys.executable, "-P", "-c", TWO_PARTS]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as hil:
         os.kill(_child_of(hil.pid), signal.SIGKILL)
         out, err = hil.communicate()
     start, *rest = _figures(out)

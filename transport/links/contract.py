@@ -94,7 +94,7 @@ def looking_does_not_wait_and_waiting_ends(rig: Link, controller: Link) -> None:
 
 
 def a_flood_never_blocks_and_every_packet_is_accounted_for(rig: Link, controller: Link) -> None:
-    number, slowest = 2000, 0.0
+    number, slowest = 800, 0.0  # more than what the queues of the shipped links hold
     before = rig.counters.sent + rig.counters.dropped
     for seq in range(1, number + 1):
         begin = monotonic()
