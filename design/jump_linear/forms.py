@@ -14,7 +14,7 @@ from __future__ import annotations
 from functools import lru_cache
 from itertools import combinations_with_replacement
 from math import comb
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -56,32 +56,47 @@ def monomials(variables: int, degree: int) -> tuple[Degree, ...]:
     return tuple(found)
 
 
-def power(A: Array, degree: int) -> Array:
-    """Return A^[degree] with z(A y) = A^[degree] z(y), (count(n, degree), count(k, degree)).
+def power(A: Array, degree: int) -> Any:
+    """Return A^[degree] with z(A y) = A^[degree] z(y), a sparse array (count(n, degree), count(k, degree)).
+
+    Of a delayed packet, which only moves on, one entry of a row of A acts: few entries of its powers do.
 
     Args:
         A: (n, k).
         degree: of the monomials, at least 1.
 
-    >>> power(np.array([[2.0]]), 3).tolist()
+    >>> power(np.array([[2.0]]), 3).toarray().tolist()
     [[8.0]]
     """
-    R = np.ones((1, 1))
+    from scipy.sparse import csr_array  # where a command has no limits, it is not needed
+
+    R = csr_array(np.ones((1, 1)))
     for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
-        grown = np.zeros((len(rows.first), len(columns.first)))
+        before = R[rows.parent]
+        shape = (len(rows.first), len(columns.first))
+        R = csr_array(shape)
         for v in range(A.shape[1]):
-            factors = A[rows.first, v]
-            acting = np.flatnonzero(factors)  # of a delayed packet, which only moves on, one variable acts
-            grown[np.ix_(acting, columns.times[v])] += factors[acting, None] * R[rows.parent[acting]]
-        R = grown
+            values = before.data * np.repeat(A[rows.first, v], np.diff(before.indptr))
+            grown = csr_array((values, columns.times[v][before.indices], before.indptr.copy()), shape=shape)
+            grown.eliminate_zeros()
+            R = R + grown
     return R
 
 
 def power_of_row(row: Array, degree: int) -> Array:
     """Return the coefficients of (row x)^degree, (count(n, degree),)."""
-    return np.asarray(power(row[None], degree)[0])
+    found = np.ones(1)
+    for each in monomials(len(row), degree):
+        grown = np.zeros(len(each.first))
+        for v, times in enumerate(each.times):
+            grown[times] += row[v] * found
+        found = grown
+    return found
 
 
-def at(vector: Array, degree: int) -> Array:
-    """Return the monomials of a vector, (count(n, degree),)."""
-    return np.asarray(power(vector[:, None], degree)[:, 0])
+def at(vectors: Array, degree: int) -> Array:
+    """Return the monomials of a vector, (count(n, degree),), or of the columns of a matrix."""
+    found = np.ones((1, *vectors.shape[1:]))
+    for each in monomials(len(vectors), degree):
+        found = vectors[each.first] * found[each.parent]
+    return found

@@ -21,7 +21,7 @@ f is a norm of x(0), so that {x(0): bound <= p} is convex and symmetric for ever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,6 +42,8 @@ ALL = 1e-9
 """Share by which every direction of the state counts in that sum: a sum that is positive then shows that the loop is stable."""
 SPARSE = 0.1
 """Share of entries that are not 0, up to which products with them alone are faster."""
+TOGETHER = 100
+"""Slots whose forms are kept at a time."""
 ENDED = 1e-12
 """Share of the sum of all second moments, after which no slot is looked at on its own."""
 
@@ -178,29 +180,41 @@ def leaving(
 
 def _of_degree(A: Array, transition: Array, U: Array, S: Array, pushes: Array, degree: int, slots: int) -> tuple[Array, Array]:
     """(E u_l(k)^d) in the monomials of y, (K, m, s N, count), and what all pushes add up to, (m,)."""
-    turned, start = [_turned(power(a, degree)) for a in A], np.array([power(each, degree) for each in S])
-    M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(1, 0, 2)  # (m, N, count)
-    z = np.zeros((len(A), start.shape[1], pushes.shape[2]))
-    for i, q in np.ndindex(len(A), pushes.shape[2]):
-        z[i, :, q] = at(pushes[i, :, q], degree)
-    free, total = np.empty((slots, len(M), len(S) * len(A), start.shape[2])), np.zeros(len(M))
-    for k in range(slots):
-        free[k] = np.concatenate([M @ each for each in start], axis=1)
-        mean = transition @ M
-        forms = mean.transpose(1, 0, 2)
-        moved = np.maximum(forms @ z, 0.0) + ROUNDING * (np.abs(forms) @ np.abs(z))
-        total += (moved.max(axis=0) ** (1.0 / degree)).sum(axis=1)
-        M = np.stack([(each @ mean[:, i].T).T for i, each in enumerate(turned)], axis=1)
+    from scipy.sparse import vstack  # where a command has no limits, it is not needed
+
+    N, m = U.shape[:2]
+    move = _all_modes([power(a, degree).T for a in A])
+    start = vstack([power(each, degree).T for each in S], format="csr")  # (s count(k), count)
+    M = np.array([[power_of_row(row, degree) for row in rows] for rows in U]).transpose(0, 2, 1)  # (N, count, m)
+    z = np.array([at(each, degree).T for each in pushes], order="C")  # (N, q, count)
+    sizes, total = np.abs(z), np.zeros(m)
+    free = np.empty((slots, m, len(S) * N, start.shape[0] // len(S)))
+    for first in range(0, slots, TOGETHER):
+        seen, means = np.empty((2, min(TOGETHER, slots - first), *M.shape))
+        for forms, mean in zip(seen, means):
+            forms[:] = M
+            np.matmul(transition, M.reshape(N, -1), out=mean.reshape(N, -1))
+            M = move(mean)
+        begun = start @ seen.transpose(2, 0, 3, 1).reshape(M.shape[1], -1)
+        free[first : first + len(seen)] = begun.reshape(len(S), -1, len(seen), m, N).transpose(2, 3, 0, 4, 1).reshape(
+            len(seen), m, len(S) * N, -1
+        )  # fmt: skip
+        if z.size:
+            columns = np.ascontiguousarray(means.transpose(1, 2, 0, 3)).reshape(N, M.shape[1], -1)
+            moved = np.maximum(z @ columns, 0.0) + ROUNDING * (sizes @ np.abs(columns))
+            total += (moved.max(axis=0) ** (1.0 / degree)).sum(axis=0).reshape(-1, m).sum(axis=0)
     return free, total
 
 
-def _turned(raised: Array) -> Any:
-    """A^[degree]', without its zeros where most are: a delayed packet only moves on, so that a row of A has one entry."""
-    if np.count_nonzero(raised) > SPARSE * raised.size:
-        return raised.T.copy()
-    from scipy.sparse import csr_array  # where a command has no limits, it is not needed
+def _all_modes(turned: list[Any]) -> Callable[[Array], Array]:
+    """Return what takes forms (N, count, m) by their modes' matrices: by the entries alone where most are 0."""
+    if sum(each.nnz for each in turned) > SPARSE * sum(each.shape[0] ** 2 for each in turned):
+        full = np.stack([each.toarray() for each in turned])
+        return lambda forms: np.asarray(full @ forms)
+    from scipy.sparse import block_diag
 
-    return csr_array(raised.T)
+    blocks = block_diag(turned, format="csr")
+    return lambda forms: np.asarray(blocks @ forms.reshape(-1, forms.shape[2])).reshape(forms.shape)
 
 
 def _value(forms: Array, z: Array) -> Array:
