@@ -27,6 +27,7 @@ from hil.runtime.nodes.wire import KEY_BYTES, session_wire
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import monotonic_ns
+from tests.forked_program import forked
 from transport.links.can_bus import HilBus
 from transport.links.can_identifiers import filters
 from transport.links.link import Link
@@ -64,8 +65,12 @@ def generate(
 
 
 @contextmanager
-def runs(words: Sequence[str]) -> Iterator[None]:
-    """A program beside the block; ended with it."""
+def runs(words: Sequence[str], fresh: bool = False) -> Iterator[None]:
+    """A program beside the block, ended with it; one in Python is forked where nothing asks for a fresh start."""
+    if words[0] == sys.executable and not fresh:
+        with forked(words[1:]):
+            yield
+        return
     with subprocess.Popen(words) as process:
         try:
             yield

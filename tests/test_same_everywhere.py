@@ -1,7 +1,7 @@
 """One seed, one SHA-256: on this machine as it is, and under what stands for other processors.
 
-Every shipped experiment over 5 s, sweeps split three ways, jumps split at odd places, and two studies, each compared with the one
-file of the tests, which ``python -m tests.records_sha256`` writes.
+Every shipped experiment over 5 s (2 s at 1 kHz), sweeps split three ways, jumps split at odd places, and two studies, each
+compared with the one file of the tests, which ``python -m tests.records_sha256`` writes.
 """
 
 from __future__ import annotations

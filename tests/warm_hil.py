@@ -20,6 +20,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from tests.waiting import LIMIT_S
 
 ROOT = Path(__file__).parents[1]
@@ -27,13 +29,13 @@ MODULES = (
     "can", "design.controllers", "design.networked_loop.certify", "hil.cli.recover", "hil.cli.replay", "hil.cli.run",
     "hil.cli.run_summary", "hil.compose.loop", "hil.compose.stored_gains", "hil.log.read.run", "hil.log.write.mcap_sink",
     "hil.measure.tracking", "hil.session.replay.replay", "hil.runtime.real.supervisor", "hil.session", "numpy.random",
-    "plants.dc_motor", "rich.progress",
+    "plants.dc_motor", "hil.api.pytest_plugin", "hil.api.assertions", "rich.progress",
 )  # fmt: skip
 """What the commands of tests import; none of them starts a thread, so a fork has all of the process."""
 
 
 def hil_command(
-    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S
+    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil"
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 
@@ -42,21 +44,23 @@ def hil_command(
         cwd: its working folder.
         env: its environment; that of this process by default.
         timeout: after which it is killed, s.
+        program: "pytest" for pytest in its place.
 
     Raises:
         subprocess.TimeoutExpired: it took longer.
     """
     with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
         given = dict(os.environ if env is None else env)
-        asked = {"words": words, "cwd": str(cwd), "env": given, "out": out.name, "err": err.name, "timeout": timeout}
+        asked = {"program": program, "words": words, "cwd": str(cwd), "env": given, "timeout": timeout}
+        asked |= {"out": out.name, "err": err.name}
         server = _server()
         assert server.stdin is not None and server.stdout is not None
         print(json.dumps(asked), file=server.stdin, flush=True)
         status = json.loads(server.stdout.readline())
         texts = [file.read().decode(errors="replace") for file in (out, err)]
     if status is None:
-        raise subprocess.TimeoutExpired(["hil", *words], timeout, *texts)
-    return subprocess.CompletedProcess(["hil", *words], status, *texts)
+        raise subprocess.TimeoutExpired([program, *words], timeout, *texts)
+    return subprocess.CompletedProcess([program, *words], status, *texts)
 
 
 @functools.cache
@@ -85,7 +89,7 @@ def _serve() -> None:
 
 
 def _become(asked: dict[str, Any]) -> None:
-    """Be ``python -m hil WORDS``, from its first line to the end of its process."""
+    """Be ``python -m hil WORDS`` or pytest, from its first line to the end of its process."""
     from hil.__main__ import main
 
     status: Any = 1
@@ -98,10 +102,10 @@ def _become(asked: dict[str, Any]) -> None:
             os.dup2(opened, number)
             os.close(opened)
         sys.stdin, sys.stdout, sys.stderr = (open(number, mode) for number, mode in enumerate("rww"))  # noqa: SIM115
-        sys.argv = ["hil", *asked["words"]]
+        sys.argv = [asked["program"], *asked["words"]]
         sys.path[0] = asked["cwd"]
         sys.path[1:1] = filter(None, asked["env"].get("PYTHONPATH", "").split(os.pathsep))
-        status = main()
+        status = main() if asked["program"] == "hil" else pytest.main()
     except SystemExit as end:
         status = end.code
     except BaseException:  # as Python says it of what nobody caught

@@ -1,23 +1,18 @@
-"""The pytest plug-in, used as its users use it: in a pytest of its own."""
+"""The pytest plug-in, used as its users use it: in a pytest of its own, forked from a process that has imported ours."""
 
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
 from hil.experiment import shipped
+from tests.warm_hil import hil_command
 
 pytest_plugins = ["pytester"]
 
-ONE_AFTER_THE_OTHER = """
-from hil.cli import cli
-for words in {commands!r}:
-    assert cli.main(words, prog_name="hil", standalone_mode=False) in (None, 0), words
-"""
 OUR_GATES = (Path(__file__).parents[1] / "conftest.py").read_text()
 
 
@@ -25,6 +20,15 @@ OUR_GATES = (Path(__file__).parents[1] / "conftest.py").read_text()
 def without_hypothesis(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its plug-in imports all of it at the end of each pytest that a test starts: a third of its start."""
     monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:hypothesispytest")
+
+
+WARM = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
+"""What pytest says of modules that a forked process has already."""
+
+
+def pytest_of(pytester: pytest.Pytester, *words: str) -> pytest.RunResult:
+    done = hil_command("-p", "no:cacheprovider", *WARM, *words, cwd=pytester.path, program="pytest")
+    return pytest.RunResult(done.returncode, done.stdout.splitlines(), done.stderr.splitlines(), 0.0)
 
 
 def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_more(pytester: pytest.Pytester) -> None:
@@ -48,7 +52,7 @@ def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_mor
             hil.assert_probability("dc-motor-hinf", lambda s: s.metrics["sse"] < 1, at_least=0.5, duration=2)
         """
     )
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    result = pytest_of(pytester)
     result.assert_outcomes(passed=2, failed=2)
     result.stdout.fnmatch_lines(["*required 0.5, observed 0 of 10 runs*failed seeds: 0, 1, 2*hil run dc-motor-hinf --seed 0*"])
     result.stdout.no_fnmatch_line("*return function(*args*")  # the line of the test, none of ours
@@ -67,7 +71,7 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
             assert False
         """
     )
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--junitxml=j.xml", "--hil-logs=kept")
+    result = pytest_of(pytester, "--junitxml=j.xml", "--hil-logs=kept")
     result.assert_outcomes(failed=1)
     kept = {p.get("name"): p.get("value") for p in ElementTree.parse(pytester.path / "j.xml").iter("property")}
     (sse,) = [line.removeprefix("sse ") for line in result.outlines if line.startswith("sse ")]
@@ -76,12 +80,12 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
     result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {sse}"])
     told = [line.partition("   # ")[0].split() for line in result.outlines if "   # " in line]
     assert [command[1] for command in told] == ["report", "replay", "export"]
-    assert pytester.run(sys.executable, "-c", ONE_AFTER_THE_OTHER.format(commands=[words[1:] for words in told])).ret == 0
+    assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in told)
 
 
 def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_typo(hil):\n    hil.run('dc-motor-hinf', **{'plant.gian': 3, 'limits.inpt': 1})")
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header")
+    result = pytest_of(pytester, "--no-header")
     result.assert_outcomes(failed=1)
     told = [line for line in result.outlines if "gian" in line and "FAILED" not in line]
     assert len(told) == 1 and "test_a_wrong_key" in told[0] and ".py:2: " in told[0] and "did you mean 'gain'" in told[0]
@@ -91,7 +95,7 @@ def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> No
 def test_a_link_that_there_is_not_is_one_line(pytester: pytest.Pytester) -> None:
     """Of a package below `hil`, whose errors are not of its root."""
     pytester.makepyfile("def test_link(hil):\n    hil.run('dc-motor-hinf', duration=1)")
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header", "--hil-clock=real", "--hil-link=cna:hil:x")
+    result = pytest_of(pytester, "--no-header", "--hil-clock=real", "--hil-link=cna:hil:x")
     result.assert_outcomes(failed=1)
     told = [line for line in result.outlines if "cna:hil:x" in line and "FAILED" not in line]
     assert len(told) == 1 and ".py:2: " in told[0] and "did you mean 'can:hil:x'?" in told[0]
@@ -113,7 +117,7 @@ def test_the_assertions_of_the_face_show_the_line_of_the_test_and_none_of_ours(p
             hil.assert_law(hil.run("dc-motor-hinf", duration=1), "cs")
         """
     )
-    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "--no-header")
+    result = pytest_of(pytester, "--no-header")
     result.assert_outcomes(failed=3)
     assert all(told in result.stdout.str() for told in ("failed seeds: 0, 1", "at_least: 1.5", "side 'cs'"))
     assert not any("assertions.py" in line or "Returns:" in line for line in result.outlines), "a traceback of ours"
@@ -144,7 +148,7 @@ def test_missing_vcan_skips_only_users_of_the_fixture_and_fails_on_demand(pytest
     if has_vcan():
         pytest.skip("there is a vcan0 here, so nothing can be missing")
     pytester.makepyfile("import pytest\n@pytest.mark.hil_vcan\ndef test_bus(hil): pass\ndef test_other(hil): pass")
-    result = pytester.runpytest_subprocess("-rs")
+    result = pytest_of(pytester, "-rs")
     result.assert_outcomes(skipped=1, passed=1)
     result.stdout.fnmatch_lines(["*ip link add dev vcan0*"])
     assert pytester.runpytest_inprocess("--hil-require=vcan", "-k", "other").ret == pytest.ExitCode.USAGE_ERROR
@@ -174,7 +178,7 @@ def test_logs_of_tests_with_one_name_lie_apart_and_no_run_overwrites_another(pyt
     for name in ("one", "two"):
         (pytester.mkdir(name) / f"test_{name}.py").write_text(test)
     for runs in (1, 2):
-        pytester.runpytest_subprocess("--hil-logs=kept", "-p", "no:cacheprovider").assert_outcomes(passed=4)
+        pytest_of(pytester, "--hil-logs=kept").assert_outcomes(passed=4)
         logs = sorted(p.relative_to(pytester.path / "kept").as_posix() for p in (pytester.path / "kept").rglob("*.mcap"))
         assert len(logs) == 4 * runs
     assert logs[0] == "one/test_one.py/test_step[1]/dc-motor-hinf-0.mcap"
@@ -244,8 +248,8 @@ def test_a_controller_that_is_late_fails_where_timing_is_required(pytester: pyte
                     **{"limits.watchdog_slots": 1000})
         """
     )
-    words = ("-p", "no:cacheprovider", "--hil-clock=real", f"--hil-link=can:hil:late{os.getpid()}")
-    required = pytester.runpytest_subprocess(*words, "--hil-require=timing", "--junitxml=j.xml")
+    words = ("--hil-clock=real", f"--hil-link=can:hil:late{os.getpid()}")
+    required = pytest_of(pytester, *words, "--hil-require=timing", "--junitxml=j.xml")
     required.assert_outcomes(failed=1)
     required.stdout.fnmatch_lines(["*--hil-require=timing: dc-motor-hinf is NOT VALID: *"])
     (found,) = [p for p in ElementTree.parse(pytester.path / "j.xml").iter("property") if p.get("name") == "hil_timing"]

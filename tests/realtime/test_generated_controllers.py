@@ -123,6 +123,6 @@ def test_it_drives_the_rig_in_real_time(tmp_path: Path, language: Language, keye
     key, channel = str(tmp_path / "keys/frames.key"), f"rt{language}{os.getpid()}"
     loop = loop_of("dc-motor-hinf")
     words = generate(tmp_path, loop, language, keyed=keyed, level="-O2") + ([key] if keyed else [])
-    with runs([*words, channel]) if language == "python" else c_on_hil(words, loop, channel):
+    with runs([*words, channel], fresh=True) if language == "python" else c_on_hil(words, loop, channel):
         summary = drive(tmp_path, "dc-motor-hinf", f"can:hil:{channel}" + (f"?auth={key}" if keyed else ""))
     assert summary["link_counters"]["refused"] == 0
