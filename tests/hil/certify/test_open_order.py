@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,7 @@ from hil.runtime.simulated import simulate
 BUSY, OURS = "dc-motor-busy-can", "dc-motor-ours-busy-can"
 
 
+@cache
 def loop_of(name: str, *sets: str) -> Loop:
     return compose(load_experiment(name, ("allow_uncertified=true", *sets)))
 
