@@ -19,6 +19,7 @@ from typing import Final
 
 from hil.log.read.run import read_run
 from hil.session.replay.process import Asked, ask_process
+from tests.forked_program import forked
 
 DATA: Final = Path(__file__).with_name("data")
 PROGRAMS: Final = {"foreign_controller": Path(__file__).with_name("foreign_controller.py")}
@@ -31,11 +32,8 @@ EXPERIMENT: Final = ("dc-motor-hinf", "--set", "reference.0.at=0.2", "--set", "l
 def answering(program: Path) -> Iterator[str]:
     """Run a controller's program; give the URI of its link."""
     channel = f"replay{os.getpid()}"
-    with subprocess.Popen([sys.executable, str(program), channel]) as process:
-        try:
-            yield f"can:hil:{channel}"
-        finally:
-            process.kill()
+    with forked([str(program), channel]):
+        yield f"can:hil:{channel}"
 
 
 def asked(name: str, program: Path | None = None) -> Asked:

@@ -141,8 +141,8 @@ def test_in_real_time_a_unit_that_kills_its_host_while_it_is_warmed_up_is_one_me
     ("late", "number"),
     [
         ("for (;;);", signal.SIGINT),
-        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);", signal.SIGTERM),
-        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;);", signal.SIGQUIT),
+        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;) sleep(1);", signal.SIGTERM),
+        ("for (int i = 1; i < 65; i++) signal(i, SIG_IGN); for (;;) sleep(1);", signal.SIGQUIT),
     ],
 )
 def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: Path, late: str, number: int) -> None:
@@ -181,7 +181,7 @@ def test_what_a_unit_prints_stays_out_of_our_output(tmp_path: Path, temporary: P
 
 
 def test_the_folder_of_a_killed_session_goes_with_it(tmp_path: Path, temporary: Path) -> None:
-    unit(tmp_path, late='fputs("loops\\n", stderr); for (;;);')
+    unit(tmp_path, late='fputs("loops\\n", stderr); for (;;) sleep(1);')
     with ended(started(command(tmp_path), subprocess.DEVNULL)) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         assert any(p.name.startswith(PREFIX) for p in temporary.iterdir())
