@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 from functools import cache
 
 import numpy as np
@@ -54,9 +55,7 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
     ],
 )
 def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tuple[str, ...], why: str) -> None:
-    verdict = composed(name, *sets).verdict
-    assert verdict is not None and verdict.state == "undecided" and why in verdict.reason
-    with pytest.raises(ExperimentError, match=r"undecided: .*allow_uncertified"):
+    with pytest.raises(ExperimentError, match=rf"(?s)undecided: .*{re.escape(why)}.*allow_uncertified"):
         compose(load_experiment(name, [*sets, "allow_uncertified=false"]))
 
 

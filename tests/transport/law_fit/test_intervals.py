@@ -94,9 +94,9 @@ def test_intervals_of_a_channel_cover_in_93_to_97_percent(channel: GilbertElliot
         assert LOW <= share <= HIGH, (name, share)
 
 
-@pytest.mark.parametrize(("channel", "records", "few"), [(CHANNELS[0], 30, 23), (CHANNELS[1], 15, 10)])
+@pytest.mark.parametrize(("channel", "records", "few"), [(CHANNELS[0], 20, 14), (CHANNELS[1], 15, 10)])
 def test_every_parameter_of_a_channel_has_an_interval_that_covers(channel: GilbertElliott, records: int, few: int) -> None:
-    """Records of 5000 packets: 23 or fewer of 30 of 95 % come once in 1700; of those of half the width, 67 %, 91 times in 100.
+    """Records of 5000 packets: 14 or fewer of 20 of 95 % come once in 3000; of those of half the width, 67 %, 69 times in 100.
 
     Where a loss is 0 or 1, 10 or fewer of 15 come once in 1600, and of half the width 60 times in 100.
     """
@@ -154,12 +154,12 @@ def test_an_interval_near_an_end_covers_as_far_from_it() -> None:
 
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_the_region_holds_the_chain_that_runs(loss: float) -> None:
-    """Of 30 records fewer than 5 % may miss; 8 misses or more come once in 2000. A region of half the width misses often."""
+    """Of 20 records fewer than 5 % may miss; 6 misses or more come once in 3000. A region of half the width misses often."""
     law = PacketLaw(latency={"table": [[0, "2 ms"], [1, "22 ms"]]}, loss=loss)
     chain = law.age_chain(T, DEADLINE, 3)
     assert not isinstance(chain, str)
     missed = narrow = 0
-    for seed in range(30):
+    for seed in range(20):
         rng = np.random.default_rng([3, seed])
         latency = np.where(rng.random(1000) < loss, np.nan, rng.uniform(2e-3, 22e-3, 1000))
         fit = fit_law(PacketRecord(sent_s=np.arange(1000) * T, latency_s=latency), T, DEADLINE)
@@ -170,7 +170,7 @@ def test_the_region_holds_the_chain_that_runs(loss: float) -> None:
         missed += not ((low <= true) & (true <= high)).all()
         middle, half = (low + high) / 2, (high - low) / 4
         narrow += not ((middle - half <= true) & (true <= middle + half)).all()
-    assert missed < 8
+    assert missed < 6
     assert narrow > 3
 
 
