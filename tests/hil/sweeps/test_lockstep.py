@@ -80,7 +80,10 @@ def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     same_bits(loop, range(2))
 
 
-SHORT = {"dc-motor-1khz": 2, "dc-motor-packets": 20, "dc-motor-h2-friction": 12, "dc-motor-hinf-friction": 35}
+SHORT = {
+    "dc-motor-1khz": 1.3, "dc-motor-h2-friction": 12, "dc-motor-hinf-friction": 35, "dc-motor-packets": 12,
+    "multisensor-newest": 8, "multisensor-published": 8,
+}  # fmt: skip
 SLOW = {  # their designs take 10 s
     "dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed", "dc-motor-two-nodes", "multisensor-lossy",
     "multisensor-ours",
@@ -97,7 +100,7 @@ def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> Non
 
 @pytest.mark.parametrize("law", STRANGE_LAWS)
 def test_every_age_law_draws_the_same_ages(law: str) -> None:
-    loop = loop_of("dc-motor-hinf", "duration=10", law, "controller={kind='local',gain=[[-0.03]]}")
+    loop = loop_of("dc-motor-hinf", "duration=6", law, "controller={kind='local',gain=[[-0.03]]}")
     assert supports_batch(loop)
     same_bits(loop, range(4))
 
@@ -115,7 +118,7 @@ PACKET_LAWS = {
 @pytest.mark.parametrize("way", ["sc", "ca"])
 @pytest.mark.parametrize("law", PACKET_LAWS.values(), ids=PACKET_LAWS)
 def test_a_packet_law_delivers_the_same_packets(law: str, way: str) -> None:
-    loop = loop_of("dc-motor-packets", "duration=10", f"network.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
+    loop = loop_of("dc-motor-packets", "duration=6", f"network.{way}.law={{kind='packet',{law}}}", "limits.watchdog_slots=40")
     assert supports_batch(loop) and run_batch(loop, range(6)).known.any()
     same_bits(loop, range(6))
 
@@ -127,9 +130,9 @@ def test_a_packet_that_is_too_old_is_held_by_every_rule(selection: str, rows: in
 
 
 def test_a_run_that_the_watchdog_stops_and_one_whose_queue_overflows_are_the_plain_engine_s() -> None:
-    starving = loop_of("dc-motor-packets", "duration=10", "network.ca.law={kind='packet',latency='1 ms',loss=0.5}",
+    starving = loop_of("dc-motor-packets", "duration=6", "network.ca.law={kind='packet',latency='1 ms',loss=0.5}",
                        "limits.watchdog_slots=5")  # fmt: skip
-    full = loop_of("dc-motor-packets", "duration=10", "network.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
+    full = loop_of("dc-motor-packets", "duration=6", "network.sc.law={kind='packet',latency={table=[[0,0],[1,0.4]]},queue=7}")
     for loop in (starving, full):
         assert 0 < run_batch(loop, range(12)).known.sum() < 12  # both kinds
         same_bits(loop, range(12))
@@ -137,7 +140,7 @@ def test_a_run_that_the_watchdog_stops_and_one_whose_queue_overflows_are_the_pla
 
 @pytest.mark.parametrize(("selection", "rows"), [("constant", 1), ("generated", 2), ("applied", 2), ("previous", 2), ("both", 4)])
 def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
-    same_bits(loop_of("dc-motor-hinf", "duration=10", sent(selection, 3, rows)), range(4))
+    same_bits(loop_of("dc-motor-hinf", "duration=6", sent(selection, 3, rows)), range(4))
 
 
 @pytest.mark.parametrize(
@@ -151,7 +154,7 @@ def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
     ids=["integral", "two samples", "sojourns", "row sojourns"],
 )
 def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
-    same_bits(loop_of("dc-motor-hinf", "duration=10", *sets), range(4))
+    same_bits(loop_of("dc-motor-hinf", "duration=6", *sets), range(4))
 
 
 @pytest.mark.parametrize(
@@ -166,7 +169,7 @@ def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
     ids=["driver", "through and encoder", "load", "viscous", "stribeck"],
 )
 def test_a_motor_moves_the_same(plant: str) -> None:
-    loop = loop_of("dc-motor-hinf", "duration=10", plant)
+    loop = loop_of("dc-motor-hinf", "duration=6", plant)
     assert supports_batch(loop)
     same_bits(loop, range(4))
 
@@ -174,12 +177,12 @@ def test_a_motor_moves_the_same(plant: str) -> None:
 def test_a_linear_plant_with_two_tracked_outputs_is_measured_the_same() -> None:
     plant = "plant={kind='state-space',A=[[0.0,1.0],[-2.0,-1.0]],B=[[0.0,1.0],[1.0,0.3]],C=[[1.0,0.0],[0.2,1.0]]}"
     sets = (plant, "reference=[{at=1.0,value=[1.0,-0.5]},{at=6.0,value=[0.5,-0.5]}]", "disturbance=[]", "limits={}")
-    same_bits(loop_of("dc-motor-hinf", "duration=10", *sets, sent("applied", 3, 2, 2, 2)), range(4))
+    same_bits(loop_of("dc-motor-hinf", "duration=6", *sets, sent("applied", 3, 2, 2, 2)), range(4))
 
 
 @pytest.mark.parametrize("limits", ["input=[0.47]", "state={angle=4.45}"])
 def test_a_run_that_safety_stops_is_the_plain_engine_s(limits: str) -> None:
-    loop = loop_of("dc-motor-hinf", "duration=10", f"limits={{{limits}}}")
+    loop = loop_of("dc-motor-hinf", "duration=6", f"limits={{{limits}}}")
     known = run_batch(loop, range(20)).known
     assert 1 < known.sum() < 19  # both kinds
     same_bits(loop, range(20))
@@ -197,7 +200,7 @@ def test_one_named_node_moves_the_same() -> None:
     same_bits(loop, range(2))
 
 
-NODES = ("duration=10", "network.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
+NODES = ("duration=6", "network.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
 EACH = f"controller={{kind='send-all',ages=[2,2],selection='generated',gains={gains(4, 2, 1, 2)}}}"
 LATE = "network.nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms']]},loss=0.2}"
 
