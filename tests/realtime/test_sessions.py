@@ -25,6 +25,7 @@ from hil.runtime.simulated import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.foreign_session import drive
+from tests.forked_program import forked
 from tests.ports import free_port
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command
@@ -253,14 +254,8 @@ def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bo
 def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:
     """A controller of thirty lines that knows nothing of ours but the frame layout, in plain Python and python-can."""
     channel = f"foreign{os.getpid()}"
-    foreign = subprocess.Popen(
-        [sys.executable, str(Path(__file__).parents[1] / "foreign_controller.py"), channel], stderr=subprocess.PIPE
-    )
-    try:
+    with forked([str(Path(__file__).parents[1] / "foreign_controller.py"), channel]):
         drive(tmp_path, "dc-motor-hinf", f"can:hil:{channel}")
-    finally:
-        foreign.kill()
-        foreign.wait()
 
 
 def test_a_stopped_rig_is_said_and_ends_the_session(session: Running) -> None:

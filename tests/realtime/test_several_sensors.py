@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
 from functools import cache
 from pathlib import Path
 
@@ -22,6 +20,7 @@ from hil.runtime.simulated import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.foreign_session import drive
+from tests.forked_program import forked
 from tests.ports import free_port
 
 pytestmark = pytest.mark.realtime
@@ -86,10 +85,6 @@ def test_the_foreign_controller_of_the_guide_drives_two_nodes(tmp_path: Path) ->
     assert "hil." not in program and "transport" not in program
     (tmp_path / "controller.py").write_text(program, encoding="utf-8")
     channel = f"two{os.getpid()}"
-    foreign = subprocess.Popen([sys.executable, str(tmp_path / "controller.py"), channel], stderr=subprocess.PIPE)
-    try:
+    with forked([str(tmp_path / "controller.py"), channel]):
         gain = "controller={kind='local', gain=[[-0.05, -0.006]]}"
         drive(tmp_path, "dc-motor-two-nodes", f"can:hil:{channel}", gain, duration_s=4)
-    finally:
-        foreign.kill()
-        foreign.wait()
