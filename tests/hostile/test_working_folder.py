@@ -113,14 +113,15 @@ def test_every_python_of_ours_starts_without_its_working_folder() -> None:
     assert all("-I" in line or line == "python=sys.executable," for line in starts.values()), starts
 
 
-@pytest.mark.parametrize("kind", ["settings", "pipe"])
+@pytest.mark.parametrize("kind", ["settings", "bytes", "pipe"])
 def test_a_matplotlibrc_of_the_folder_is_not_read(kind: str, tmp_path: Path) -> None:
     """It could run TeX, take a canvas of its own, or never end: one figure of a log, in the style of a page's."""
     hil.run("dc-motor-hinf", duration=1, log=tmp_path / "a.mcap")
     if kind == "pipe":
         os.mkfifo(tmp_path / "matplotlibrc")
     else:
-        (tmp_path / "matplotlibrc").write_text("text.usetex: True\nbackend: module://pickle\nfont.size: 1000\n")
+        text = b"text.usetex: True\nbackend: module://pickle\nfont.size: 1000\n" if kind == "settings" else bytes(range(256))
+        (tmp_path / "matplotlibrc").write_bytes(text)
     (tmp_path / "figures").mkdir()
     done = subprocess.run([sys.executable, "-P", "-c", PLOT], cwd=tmp_path, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
