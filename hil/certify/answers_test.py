@@ -94,12 +94,11 @@ def over_nodes(model: LoopModel, *, memory: int) -> Question:
         model: the loop, with its sensor nodes.
         memory: age of the oldest sample that is used.
     """
-    slots = SLOTS
     rng, nodes, turns = np.random.default_rng(SEED), model.nodes, model.nodes.turns
-    turn, lost_in = rng.integers(len(nodes.names), size=slots).tolist(), (rng.integers(5, size=slots) == 0).tolist()
+    turn, lost_in = rng.integers(len(nodes.names), size=SLOTS).tolist(), (rng.integers(5, size=SLOTS) == 0).tolist()
     kept: list[set[int]] = [set() for _ in nodes.names]
     received = []
-    for k in range(slots):
+    for k in range(SLOTS):
         for node, delay in enumerate(nodes.delays):
             sent = k - (delay or 0)
             if turns is None:
@@ -116,7 +115,7 @@ def over_nodes(model: LoopModel, *, memory: int) -> Question:
         received.append(tuple(sorted(((n, s) for n, own in enumerate(kept) for s in own), key=lambda pair: (-pair[1], pair[0]))))
     p = model.C.shape[0]
     return Question(
-        slots=tuple(range(slots)), ages=np.zeros((slots, 1), dtype=np.int64), samples=rng.uniform(-1.0, 1.0, (slots, p)),
+        slots=tuple(range(SLOTS)), ages=np.zeros((SLOTS, 1), dtype=np.int64), samples=rng.uniform(-1.0, 1.0, (SLOTS, p)),
         reference=(0.0,) * p, received=tuple(received),
     )  # fmt: skip
 

@@ -139,13 +139,10 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         if is_own(kind) or kind.startswith(OBJECT):
             check_own(controller, model)
         running = controller.start(model)
-        rows = row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))
-        if rows > MAX_ROWS:
-            stays = row_sojourns_distinguished(controller)
-            field, asked_for = ("row_sojourns", stays) if stays > 1 else ("selection", running.selection)
-            raise FieldError(field, f"{asked_for} needs {rows} rows, a packet carries {MAX_ROWS}")
         if chains is None or labels_of(controller) != labels_of(asked.controller):
             chains = chains_for(rig, controller)
+        if (rows := row_count(running.selection, model.d_max)) > MAX_ROWS:
+            raise FieldError("selection", f"{running.selection} needs {rows} rows, a packet carries {MAX_ROWS}")
         samples = packet_samples(controller)
         if (samples, rig.row_sojourns) != (packet_samples(asked.controller), row_sojourns_distinguished(controller)):
             rig = rig_of(experiment)  # packets have as many samples and rows as the controller takes and gives

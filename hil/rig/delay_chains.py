@@ -11,12 +11,20 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, LoopModel, ages_distinguished, row_sojourns_distinguished, sojourns_distinguished
+from design.controllers import (
+    GainTable,
+    LoopModel,
+    ages_distinguished,
+    row_count,
+    row_sojourns_distinguished,
+    sojourns_distinguished,
+)
 from design.errors import FieldError
 from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
+from transport.wire.fields import MAX_ROWS
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -87,6 +95,8 @@ def chains_of(
     """
     from design.processes.delay_chain import product_chain
 
+    if row_sojourns > 1 and (rows := row_count("applied", rig.at_actuator.max_age, row_sojourns)) > MAX_ROWS:
+        raise FieldError("row_sojourns", f"{row_sojourns} needs {rows} rows, a packet carries {MAX_ROWS}")
     stays = 1 if isinstance(sojourns, int) else max(sojourns, default=1)
     arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller, stays) for sensor in rig.sensors)
     applied = received("network.ca.law", rig.ca_law, rig.at_actuator, row_sojourns)

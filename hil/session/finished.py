@@ -17,7 +17,7 @@ from hil.log.run import Run
 from hil.measure.measure import Named, Quantity, measures_of, quantities_of
 from hil.measure.signals import signals_of
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
-from hil.notebook import as_svg, drawn
+from hil.notebook import as_svg, data_frame, drawn
 from hil.session.named_arrays import NamedArrays
 
 if TYPE_CHECKING:
@@ -35,16 +35,10 @@ def tables(run: Run) -> dict[str, pandas.DataFrame]:
     Raises:
         HilError: if pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError as error:
-        raise HilError("to_pandas: pandas is not installed; pip install 'hilrig[notebook]'") from error
     found = {}
     for topic, array in run.arrays.items():
         columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
-        frame = pandas.DataFrame(columns, index=pandas.Index(seconds(array), name="t_s"))
-        frame.attrs["units"] = _units(run, topic)
-        found[topic] = frame
+        found[topic] = data_frame({"t_s": seconds(array), **columns}, _units(run, topic)).set_index("t_s")
     return found
 
 
@@ -173,26 +167,18 @@ class Session:
         return NamedArrays(self.run.arrays)
 
     def to_pandas(self) -> dict[str, pandas.DataFrame]:
-        """Return the arrays as tables of pandas; see `hil.session.finished.tables`."""
-        from hil.session.finished import tables
-
+        """Return the arrays as tables of pandas; see `tables`."""
         return tables(self.run)
 
     def to_xarray(self) -> dict[str, xarray.Dataset]:
-        """Return the arrays as data sets of xarray; see `hil.session.finished.datasets`."""
-        from hil.session.finished import datasets
-
+        """Return the arrays as data sets of xarray; see `datasets`."""
         return datasets(self.run)
 
     def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-        """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `shown.figure`."""
-        from hil.session.finished import figure
-
+        """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `figure`."""
         return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
 
     def _repr_html_(self) -> str:
-        from hil.session.finished import cell
-
         of = self.experiment
         quantities = () if of is None else quantities_of(measures_of(of), signals_of(of.plant))
         return cell(self.run, self.summary, repr(self), quantities)

@@ -233,19 +233,25 @@ def test_the_record_of_a_plant_without_its_states_is_compared_by_its_outputs() -
     assert np.abs(left[:28]).max() < 1e-12 < 1e-4 < np.abs(left[28:31]).min(axis=0).max()
 
 
+def sums_of(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Return a list that grows with every sum that a comparison of a record with its model makes: it asks for its size."""
+    sums: list[object] = []
+    size = np.abs
+
+    def counted(value: object) -> object:
+        sums.append(value)
+        return size(value)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(np, "abs", counted)
+    return sums
+
+
 def test_no_slot_waits_until_a_block_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = loop_of(Plant(), Table())
     step = loop.watched and loop.watched.plant
     assert isinstance(step, OneStep) and np.count_nonzero(step.taps) > 3
     watch = PlantWatch(step, lambda which: pytest.fail("a plant at rest is not run again"), lambda k: (0.0,), 1_000_000)
-    sums: list[object] = []
-    add = np.abs
-
-    def counted(value: object) -> object:
-        sums.append(value)
-        return add(value)  # type: ignore[call-overload]
-
-    monkeypatch.setattr(np, "abs", counted)
+    sums = sums_of(monkeypatch)
     in_slot = []
     for _ in range(2 * BLOCK):
         before = len(sums)

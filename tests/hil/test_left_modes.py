@@ -20,7 +20,7 @@ from hil.runtime.nodes.plant_watch import BLOCK
 from hil.session import simulated_session
 from plants import SwitchedExample
 from plants.vtol_fault import FaultyVTOL
-from tests.hil.test_left_model import said
+from tests.hil.test_left_model import said, sums_of
 
 FROM = 900
 Lie = Callable[[list[float], Sequence[float], int], list[float]]
@@ -153,14 +153,7 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
 def test_no_slot_waits_until_a_block_of_a_plant_that_jumps_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = compose(load_experiment("smjls-robust"))
     assert loop.watched is not None and isinstance(loop.watched.plant, JumpStep)
-    sums: list[object] = []
-    add = np.abs
-
-    def counted(value: object) -> object:
-        sums.append(value)
-        return add(value)  # type: ignore[call-overload]
-
-    monkeypatch.setattr(np, "abs", counted)
+    sums = sums_of(monkeypatch)
     run, in_slot = loop.experiment.plant.start(np.random.default_rng(4)), []
     watch = JumpWatch(loop.watched.plant, lambda: pytest.fail("a plant that keeps to its modes is not run again"), 5_000_000)
     for _ in range(2 * BLOCK):

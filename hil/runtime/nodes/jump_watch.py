@@ -137,10 +137,9 @@ class JumpWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its modes, and by how much, once the run has ended; None if it did not."""
-        self._steps.finish()
         if self._filled:
             self._steps.begin(self._block())
-            self._steps.finish()
+        self._steps.finish()
         if not self._kept or not self._suspected():
             return None
         own, left = np.concatenate(self._kept), None

@@ -89,10 +89,9 @@ class PlantWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
-        self._steps.finish()
         if self._filled:
             self._steps.begin(self._compare())
-            self._steps.finish()
+        self._steps.finish()
         if not self._kept:
             return None
         with np.errstate(over="ignore", invalid="ignore"):

@@ -176,6 +176,7 @@ CASES = [
     (["controller={kind='send-all',gains=[[[[-0.05]],[[-0.05]]]],row_sojourns=2}"], r"\[tau\]\[4\]\[1\]\[1\].* 2 row_sojourns"),
     (["controller={kind='send-all',gains=[[[[-0.05]]]],selection='constant',row_sojourns=2}"], "row_sojourns: 2, but selection"),
     (["controller.row_sojourns=200"], "controller.row_sojourns: 200 needs 400 rows, a packet carries 255"),
+    (["controller.row_sojourns=1000000000"], "controller.row_sojourns: 1000000000 needs 2000000000 rows"),
 ]  # fmt: skip
 
 
@@ -183,6 +184,11 @@ CASES = [
 def test_what_cannot_be_counted_is_refused_by_its_field(sets: list[str], message: str) -> None:
     with pytest.raises(ExperimentError, match=message):
         compose(load_experiment(NAME, sets))
+
+
+def test_a_design_with_more_rows_than_a_packet_has_is_refused_before_its_chain_is_built() -> None:
+    with pytest.raises(HilError, match="row_sojourns: 1000000000 needs 2000000000 rows, a packet carries 255"):
+        design(NAME, row_sojourns=1_000_000_000)
 
 
 @pytest.mark.parametrize("information", ["tau", "generated", "both"])
