@@ -141,7 +141,7 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
         running = controller.start(model)
         if chains is None or labels_of(controller) != labels_of(asked.controller):
             chains = chains_for(rig, controller)
-        if (rows := row_count(running.selection, model.d_max)) > MAX_ROWS:
+        if (rows := row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))) > MAX_ROWS:
             raise FieldError("selection", f"{running.selection} needs {rows} rows, a packet carries {MAX_ROWS}")
         samples = packet_samples(controller)
         if (samples, rig.row_sojourns) != (packet_samples(asked.controller), row_sojourns_distinguished(controller)):
