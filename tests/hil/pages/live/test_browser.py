@@ -36,7 +36,7 @@ def shows(browser: chromium.Page, expression: str, part: str) -> None:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Any:
-    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], held=True)])
+    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], ["duration=6000"], held=True)])  # it ends in no test
     page.begin()
     yield page
     page.end()
@@ -65,6 +65,7 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, br
     browser.evaluate("(s => { s.value = '20'; s.dispatchEvent(new Event('change')); })(document.getElementById('speed'))")
     browser.evaluate(KEY.format(" "))
     until(lambda: page.view()["slots"] > 60, "the run to go on")
+    shows(browser, "document.getElementById('hold').textContent", "Hold")  # the key does what the button shows
     browser.evaluate(KEY.format(" "))
     until(lambda: page.view()["status"] == "held", "the run to hold")
     held = page.view()["slots"]
