@@ -1,6 +1,7 @@
 """What the log of a slot costs the loop in real time: packed by two structs, beside record by record, in turns at 1 kHz.
 
-Both get the records of the same run, each into a pipe that another process empties; caches are as cold as in a session.
+Both get the records of the same run, each into a pipe of its own, behind which a process keeps a log as a session does; caches
+are as cold as in a session.
 """
 
 from __future__ import annotations
@@ -16,7 +17,10 @@ from typing import Any, Final
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
-from hil.log.write.pipe import PipeSink
+from hil.log.write.mcap_sink import McapSink
+from hil.log.write.pipe_sink import PipeSink
+from hil.log.write.provenance import Provenance
+from hil.log.write.pump import pump
 from hil.log.write.sinks import PayloadWriter, Record
 from hil.rig.loop import Loop
 from hil.runtime.real.child import python_module
@@ -28,6 +32,7 @@ EXPERIMENT: Final = "dc-motor-1khz"
 PRIORITY: Final = 60
 SLOTS: Final = 200
 PERIOD_NS: Final = 1_000_000
+KEEP: Final = "keep"
 
 Call = tuple[tuple[str, ...], tuple[Any, ...]]
 """Topics, and what is logged of them: time in ns, and fields."""
@@ -79,16 +84,29 @@ def _slots_of(loop: Loop, take: Callable[[tuple[str, ...]], Record | None], at_o
     return [slot for slot in made if slot][SLOTS // 2 :]
 
 
+def _loop() -> Loop:
+    return compose(load_experiment(EXPERIMENT, [f"duration={SLOTS / 1000!r}"]), certify=False)
+
+
+def keep_log() -> None:
+    """Keep a log of what comes through the pipe at standard input."""
+    die_with_parent(os.getppid())
+    about = Provenance(experiment="bench", experiment_text="", resolved={}, seed=0, clock="real", link="")
+    channels = channels_of(_loop())
+    with McapSink(os.devnull, channels, about, now=lambda: 0.0) as sink:
+        pump(0, sink, channels)
+
+
 def main() -> None:
     """Print both medians, us."""
     die_with_parent(os.getppid())
-    loop = compose(load_experiment(EXPERIMENT, [f"duration={SLOTS / 1000!r}"]), certify=False)
+    loop = _loop()
     channels = channels_of(loop)
     with ExitStack() as stack:
         sinks = []
         for _ in range(2):
             reading, writing = os.pipe()
-            reader = stack.enter_context(subprocess.Popen(["cat"], stdin=reading, stdout=subprocess.DEVNULL))
+            reader = stack.enter_context(subprocess.Popen(python_module("tests.bench.loop_log", KEEP), stdin=reading))
             stack.callback(reader.kill)
             os.close(reading)
             sinks.append(PipeSink(writing, channels))
@@ -117,4 +135,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    keep_log() if sys.argv[1] == KEEP else main()

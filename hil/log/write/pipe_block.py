@@ -1,37 +1,58 @@
-"""The frames of the pipe: head and record, several of them packed by one `struct`."""
+"""The frames of the pipe between a loop and its log: a head, and behind it one record, or the values of several.
+
+Head (little endian): u32 length of what follows, u16 number, i64 nominal time in ns, i64 how much later it happened in ns. The
+number is that of a channel, 0 for events, or one of ours at the top: when session time 0 was, how many records the writer had to
+drop, what is in a block, and that the writer ended in good order. A block has the values of one record of each of some channels,
+in a row and without gaps: a loop packs them by one struct, and who reads makes records of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from operator import itemgetter
-from struct import Struct
+from struct import Struct, error
 from typing import Any, Final
 
 from hil.log.records import CDR_HEADER, Channel
 from hil.log.write.frame_length import ByFrameLength
 
 HEAD: Final = Struct("<IHqq")
-"""Head of a frame: length of the record, number of its channel, nominal time in ns, how much later it happened in ns."""
+COUNT: Final = Struct("<Q")
+"""What follows where the number says when session time 0 was, in ns since 1970, or how many records were dropped."""
 
-_SIZE_AND_NUMBER: Final = Struct("<IH")
+EVENTS_ID: Final = 0
+FIRST_BLOCK_ID: Final = 0x8000
+"""Blocks are numbered from here on, channels below."""
 
-Layout = tuple[Callable[..., bytes], Callable[[tuple[Any, ...]], tuple[Any, ...]], tuple[Any, ...]]
-"""What packs, what puts time, delay, constants and values in order, and the constants."""
+BLOCK_ID: Final = 0xFFFC
+"""Says what a block has: its number, and those of its channels, u16 each."""
+
+BEGIN_ID: Final = 0xFFFD
+END_ID: Final = 0xFFFE
+DROPPED_ID: Final = 0xFFFF
+
+_LENGTH: Final = Struct("<I")
 
 
 class PipeBlock:
-    """Packs one record of each of some channels at once.
+    """Packs one record of each of some channels at once, without what is the same in all of them.
 
     Args:
+        number: of the block in the pipe.
         channels: in order; one of them at most carries frames.
 
     Raises:
         ValueError: two of them carry frames.
     """
 
-    def __init__(self, channels: Sequence[Channel]) -> None:
-        self._channels = tuple(channels)
-        made = ByFrameLength([(len(channel.schema.codes), channel.schema.raw) for channel in channels], self._layout)
+    def __init__(self, number: int, channels: Sequence[Channel]) -> None:
+        self.number, self.messages = number, len(channels)
+        codes = [(channel.schema.codes, channel.schema.raw) for channel in channels]
+
+        def layout(length: int) -> tuple[Callable[..., bytes], int]:
+            row = Struct(HEAD.format + "".join(own + (f"{length}s" if raw else "") for own, raw in codes))
+            return row.pack, row.size - HEAD.size
+
+        made = ByFrameLength([(len(own), raw) for own, raw in codes], layout)
         self._values, self._frame_at, self._layout_of = made.count, made.frame_at, made.of
 
     def pack(self, t_ns: int, behind_ns: int, values: Sequence[Any]) -> bytes:
@@ -45,38 +66,38 @@ class PipeBlock:
         Raises:
             TypeError: not as many values as the records have.
         """
-        if len(values) != self._values:
-            raise TypeError(f"{len(values)} values, expected {self._values} in {len(self._channels)} records")
-        length = 0 if self._frame_at is None else len(values[self._frame_at])
-        pack, order, constants = self._layout_of(length)
-        return pack(*order((t_ns, behind_ns, *constants, *values)))
-
-    def _layout(self, length: int) -> Layout:
-        constants: list[Any] = [CDR_HEADER]
-        order, codes = [], ""
-        value = 3 + sum(2 if channel.schema.raw else 1 for channel in self._channels)  # behind the instants and the constants
-        for channel in self._channels:
-            schema = channel.schema
-            own = f"4s{schema.codes}" + (f"{-schema.dtype.itemsize % 4}xI{length}s" if schema.raw else "")
-            constants.append(_SIZE_AND_NUMBER.pack(Struct(f"<{own}").size, channel.id))
-            order += [1 + len(constants), 0, 1, 2, *range(value, value + len(schema.codes))]
-            value += len(schema.codes)
-            if schema.raw:
-                constants.append(length)
-                order += [1 + len(constants), value]
-                value += 1
-            codes += f"{_SIZE_AND_NUMBER.size}sqq{own}"
-        return Struct(f"<{codes}").pack, itemgetter(*order), tuple(constants)
+        at = self._frame_at
+        try:
+            pack, size = self._layout_of(0 if at is None else len(values[at]))
+            return pack(size, self.number, t_ns, behind_ns, *values)
+        except (error, LookupError, TypeError):
+            if len(values) != self._values:
+                raise TypeError(f"{len(values)} values, expected {self._values} in {self.messages} records") from None
+            raise
 
 
-def frames_in(data: bytes) -> int:
-    """Return how many frames there are in bytes that hold whole ones only.
+class BlockRecords:
+    """Makes records of a block again.
 
-    >>> frames_in(HEAD.pack(2, 1, 0, 0) + b"ab" + HEAD.pack(0, 1, 0, 0))
-    2
+    Args:
+        channels: as they were packed.
     """
-    at = count = 0
-    while at < len(data):
-        at += HEAD.size + HEAD.unpack_from(data, at)[0]
-        count += 1
-    return count
+
+    def __init__(self, channels: Sequence[Channel]) -> None:
+        self._parts = [(channel.schema.dtype.itemsize, channel.schema.raw) for channel in channels]
+        self._numbers = sum(width for width, _ in self._parts)
+        self._raw = any(raw for _, raw in self._parts)
+
+    def payloads(self, data: bytes) -> list[bytes] | None:
+        """Return the payload of each record, in order; None where bytes are no such block."""
+        length, at, found = len(data) - self._numbers, 0, []
+        if length < 0 or (length and not self._raw):
+            return None
+        for width, raw in self._parts:
+            payload = CDR_HEADER + data[at : at + width]
+            at += width
+            if raw:
+                payload += bytes(-width % 4) + _LENGTH.pack(length) + data[at : at + length]
+                at += length
+            found.append(payload)
+        return found

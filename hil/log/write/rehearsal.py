@@ -9,8 +9,9 @@ from contextlib import suppress
 from hil.errors import HilError
 from hil.log.records import Channel
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
-from hil.log.write.pipe import PipeSink, pump
+from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.provenance import Provenance
+from hil.log.write.pump import pump
 from hil.log.write.sinks import record_to
 
 FRAME = bytes(64)

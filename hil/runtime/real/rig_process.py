@@ -16,7 +16,7 @@ from typing import NoReturn
 from msgspec import Struct
 
 from hil.log.topics import TIMING, channels_of
-from hil.log.write.pipe import PipeSink
+from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.frames_dbc import about_rig
 from hil.rig.loop import Loop

@@ -18,7 +18,7 @@ from typing import Final
 from hil.errors import HilError
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
-from hil.log.write.pipe import PumpReport, pump
+from hil.log.write.pump import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
@@ -148,7 +148,7 @@ def run_real(
         sink: takes every record, in this process.
         external: do not start a controller: an external program answers on the link.
         hello_timeout_s: how long the rig waits for a first answer, s.
-        taps: see :func:`hil.log.write.pipe.pump`.
+        taps: see :func:`hil.log.write.pump.pump`.
         changes: of the experiment while it runs; None for none.
 
     Raises:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from hil.log.topics import channels_of
-from hil.log.write.pipe import PipeSink
+from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode

@@ -20,7 +20,8 @@ from hil.experiment import load_experiment
 from hil.log.read.recover import recover
 from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
-from hil.log.write.pipe import PipeSink, pump
+from hil.log.write.pipe_sink import PipeSink
+from hil.log.write.pump import pump
 from hil.session import run_session
 from tests.hil.log.recording import PERIOD_NS, TABLE, provenance, record
 

@@ -16,9 +16,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.log.read.run import Run, read_run
+from hil.log.records import Channel
 from hil.log.write.mcap_sink import McapSink
-from hil.log.write.pipe import PipeSink, PumpReport, pump
-from hil.log.write.sinks import MemorySink, record_to, records_to
+from hil.log.write.pipe_block import BLOCK_ID, FIRST_BLOCK_ID, HEAD
+from hil.log.write.pipe_sink import PipeSink
+from hil.log.write.pump import PumpReport, pump
+from hil.log.write.sinks import MemorySink, PayloadWriter, record_to, records_to
 from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
 from tests.waiting import LIMIT_S
 
@@ -108,21 +111,29 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
     together, singly = records_to(sink, topics), [record_to(sink, TABLE[topic]) for topic in topics]
     puts = [sink.channel(topic) for topic in topics]
     assert together is not None
+    kept = in_thread(read, got := DatedMemory(TABLE))
     for k in range(150):  # more lengths than layouts are kept
-        frame, written = bytes([k]) * k, []
+        frame = bytes([k]) * k
         one_by_one = ((0.1 * k, 2.0, k), (k, 1, frame), (0.3, k))
         sink.behind(17 * k)
-        for way in ("together", "singly", "packed by the schema"):
-            if way == "together":
-                together(k - 1, [value for values in one_by_one for value in values])
-            for topic, log, put, values in zip(topics, singly, puts, one_by_one):
-                if way == "singly" and log is not None:
-                    log(k - 1, values)
-                elif way != "together" and put is not None:
-                    put(k - 1, TABLE[topic].schema.pack(*values))
-            sink.commit()
-            written.append(os.read(read, 1 << 20))
-        assert written[0] == written[1] == written[2]
+        together(k - 1, [value for values in one_by_one for value in values])
+        for topic, log, put, values in zip(topics, singly, puts, one_by_one):
+            assert log is not None and put is not None
+            log(k - 1, values)
+            put(k - 1, TABLE[topic].schema.pack(*values))
+        sink.commit()
+    sink.close()
+    assert kept() == PumpReport(records=150 * 9, complete=True)
+    for topic in topics:
+        dated = list(zip(got.times[topic], got.behinds[topic], got.payloads[topic]))
+        assert len(dated) == 450 and dated[::3] == dated[1::3] == dated[2::3]
+        assert [behind for _, behind, _ in dated[::3]] == [17 * k for k in range(150)]
+
+
+def test_records_that_cannot_stand_in_one_row_are_refused(ends: Ends) -> None:
+    sink = PipeSink(ends[1], TABLE)
+    together = sink.records(("/plant/state", "/link/sensor", "/plant/measurement"))
+    assert together is not None
     with pytest.raises(TypeError, match="7 values, expected 8 in 3 records"):
         together(0, (0.1, 2.0, 1, 1, 1, b"", 0.3))
     with pytest.raises(ValueError, match="2 carry frames"):
@@ -130,16 +141,107 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
     assert sink.records(("/link/sensor", "/of/nobody")) is None
 
 
+class DatedMemory(MemorySink):
+    """Keeps how much later each record happened, too."""
+
+    def __init__(self, channels: dict[str, Channel]) -> None:
+        super().__init__(channels)
+        self.behinds: dict[str, list[int]] = {topic: [] for topic in channels}
+        self._behind = 0
+
+    def begin(self, wall_ns: int) -> None:
+        """See `Dated`."""
+
+    def behind(self, ns: int) -> None:
+        self._behind = ns
+
+    def channel(self, topic: str) -> PayloadWriter | None:
+        put = super().channel(topic)
+        if put is None or topic not in self.behinds:
+            return put
+
+        def dated(t_ns: int, payload: bytes) -> None:
+            self.behinds[topic].append(self._behind)
+            put(t_ns, payload)
+
+        return dated
+
+
 def test_records_packed_at_once_are_counted_one_by_one_when_the_pipe_is_full(ends: Ends) -> None:
     sink = PipeSink(ends[1], TABLE)
-    filled(ends[1])
     together = sink.records(("/plant/measurement", "/reference"))
     assert together is not None
+    filled(ends[1])
     for k in range(3):
         together(k, (0.1, k, 3.0, k))
         together(k, (0.2, k, 3.0, k))
         sink.commit()
     assert sink.dropped == 12
+
+
+def test_where_the_pipe_has_no_room_to_declare_a_block_its_records_go_one_by_one(ends: Ends) -> None:
+    sink = PipeSink(ends[1], TABLE)
+    filled(ends[1])
+    assert sink.records(("/plant/measurement", "/reference")) is None
+    assert sink.records(("/reference",)) is not None
+    assert sink.dropped == 0
+
+
+@pytest.mark.parametrize(
+    "declared",
+    [(), (FIRST_BLOCK_ID,), (FIRST_BLOCK_ID, 999), (3, 1), (BLOCK_ID, 1), "two with frames"],
+    ids=["of nothing", "of no channel", "unknown channel", "number of a channel", "number of ours", "two with frames"],
+)
+def test_a_block_that_cannot_be_is_counted_and_nothing_of_it_is_kept(ends: Ends, declared: tuple[int, ...] | str) -> None:
+    read, write = ends
+    if isinstance(declared, str):
+        declared = (FIRST_BLOCK_ID, TABLE["/link/sensor"].id, TABLE["/link/control"].id)
+    payload = b"".join(number.to_bytes(2, "little") for number in declared)
+    os.write(write, HEAD.pack(len(payload), BLOCK_ID, 0, 0) + payload + HEAD.pack(4, FIRST_BLOCK_ID, 0, 0) + bytes(4))
+    os.close(write)
+    report = pump(read, got := MemorySink(TABLE), TABLE)
+    assert report == PumpReport(malformed=2) and not any(got.payloads.values())
+
+
+@pytest.mark.parametrize("off", [-1, 1])
+def test_a_block_of_a_wrong_length_is_counted_and_not_kept(ends: Ends, off: int) -> None:
+    read, write = ends
+    channels = [TABLE["/plant/measurement"], TABLE["/reference"]]
+    payload = b"".join(number.to_bytes(2, "little") for number in (FIRST_BLOCK_ID, *(channel.id for channel in channels)))
+    os.write(write, HEAD.pack(len(payload), BLOCK_ID, 0, 0) + payload)
+    size = sum(channel.schema.dtype.itemsize for channel in channels)
+    for length in (size + off, size):
+        os.write(write, HEAD.pack(length, FIRST_BLOCK_ID, 0, 0) + bytes(length))
+    os.close(write)
+    report = pump(read, got := MemorySink(TABLE), TABLE)
+    assert report == PumpReport(records=2, malformed=1)
+    assert [len(got.payloads[channel.topic]) for channel in channels] == [1, 1]
+
+
+def test_a_pump_never_waits_at_the_pipe_where_every_write_would_wake_it(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It asks without waiting; what it waits for is time."""
+    waits: list[tuple[int, float]] = []
+
+    class Watched:
+        def __init__(self) -> None:
+            self.poll_, self.files = REAL_POLL(), 0
+
+        def register(self, fd: int, events: int) -> None:
+            self.files += 1
+            self.poll_.register(fd, events)
+
+        def poll(self, timeout_ms: float) -> list[tuple[int, int]]:
+            waits.append((self.files, timeout_ms))
+            return self.poll_.poll(timeout_ms)
+
+    monkeypatch.setattr(select, "poll", Watched)
+    stops = iter([False, False, True])
+    pump(ends[0], MemorySink(TABLE), TABLE, stop=lambda: next(stops))
+    assert {files for files, _ in waits} == {0, 1}
+    assert all((timeout_ms == 0) == (files == 1) for files, timeout_ms in waits)
+
+
+REAL_POLL = select.poll
 
 
 def test_a_long_stall_of_the_reader_never_tears_a_frame(ends: Ends) -> None:
@@ -215,7 +317,9 @@ def test_a_reader_that_is_gone_never_raises_into_the_loop(ends: Ends) -> None:
 
 _RIG = """
 import os, signal, sys
-from hil.log.write.pipe import PipeSink
+from hil.log.records import Channel
+from hil.log.write.pipe_block import BLOCK_ID, FIRST_BLOCK_ID, HEAD
+from hil.log.write.pipe_sink import PipeSink
 from tests.hil.log.recording import TABLE, record
 sink = PipeSink(int(sys.argv[1]), TABLE)
 print(record(sink, 400), flush=True)

@@ -11,7 +11,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write import rehearsal
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES
-from hil.log.write.pipe import PumpReport, pump
+from hil.log.write.pump import PumpReport, pump
 from hil.log.write.rehearsal import rehearse
 
 

@@ -249,7 +249,7 @@ def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
 
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.log.write.pipe import PipeSink
+    from hil.log.write.pipe_sink import PipeSink
     from hil.rig.session_link import no_link
     from hil.runtime.real.rig_process import Job, RealLoop
 

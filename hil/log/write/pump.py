@@ -1,0 +1,223 @@
+"""Records from the pipe of a loop into a log, in another process. Writing end: `hil.log.write.pipe_sink`.
+
+Who waits at the pipe is woken by every write, and waking takes the loop as long as all else that it does for the log. So the
+pump looks by itself.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from struct import iter_unpack
+from typing import Final
+
+from hil.log.records import EVENTS_TOPIC, Channel
+from hil.log.write.pipe_block import (
+    BEGIN_ID,
+    BLOCK_ID,
+    COUNT,
+    DROPPED_ID,
+    END_ID,
+    EVENTS_ID,
+    FIRST_BLOCK_ID,
+    HEAD,
+    BlockRecords,
+)
+from hil.log.write.sinks import Dated, PayloadWriter, Sink
+
+_MAX_PAYLOAD: Final = 1 << 24
+_READ_BYTES: Final = 1 << 13
+"""Little, so that what has waited comes in portions: memory does not grow by the longest wait so far."""
+
+_LOOK_MS: Final = 5
+"""Between two looks at an empty pipe: at 10 kHz a pipe of 64 KiB holds three times that."""
+
+
+@dataclass(slots=True, kw_only=True)
+class PumpReport:
+    """What came through the pipe.
+
+    Args:
+        records: records handed to the sink.
+        dropped: records that the writer could not write, as far as it could still say so.
+        malformed: frames of no known channel, or of a wrong length.
+        torn_bytes: bytes of the last, incomplete frame of a writer that was killed.
+        complete: whether the writer ended in good order.
+        faults: taps that raised and were taken off.
+        last_ns: session time of the last record.
+    """
+
+    records: int = 0
+    dropped: int = 0
+    malformed: int = 0
+    torn_bytes: int = 0
+    complete: bool = False
+    faults: list[str] = field(default_factory=list)
+    last_ns: int = field(default=0, compare=False)
+
+
+def pump(
+    fd: int,
+    sink: Sink,
+    channels: Mapping[str, Channel],
+    *,
+    taps: Mapping[str, PayloadWriter] | None = None,
+    stop: Callable[[], bool] = lambda: False,
+    report: PumpReport | None = None,
+) -> PumpReport:
+    """Carry records from the pipe to a sink until the writer is gone, however it went.
+
+    Args:
+        fd: reading end of the pipe; stays open.
+        sink: gets the records; committed after every read and every look.
+        channels: the session's table.
+        taps: topic to a function that also gets time and payload of that topic's records, for a live view. One that raises is
+            taken off and reported.
+        stop: asked whenever the pipe is empty; true ends the pump though a process still holds the writing end.
+        report: filled in as records come, for who watches; a new one by default.
+
+    Returns:
+        What came, and what was lost.
+    """
+    report = report or PumpReport()
+    takers = _Takers(sink, channels, taps or {}, report)
+    waiting, nothing = select.poll(), select.poll()
+    waiting.register(fd, select.POLLIN)
+    data, room = b"", memoryview(bytearray(_READ_BYTES))  # kept: one for every read would tear the heap
+    while True:  # until the writer is gone
+        count = -1
+        if waiting.poll(0):
+            count = os.readv(fd, [room])
+            if not count:
+                break
+            torn = _take(data + room[:count], takers, sink, report)
+            if torn is None:
+                break
+            data = torn
+        sink.commit()
+        if count < 0 and stop():
+            break
+        if count < _READ_BYTES:
+            nothing.poll(_LOOK_MS)
+    report.torn_bytes = len(data)
+    sink.commit()
+    return report
+
+
+_Taker = Callable[[int, bytes], int]
+"""Takes time and payload of a frame; returns how many records were in it, 0 where it is of a wrong length."""
+
+
+class _Takers:
+    """What takes a frame, by its number: one for every channel, and for every block that the writer has declared."""
+
+    def __init__(
+        self, sink: Sink, channels: Mapping[str, Channel], taps: Mapping[str, PayloadWriter], report: PumpReport
+    ) -> None:
+        self._channels = {channel.id: channel for channel in channels.values()}
+        self._puts: dict[int, PayloadWriter] = {}
+        for topic, number in [(EVENTS_TOPIC, EVENTS_ID), *((channel.topic, channel.id) for channel in channels.values())]:
+            put = sink.channel(topic) or _ignore
+            self._puts[number] = _tapped(topic, put, taps[topic], report) if topic in taps else put
+        self._taken: dict[int, _Taker] = {number: self._single(number) for number in self._puts}
+        self.of = self._taken.get
+
+    def _single(self, number: int) -> _Taker:
+        put, channel = self._puts[number], self._channels.get(number)
+        least = 0 if channel is None else channel.schema.data_offset if channel.schema.raw else 4 + channel.schema.dtype.itemsize
+        fixed = channel is not None and not channel.schema.raw
+
+        def take(t_ns: int, payload: bytes) -> int:
+            if len(payload) < least or (fixed and len(payload) > least):
+                return 0
+            put(t_ns, payload)
+            return 1
+
+        return take
+
+    def declare(self, payload: bytes) -> bool:
+        """Learn what a block has; return False where that is nothing that could be in one."""
+        if len(payload) < 4 or len(payload) % 2:
+            return False
+        number, *ids = (each for (each,) in iter_unpack("<H", payload))
+        if not FIRST_BLOCK_ID <= number < BLOCK_ID or any(each not in self._channels for each in ids):
+            return False
+        if sum(self._channels[each].schema.raw for each in ids) > 1:
+            return False
+        block, puts = BlockRecords([self._channels[each] for each in ids]), [self._puts[each] for each in ids]
+
+        def take(t_ns: int, data: bytes) -> int:
+            payloads = block.payloads(data)
+            if payloads is None:
+                return 0
+            for put, payload in zip(puts, payloads):
+                put(t_ns, payload)
+            return len(payloads)
+
+        self._taken[number] = take
+        return True
+
+
+def _take(data: bytes, takers: _Takers, sink: Sink, report: PumpReport) -> bytes | None:
+    """Hand over every whole frame of ``data`` and return the rest, or None where the framing is lost."""
+    at, end, head = 0, len(data), HEAD.unpack_from
+    dated = sink if isinstance(sink, Dated) else None
+    before = None
+    while end - at >= HEAD.size:
+        size, number, t_ns, behind = head(data, at)
+        after = at + HEAD.size + size
+        if after > end:
+            if size > _MAX_PAYLOAD:  # not ours; nothing behind it can be trusted
+                report.malformed += 1
+                return None
+            break
+        payload = data[at + HEAD.size : after]
+        at = after
+        taker = takers.of(number)
+        if taker is not None:
+            if behind != before and dated is not None:
+                dated.behind(behind)
+                before = behind
+            taken = taker(t_ns, payload)
+            report.records += taken
+            if taken:
+                report.last_ns = t_ns
+            else:
+                report.malformed += 1
+        elif number == DROPPED_ID and size == COUNT.size:
+            lost = COUNT.unpack(payload)[0]
+            report.dropped += lost
+            sink.event(t_ns, "log-dropped", f"{lost} records were dropped: the log's pipe was full",
+                       severity="warning", records=lost)
+        elif number == END_ID and not size:
+            report.complete = True
+        elif number == BEGIN_ID and size == COUNT.size:
+            if dated is not None:
+                dated.begin(COUNT.unpack(payload)[0])
+        elif number != BLOCK_ID or not takers.declare(payload):
+            report.malformed += 1
+    if dated is not None:
+        dated.behind(0)  # of what this process says itself
+    return data[at:]
+
+
+def _ignore(t_ns: int, payload: bytes) -> None:
+    """Take a record that is not kept."""
+
+
+def _tapped(topic: str, put: PayloadWriter, tap: PayloadWriter, report: PumpReport) -> PayloadWriter:
+    on = True
+
+    def put_and_tap(t_ns: int, payload: bytes) -> None:
+        nonlocal on
+        put(t_ns, payload)
+        if on:
+            try:
+                tap(t_ns, payload)
+            except Exception as error:  # a live view must not cost the log
+                on = False
+                report.faults.append(f"tap {topic}: {type(error).__name__}: {error}")
+
+    return put_and_tap
