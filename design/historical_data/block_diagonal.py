@@ -224,5 +224,5 @@ def cone_complementarity(plant: DelayedPlant, mask: Mask, x0: Array, bound: floa
         gains = np.array([[k.value for k in phase] for phase in K]) * mask[:, :, None, :]
         if largest_eigenvalue(plant, gains, found, others) < 0.0 < np.linalg.eigvalsh(found)[0]:
             return BlockDiagonalProof(found, others, gains, (functional(found, others, [x0]),))
-        of_X.value, of_P.value = found, 0.5 * (X.value + X.value.T)
+        of_X.value, of_P.value = found, X.value
     raise Infeasible(f"cone complementarity found no proof of a cost of {bound:g}", value=bound)

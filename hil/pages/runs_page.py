@@ -121,7 +121,7 @@ def _together(drawn: Sequence[tuple[str, Figure]]) -> tuple[Block, ...]:
         kinds.setdefault((figure.y_label, figure.y_unit), []).append(curve)
     return tuple(
         Figure(title=label[:1].upper() + label[1:], y_label=label, y_unit=unit, sync=None, height_px=300,
-               series=tuple(replace(each, colour=i % 8) for i, each in enumerate(curves)))
+               series=tuple(replace(each, colour=i) for i, each in enumerate(curves)))
         for (label, unit), curves in kinds.items()
     )  # fmt: skip
 

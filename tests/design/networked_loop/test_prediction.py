@@ -209,6 +209,17 @@ def test_before_the_first_sample_has_come_the_input_is_zero_and_not_the_held_one
     assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.25])
 
 
+def test_before_the_first_sample_has_come_nothing_is_added_to_the_integral() -> None:
+    """x(k+1) = x(k)/2 + u(k), u = u* - xi/10, r = 1: of the errors -1 the first that is known adds to xi in slot 2."""
+    two_late = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]])
+    gains = np.tile([0.0, -0.1], (3, 1, 1, 1))
+    found = predict_tracking(
+        [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], gains, "constant", np.ones(6), period_s=0.1, integral=True,
+        initial=([0, 0, 1], [1]),
+    )  # fmt: skip
+    assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.15, 0.125])
+
+
 @pytest.mark.parametrize("share", [0.0, 2.0])
 def test_transitions_one_by_one_predict_what_all_of_them_do(monkeypatch, share):
     r, w = schedule(60)

@@ -62,6 +62,12 @@ def test_every_order_of_the_turns_is_tried() -> None:
     }
 
 
+def test_gains_over_a_history_of_random_turns_are_refused_before_any_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("design.historical_data.sensor_schedule.undecided_because", lambda nodes: pytest.fail("went on"))
+    with pytest.raises(HilError, match="over random turns only the current packet has gains of its own"):
+        compose(load_experiment("multisensor-lossy", ["controller.uses=history"]))
+
+
 def test_over_a_lossy_order_the_bound_is_known_and_the_orders_are_not_tried() -> None:
     gains = [[[[0.01 * (i == l) for l in range(4)]]] for i in range(4)]
     table = f"controller={{kind='historical', uses='current-packet', gains={gains}}}"

@@ -42,6 +42,8 @@ def test_a_library_that_is_not_installed_is_named_with_the_extra(
 
 
 def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Session, tmp_path: Path) -> None:
+    import matplotlib
+
     drawn = session.plot(tmp_path / "step.svg", width_mm=100, height_mm=60)
     assert drawn.get_size_inches() * 25.4 == pytest.approx([100.0, 60.0])
     (outputs, inputs) = drawn.axes
@@ -53,6 +55,9 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
     assert (tmp_path / "step.pdf").read_bytes().startswith(b"%PDF")
     session.plot(tmp_path / "again.svg", width_mm=100, height_mm=60)
     assert (tmp_path / "again.svg").read_bytes() == (tmp_path / "step.svg").read_bytes(), "the same run, the same file"
+    with matplotlib.rc_context({"axes.facecolor": "red", "lines.linewidth": 9.0}):
+        session.plot(tmp_path / "mine.svg", width_mm=100, height_mm=60)
+    assert (tmp_path / "mine.svg").read_bytes() == (tmp_path / "step.svg").read_bytes(), "whatever the user's own style is"
 
 
 @pytest.mark.parametrize("path, size", [("step.tiff", 85.0), (None, 1.0)])

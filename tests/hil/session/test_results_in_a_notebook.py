@@ -69,6 +69,12 @@ def test_a_result_is_one_short_line_and_a_cell_with_answer_table_and_plot(name: 
     assert tree.find("p/b") is not None and len(tree.findall(".//tbody/tr")) >= 3 and "<svg" in html
 
 
+def test_points_are_not_compared_where_no_value_is_better(over_gain: hil.ParameterSweep) -> None:
+    of = next(quantity.name for quantity in over_gain.quantities if not quantity.better)
+    assert over_gain.best(of) is None and f"{of}: no measure states which value is better" in over_gain.answer(of)
+    assert len(over_gain.plot(quantity=of).axes) >= 1
+
+
 @pytest.mark.parametrize("name", ["sweep", "over_gain", "comparison", "design", "laws", "chapter"])
 def test_a_plot_is_shown_by_its_cell_and_written_to_its_file(name: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     drawn = request.getfixturevalue(name).plot(tmp_path / "a.svg")

@@ -110,6 +110,8 @@ def test_a_queue_that_fills_loses_and_one_that_cannot_is_exact() -> None:
     for law in (PacketLaw(latency="120 ms", queue=3), PacketLaw(latency=GAMMA, queue=50), PacketLaw(latency=0.0, queue=1)):
         assert (analyse_law(law, 0.05, 0.03).age_method, analyse_law(law, 0.05, 0.03).overflow) == ("exact", 0.0)
     assert analyse_law(PacketLaw(latency=0.0, duplication=0.1, queue=1), T, DEADLINE).overflow == 0.0, "copies are no loss"
+    rare = {"dist": "pareto", "b": 4.0, "scale": "5 ms"}  # up to 1.5 s, 7 ms in the mean: 25 in flight have a chance of 10^-18
+    assert analyse_law(PacketLaw(latency=rare, queue=25), T, DEADLINE).age_method == "exact"
     heavy = PacketLaw(latency={"dist": "pareto", "b": 0.05, "scale": "1 s"})
     assert analyse_law(heavy, T, DEADLINE).overflow > 0.1
 

@@ -103,4 +103,4 @@ def _bars(
 ) -> Series:  # fmt: skip
     """Return pieces of a line at one height; all series of the figure have the same instants, or a gap would be bridged."""
     inside = ((begin[:, None] <= grid) & (grid <= end[:, None])).any(axis=0)
-    return Series(label=label, x=grid / 1e9, y=np.where(inside, float(row), np.nan), colour=row % 8, faint=faint)
+    return Series(label=label, x=grid / 1e9, y=np.where(inside, float(row), np.nan), colour=row, faint=faint)

@@ -50,7 +50,7 @@ def section(view: RunView) -> Section | None:
             sent_s = partial(_sent_s, view.period_s)
             sent_by.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
     ages = tuple(
-        curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i % 8) for i, name in enumerate(names)
+        curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i) for i, name in enumerate(names)
     )
     numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [

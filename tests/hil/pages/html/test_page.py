@@ -23,6 +23,7 @@ from hil.pages.html.figures import (
     Tile,
 )
 from hil.pages.html.page import render_page
+from hil.pages.html.svg import draw_bars
 
 HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&"\''
 
@@ -126,6 +127,16 @@ def test_not_finite_values_become_gaps() -> None:
 def test_histogram_draws_every_filled_bin(x_log: bool, y_log: bool) -> None:
     histogram = Histogram(title="h", edges=[1.0, 2.0, 3.0, 40.0], counts=[3, 0, 400], x_log=x_log, y_log=y_log)
     assert render_page("t", [Section(title="s", blocks=(histogram,))]).partition("<script")[0].count("<rect") == 2
+
+
+def test_whiskers_end_at_their_values_and_not_below_the_axis() -> None:
+    groups = (BarGroup(label="law", values=[0.5, 0.5], whiskers=[(0.25, 0.75), (-1.0, 0.75)]),)
+    drawn = draw_bars(Bars(title="b", categories=["a", "b"], groups=groups))
+    (inner, cut) = [float(low) for low in re.findall(r'class="whisker" d="M[\d.]+ ([\d.]+)V', drawn)]
+    bar = re.search(r'y="([\d.]+)" width="[\d.]+" height="([\d.]+)"', drawn)
+    assert bar is not None
+    top, foot = float(bar[1]), float(bar[1]) + float(bar[2])
+    assert (inner, cut) == pytest.approx(((top + foot) / 2, foot), abs=0.11)  # a tenth of a pixel is written
 
 
 def test_empty_blocks_are_drawn_empty() -> None:
