@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import atexit
 import errno
-import importlib
 import os
 import resource
 import sys
 from collections.abc import Sequence
+from importlib import import_module
 from typing import Any
 
 import click
@@ -74,7 +74,8 @@ class LazyGroup(click.Group):
             return None
         if cmd_name != "doctor":  # which reports it
             refuse_shadowed_packages()
-        command: click.Command = importlib.import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
+            import_module("design.blas_threads").begin_with_one_thread()
+        command: click.Command = import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
         if cmd_name != "run":  # whose own modules come when it is called
             collect_garbage_again()
         return command

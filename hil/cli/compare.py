@@ -5,14 +5,13 @@ from __future__ import annotations
 import sys
 from math import isfinite
 from pathlib import Path
-from shutil import get_terminal_size
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, terminal_columns
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ def command(
     if as_json:
         print_json({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None})
         return
-    columns = get_terminal_size().columns
+    columns = terminal_columns()
     for name in experiments[1:]:
         print(fill(visible(comparison.verdict(name)), columns, break_long_words=False, break_on_hyphens=False))
     for name, caution in comparison.cautions.items():

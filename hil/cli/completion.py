@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import re
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem, get_completion_class, split_arg_string
 
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 SHELLS = ("bash", "zsh", "fish")
 PLACES = {
@@ -35,6 +37,8 @@ class ExperimentName(click.ParamType[str]):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the shipped names that begin so, and leave files to the shell."""
+        from click.shell_completion import CompletionItem
+
         from hil.experiment import shipped
 
         names = [CompletionItem(name) for name in shipped() if name.startswith(incomplete)]
@@ -48,6 +52,8 @@ class FieldChange(click.ParamType[str]):
 
     def shell_complete(self, ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         """Return the paths that begin so, up to the next dot."""
+        from click.shell_completion import CompletionItem, split_arg_string
+
         from hil.experiment import shipped
 
         # Click gives up on arguments before an option that still lacks its value: the words themselves are read.
@@ -122,6 +128,8 @@ def script(shell: str) -> str:
     Args:
         shell: bash, zsh or fish.
     """
+    from click.shell_completion import get_completion_class
+
     from hil.cli import cli
 
     kind = get_completion_class(shell)

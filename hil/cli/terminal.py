@@ -14,7 +14,6 @@ import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from shutil import get_terminal_size
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, TypeVar
 
@@ -118,6 +117,16 @@ class Line(NamedTuple):
     coloured: int | None = None
 
 
+def terminal_columns() -> int:
+    """Return how wide the terminal is, as `shutil` says it: COLUMNS, else asked, else 80; that import takes 1 % of a short run."""
+    with suppress(KeyError, ValueError):
+        if (columns := int(os.environ["COLUMNS"])) > 0:
+            return columns
+    with suppress(AttributeError, ValueError, OSError):  # standard output may be closed, or no terminal
+        return os.get_terminal_size(sys.__stdout__.fileno()).columns or 80  # type: ignore[union-attr]
+    return 80
+
+
 def print_lines(lines: Sequence[Line]) -> None:
     """Print two columns as wide as the terminal, 80 where there is none; a value goes on below itself, no word is cut that fits.
 
@@ -125,7 +134,7 @@ def print_lines(lines: Sequence[Line]) -> None:
         lines: in this order.
     """
     width = max((len(visible(line.name)) for line in lines), default=0)
-    room = max(get_terminal_size().columns - width - GAP, NARROWEST)
+    room = max(terminal_columns() - width - GAP, NARROWEST)
     shown = []
     for line in lines:
         name = visible(line.name)

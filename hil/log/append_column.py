@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Any, Final, TypeAlias, TypeVar
@@ -105,6 +104,8 @@ class AppendColumn:
 
 
 def _nameless(folder: str | os.PathLike[str] | None) -> int:
+    import tempfile  # of runs that are long
+
     if folder is not None:
         with suppress(OSError), tempfile.TemporaryFile(dir=folder) as file:
             return os.dup(file.fileno())

@@ -10,7 +10,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, chdir
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -86,6 +85,8 @@ class Result:
 
     def html(self) -> str:
         """Return the cell: the line, the answer, the table, and the plot where matplotlib is installed."""
+        from html import escape  # its table of names is large
+
         said = "".join(f"<p><b>{escape(sentence)}</b></p>" for sentence in self.answer)
         heads = "".join(f"<th {SIDE.format(side=_side(self.rows, i))}>{escape(c)}</th>" for i, c in enumerate(self.columns))
         body = "".join(
@@ -148,6 +149,8 @@ def data_frame(columns: Mapping[str, Any], units: Mapping[str, str] | None = Non
 def _text(value: Cell) -> str:
     if value is None or value != value:
         return "-"
+    from html import escape
+
     return escape(value) if isinstance(value, str) else f"{value:.5g}" if isinstance(value, float) else str(value)
 
 

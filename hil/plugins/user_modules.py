@@ -12,7 +12,6 @@ import os
 import pickle
 import re
 import sys
-import traceback
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -96,6 +95,8 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
             raise
         if isinstance(error, KeyboardInterrupt):
             raise
+        import traceback
+
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = lines[-1] if lines else error.lineno if isinstance(error, SyntaxError) else None
         where = f"{path}, line {line}" if line else str(path)

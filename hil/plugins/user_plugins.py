@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -68,6 +67,8 @@ def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
     modules = (sys.modules.get(type(made).__module__) for made in objects)
     files = {str(getattr(module, "__file__", None)) for module in modules}
     theirs = {file for file in files if not file.startswith(OUR_FOLDERS)}
+    import traceback
+
     frames = traceback.extract_tb(error.__traceback__)
     return words(error) if any(frame.filename in theirs for frame in frames) else None
 
@@ -78,6 +79,8 @@ def words(error: BaseException) -> str:
     Args:
         error: as it was caught.
     """
+    import traceback
+
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(OUR_FOLDERS)]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {error}{where}"

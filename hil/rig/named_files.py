@@ -10,7 +10,6 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment.nodes import can_faults_of
 from hil.experiment.table_check import fault_at
 from hil.experiment.tables import Experiment
-from hil.rig.traffic_file import RECORDINGS, read_recorded, read_traffic
 from transport.laws.protocols import NetworkLaw, load_files, slots_served
 
 
@@ -60,6 +59,8 @@ def with_traffic_files(e: Experiment) -> Experiment:
     for name, medium in e.network.media.items():
         if not medium.traffic_file:
             continue
+        from hil.rig.traffic_file import RECORDINGS, read_recorded, read_traffic
+
         path = Path(e.folder) / medium.traffic_file
         try:
             if path.suffix in RECORDINGS:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -108,6 +107,8 @@ def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quan
         line: the session in one line.
         quantities: what the numbers are, with the titles that the page of the run has.
     """
+    from html import escape  # its table of names is large
+
     known = {quantity.name: quantity for quantity in quantities}
     units = summary.get("units", {})
     found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]

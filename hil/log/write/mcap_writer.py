@@ -15,26 +15,9 @@ from pathlib import Path
 from typing import Any, Final, Literal, Protocol
 
 import numpy as np
-from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from hil.log.append_column import AppendColumn, pieces
+from hil.log.write import mcap_records as mcap
 from hil.log.write.compressor import Compressor
 from hil.log.write.open_chunk import Messages, OpenChunk
 from hil.log.write.packed_records import BEHIND, HEAD, MAGIC, Layouts, Packed
@@ -97,20 +80,20 @@ class McapWriter:
         self._stream = stream
         self._compress = Compressor(room).compress
         self._data_crc = 0
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._metadata: list[MetadataIndex] = []
-        self._attachments: list[AttachmentIndex] = []
+        self._schemas: list[bytes] = []
+        self._channels: list[bytes] = []
+        self._metadata: list[bytes] = []  # where they stand, as the summary says it; so too the attachments
+        self._attachments: list[bytes] = []
         self._chunks = 0
         self._chunk_indexes = AppendColumn(np.uint8, folder, INDEX_WAITING)  # as they will stand in the summary
         self._counts: dict[int, int] = {}
         self._start: int | None = None
         self._end = 0
-        self._opening = RecordBuilder()  # schemas and channels that stand at the begin of the open chunk
+        self._opening: list[bytes] = []  # schemas and channels that stand at the begin of the open chunk
         self._open = OpenChunk()
         self.start_ns = self.behind_ns = 0
         self._write(MAGIC)
-        self._write(_bytes(Header(profile, library)))
+        self._write(mcap.header(profile, library))
 
     def _write(self, data: bytes) -> None:
         self._data_crc = zlib.crc32(data, self._data_crc)
@@ -118,47 +101,40 @@ class McapWriter:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        data = _bytes(Metadata(name=name, metadata=dict(values)))
-        self._metadata.append(MetadataIndex(offset=self._stream.tell(), length=len(data), name=name))
+        data = mcap.metadata(name, values)
+        self._metadata.append(mcap.metadata_index(self._stream.tell(), len(data), name))
         self._write(data)
 
     def add_attachment(
         self, name: str, media_type: str, content: bytes, *, create_time: int = 0, log_time: int = 0
     ) -> None:
         """Write an attachment; times in ns."""
-        data = _bytes(
-            Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=content)
-        )
+        data = mcap.attachment(log_time, create_time, name, media_type, content)
         self._attachments.append(
-            AttachmentIndex(
-                offset=self._stream.tell(), length=len(data), create_time=create_time, log_time=log_time,
-                data_size=len(content), name=name, media_type=media_type,
-            )
-        )  # fmt: skip
+            mcap.attachment_index(self._stream.tell(), len(data), log_time, create_time, len(content), name, media_type)
+        )
         self._write(data)
 
     def register_schema(self, name: str, encoding: str, text: bytes) -> int:
         """Add a schema to the open chunk; return its number."""
-        schema = Schema(id=len(self._schemas) + 1, data=text, encoding=encoding, name=name)
-        self._schemas.append(schema)
-        schema.write(self._opening)
-        return schema.id
+        number = len(self._schemas) + 1
+        self._schemas.append(mcap.schema(number, name, encoding, text))
+        self._opening.append(self._schemas[-1])
+        return number
 
     def register_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None) -> int:
         """Add a channel to the open chunk; return its number."""
-        channel = Channel(
-            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata=dict(metadata or {})
-        )  # fmt: skip
-        self._channels.append(channel)
-        channel.write(self._opening)
-        return channel.id
+        number = len(self._channels) + 1
+        self._channels.append(mcap.channel(number, schema_id, topic, encoding, metadata or {}))
+        self._opening.append(self._channels[-1])
+        return number
 
     def messages_of(self, channel_id: int) -> Callable[[int, bytes], None]:
         """Return the function that adds a message of a channel to the open chunk: time in ns, 0 at least, and payload.
 
         The log time counts from `start_ns`, and the publish time lies `behind_ns` after it.
         """
-        take, pack, opcode = self._open.add, HEAD.pack, int(Opcode.MESSAGE)
+        take, pack, opcode = self._open.add, HEAD.pack, mcap.MESSAGE
 
         def add(t_ns: int, payload: bytes) -> None:
             log_ns = self.start_ns + t_ns if t_ns > 0 else self.start_ns
@@ -219,25 +195,18 @@ class McapWriter:
     def _end_chunk(self) -> None:
         if not self._open.size:
             return
-        opening = self._opening.end()  # type: ignore[no-untyped-call]
+        opening = b"".join(self._opening)
+        self._opening.clear()
         data, messages, first, last = self._open.end(opening)
         packed = self._compress(data)
-        chunk = Chunk(
-            compression=COMPRESSION, data=packed, message_start_time=first, message_end_time=last,
-            uncompressed_crc=zlib.crc32(data), uncompressed_size=len(data),
-        )  # fmt: skip
         at = self._stream.tell()
-        self._write(_bytes(chunk))
+        self._write(mcap.chunk(first, last, data, COMPRESSION, packed))
         length = self._stream.tell() - at
         indexes, offsets = self._indexes(messages)
         self._write(indexes)
-        index = ChunkIndex(
-            message_start_time=first, message_end_time=last, chunk_start_offset=at, chunk_length=length,
-            message_index_offsets=offsets, message_index_length=len(indexes), compression=COMPRESSION,
-            compressed_size=len(packed), uncompressed_size=len(data),
-        )  # fmt: skip
+        index = mcap.chunk_index(first, last, at, length, offsets, len(indexes), COMPRESSION, len(packed), len(data))
         self._chunks += 1
-        self._chunk_indexes.extend(np.frombuffer(_bytes(index), np.uint8))
+        self._chunk_indexes.extend(np.frombuffer(index, np.uint8))
         self._start = first if self._start is None else min(self._start, first)
         self._end = max(self._end, last)
         self._chunk_ended(data, messages)
@@ -254,27 +223,26 @@ class McapWriter:
             entries = np.empty((len(times), 2), "<u8")
             entries[:, 0], entries[:, 1] = times, begins
             offsets[channel] = begin
-            found += [_INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes), entries.tobytes()]
+            found += [_INDEX_HEAD.pack(mcap.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes), entries.tobytes()]
             begin += _INDEX_HEAD.size + entries.nbytes
         return b"".join(found), offsets
 
     def finish(self) -> None:
         """Write the rest, the summary and the footer."""
         self._end_chunk()
-        self._stream.write(_bytes(DataEnd(self._data_crc)))
+        self._stream.write(mcap.data_end(self._data_crc))
         start = self._stream.tell()
-        statistics = Statistics(
-            attachment_count=len(self._attachments), channel_count=len(self._channels), channel_message_counts=self._counts,
-            chunk_count=self._chunks, message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
-            message_start_time=self._start or 0, message_end_time=self._end, schema_count=len(self._schemas),
+        statistics = mcap.statistics(
+            self._start or 0, self._end, len(self._schemas), len(self._attachments), len(self._metadata), self._chunks,
+            self._counts, len(self._channels),
         )  # fmt: skip
-        groups: tuple[tuple[Opcode, Iterable[bytes]], ...] = (
-            (Opcode.SCHEMA, map(_bytes, self._schemas)),
-            (Opcode.CHANNEL, map(_bytes, self._channels)),
-            (Opcode.STATISTICS, (_bytes(statistics),)),
-            (Opcode.CHUNK_INDEX, (piece.tobytes() for piece in pieces(self._chunk_indexes.array(), INDEX_PIECE))),
-            (Opcode.ATTACHMENT_INDEX, map(_bytes, self._attachments)),
-            (Opcode.METADATA_INDEX, map(_bytes, self._metadata)),
+        groups: tuple[tuple[int, Iterable[bytes]], ...] = (
+            (mcap.SCHEMA, self._schemas),
+            (mcap.CHANNEL, self._channels),
+            (mcap.STATISTICS, (statistics,)),
+            (mcap.CHUNK_INDEX, (piece.tobytes() for piece in pieces(self._chunk_indexes.array(), INDEX_PIECE))),
+            (mcap.ATTACHMENT_INDEX, self._attachments),
+            (mcap.METADATA_INDEX, self._metadata),
         )
         offsets, tail, crc = b"", start, 0
         for opcode, group in groups:
@@ -283,16 +251,9 @@ class McapWriter:
                 self._stream.write(data)
                 tail += len(data)
                 crc = zlib.crc32(data, crc)
-            offsets += _bytes(SummaryOffset(group_opcode=opcode, group_start=begin, group_length=tail - begin))
-        footer = struct.pack("<BQQQ", Opcode.FOOTER, 20, start, tail)
+            offsets += mcap.summary_offset(opcode, begin, tail - begin)
+        footer = struct.pack("<BQQQ", mcap.FOOTER, 20, start, tail)
         crc = zlib.crc32(footer, zlib.crc32(offsets, crc))
         self._stream.write(offsets)
-        self._stream.write(_bytes(Footer(summary_start=start, summary_offset_start=tail, summary_crc=crc)))
+        self._stream.write(mcap.footer(start, tail, crc))
         self._stream.write(MAGIC)
-
-
-def _bytes(record: McapRecord) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()  # type: ignore[no-untyped-call]
-    return data

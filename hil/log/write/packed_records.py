@@ -15,9 +15,9 @@ from typing import Final, NamedTuple
 import msgspec
 import numpy as np
 import numpy.typing as npt
-from mcap.opcode import Opcode
 
 from hil.log.write.frame_length import ByFrameLength
+from hil.log.write.mcap_records import MESSAGE
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """What an MCAP file begins and ends with."""
@@ -122,7 +122,7 @@ class Layouts:
             if frame:
                 copies.append((at + width + len(tail), begin + width, begin + width + length))
             behind = len(before) + width + len(tail) + length * frame
-            mould += HEAD.pack(Opcode.MESSAGE, BEHIND + behind, number, 0, 0, 0) + before + bytes(width) + tail
+            mould += HEAD.pack(MESSAGE, BEHIND + behind, number, 0, 0, 0) + before + bytes(width) + tail
             mould += bytes(length * frame)
             codes += own + (f"{length}s" if frame else "")
         where = places([record.channel_id for record in self._records], begins)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -45,6 +44,8 @@ def commit(checkout: Path = CHECKOUT) -> str:
     """Return the commit that runs, with ``-dirty`` where files differ from it; nothing outside a checkout or without git."""
     if not (checkout / ".git").exists():
         return ""
+    import subprocess  # of a wheel there is no commit
+
     try:
         answer = subprocess.run(
             ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12", "--match=v*"],
