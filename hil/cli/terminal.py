@@ -118,7 +118,7 @@ class Line(NamedTuple):
 
 
 def terminal_columns() -> int:
-    """Return how wide the terminal is, as `shutil` says it: COLUMNS, else asked, else 80; that import takes 1 % of a short run."""
+    """Return how wide the terminal is, as `shutil` says it: COLUMNS, else asked, else 80; its import is 1 % of a short run."""
     with suppress(KeyError, ValueError):
         if (columns := int(os.environ["COLUMNS"])) > 0:
             return columns
