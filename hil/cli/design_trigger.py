@@ -10,13 +10,15 @@ from hil.cli.terminal import print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.sweeps.trigger_cost import TriggerPoint
+    from hil.sweeps.trigger_cost import OpenPoint, TriggerPoint
 
 
 def show_trigger(
     subject: str, input_weight: float | None, options: dict[str, Any], path: Path | None, force: bool, as_json: bool
 ) -> None:
     """Design gains for every threshold, judge and run them; print the table, and write a page.
+
+    After Ctrl-C what was found until then is printed and written, with what is open; the exit status is 130.
 
     Args:
         subject: an experiment.
@@ -33,10 +35,10 @@ def show_trigger(
 
     from design.errors import DesignError
     from hil.cli.terminal import Working
-    from hil.design_questions.trigger_gains import candidates, trigger_question
+    from hil.design_questions.trigger_gains import candidates, planned, trigger_question
     from hil.files.outputs import check_page, write_output
     from hil.plugins.registry import names
-    from hil.sweeps.trigger_cost import RUNS, experiment_with, front, run_candidate
+    from hil.sweeps.trigger_cost import front, run_candidate, undecided
 
     if path is not None:
         check_page(path, force=force)
@@ -45,34 +47,39 @@ def show_trigger(
     asked = trigger_question(subject)
     if input_weight is not None:
         options = options | {"R": np.full(asked.target.B.shape[1], input_weight)}
+    plan, status = planned(asked), 0
+    points: list[TriggerPoint] = []
     try:
-        with Working(f"{subject}, gains for triggers") as watch:
-            found = candidates(asked, watch, **options)
-        experiment_with(asked, found[0])
-        points = []
-        for i, each in enumerate(found):
-            with Working(f"{subject}, point {i + 1} of {len(found)}: {RUNS} runs"):
+        with Working(f"{subject}, gains and runs of triggers") as watch:
+            for each in candidates(asked, watch, **options):
+                watch.counted(len(points), len(plan))
                 points.append(run_candidate(asked, each))
     except DesignError as error:
         raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:
-        print("hil: design interrupted; nothing was written", file=sys.stderr)
-        sys.exit(getattr(interrupt, "status", 130))
-    best = front(points)
+        status = getattr(interrupt, "status", 130)
+        if not points:
+            print("hil: design interrupted; nothing was found, nothing was written", file=sys.stderr)
+            sys.exit(status)
+    best, open_points = front(points), undecided(plan, points)
     if path is not None:
         from hil.pages.designs import trigger_page
 
-        write_output(path, trigger_page(subject, asked.kind, points, best))
+        write_output(path, trigger_page(subject, asked.kind, points, best, open_points))
     if as_json:
         print_json({
             "experiment": subject, "period_s": asked.target.period_s, "trigger": asked.kind, "runs": points[0].packets.n,
-            "points": [each.to_json() | {"on_front": each in best} for each in points],
+            "interrupted": status != 0, "points": [each.to_json() | {"on_front": each in best} for each in points],
+            "undecided": [each._asdict() for each in open_points],
         })  # fmt: skip
-        return
-    _print(subject, asked.kind, points, best)
+    else:
+        _print(subject, asked.kind, points, best, open_points)
+    if status:
+        print(f"hil: design interrupted after {len(points)} of {len(plan)} points", file=sys.stderr)
+        sys.exit(status)
 
 
-def _print(name: str, kind: str, points: list[TriggerPoint], best: list[TriggerPoint]) -> None:
+def _print(name: str, kind: str, points: list[TriggerPoint], best: list[TriggerPoint], open_points: list[OpenPoint]) -> None:
     from rich.markup import escape
     from rich.table import Table
 
@@ -96,3 +103,5 @@ def _print(name: str, kind: str, points: list[TriggerPoint], best: list[TriggerP
         )  # fmt: skip
     print_table(table)
     print(f"Bold: the {len(best)} certified points that no other certified one beats in both numbers. Red: not certified.")
+    for left in open_points:
+        print(f"Undecided: {left}")

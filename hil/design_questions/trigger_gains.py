@@ -8,6 +8,9 @@ in every slot. With that sample as states s of the plant,
 it is the uncertainty of Remark 7.6, exactly: [dA dB] = M Delta [N1 N2], M = share [0; I], N1 = [C A, 0], N2 = C B. z has the
 plant's own outputs C x.
 
+Every search has its part of a budget of equations: an answer comes over any network, the same on every machine, and says
+which of its points the budget left undecided.
+
 The gains use no ages: that of a sample which a silent node did not send again says nothing.
 
 Reference: thesis Section 8.2.2, Remark 7.6; `design.tracking.robust_synthesis`.
@@ -15,6 +18,7 @@ Reference: thesis Section 8.2.2, Remark 7.6; `design.tracking.robust_synthesis`.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -24,7 +28,7 @@ from design.blas_threads import one_blas_thread
 from design.errors import DesignError
 from design.networked_loop.uncertainty import robust_h2
 from design.requests.tracking import solve_tracking
-from design.tracking.robust_synthesis import robust
+from design.tracking.robust_synthesis import GUARANTEE, BudgetSpent, EquationBudget, robust
 from design.tracking.synthesis import Design, Progress
 from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
@@ -37,18 +41,22 @@ POOL: Final = (0.1, 0.3, 0.5)
 """Shares for which gains are designed that dead bands are tried with: an error of a fixed size is no share."""
 MULTIPLES: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Thresholds of a dead band, as multiples of the experiment's own."""
+UNKNOWNS: Final = 20_000_000
+"""Budget of all searches together: bounded-real equations times the unknowns of each. About two minutes of an idle core."""
 
 
 class Candidate(NamedTuple):
     """A threshold (0: the node sends in every slot), the share that the gain (m, p) was designed for, and its H2 norm.
 
-    `bound` holds for every error that the trigger allows; None where none is proved, or under a dead band.
+    `bound` holds for every error that the trigger allows; None where none is proved, or under a dead band. `cut` says that the
+    budget ended before the search for the gain, or its bound, did.
     """
 
     threshold: float
     share: float
     gain: Array
     bound: float | None
+    cut: bool = False
 
 
 class TriggerQuestion(NamedTuple):
@@ -74,7 +82,12 @@ def trigger_question(name: str) -> TriggerQuestion:
     experiment = load_experiment(name, ("allow_uncertified=true",))
     nodes = experiment.network.nodes
     if len(nodes) > 1:
-        raise HilError(f"{name}: --trigger: {len(nodes)} sensor nodes, expected one")
+        grid = " ".join(f"--grid network.nodes.{node}.trigger.threshold=LOW,HIGH" for node in nodes)
+        raise HilError(
+            f"{name}: --trigger: {len(nodes)} sensor nodes, expected one: each node has a chain of ages of its own, and gains "
+            "that know the trigger are sought over one chain. Write a gain that uses no ages (controller.kind = 'local') and the "
+            f"triggers into the file, and run thresholds of each node: hil sweep {name} {grid}"
+        )
     node = next(iter(nodes), "sensor")
     kind, thresholds = _tried(name, experiment, node)
     path = f"network.nodes.{node}.trigger"
@@ -98,12 +111,25 @@ def _tried(name: str, experiment: Experiment, node: str) -> tuple[str, tuple[flo
     return "dead-band", tuple(own.threshold * multiple for multiple in MULTIPLES)
 
 
-def candidates(asked: TriggerQuestion, progress: Progress | None = None, **options: Any) -> list[Candidate]:
-    """Return thresholds with gains: the nominal H2 design and those that know the trigger, threshold by threshold.
+def planned(asked: TriggerQuestion) -> list[tuple[float, float]]:
+    """Return threshold and share of every candidate, in the order in which `candidates` finds them."""
+    others = asked.thresholds if asked.kind == "relative" else POOL
+    if asked.kind == "relative":
+        pairs = [pair for share in others for pair in ((share, 0.0), (share, share))]
+    else:
+        pairs = [(threshold, share) for share in (0.0, *others) for threshold in asked.thresholds]
+    return [(0.0, 0.0), *pairs]
+
+
+def candidates(
+    asked: TriggerQuestion, progress: Progress | None = None, unknowns: int = UNKNOWNS, **options: Any
+) -> Iterator[Candidate]:
+    """Yield thresholds with gains, each as it is found: the nominal H2 design, and those that know the trigger.
 
     Args:
         asked: the experiment and its thresholds.
         progress: as `solve_tracking` takes it.
+        unknowns: budget of the searches, as `UNKNOWNS` says it.
         options: of the problem, without objective and information.
 
     Raises:
@@ -111,20 +137,42 @@ def candidates(asked: TriggerQuestion, progress: Progress | None = None, **optio
         DesignError: no gains meet the request.
     """
     nominal = nominal_design(asked.target, **options, progress=progress)
+    budget = EquationBudget(unknowns // unknowns_of(nominal))
     relative = asked.kind == "relative"
+    shares = asked.thresholds if relative else POOL
+    yield Candidate(0.0, 0.0, nominal.gains[0, 0], nominal.certificate.h2_norm)
+    if not relative:
+        yield from (Candidate(threshold, 0.0, nominal.gains[0, 0], None) for threshold in asked.thresholds)
+    for n, share in enumerate(shares):
+        mine = budget.part(len(shares) - n)
+        if relative:
+            yield _guaranteed(asked.target, nominal, share, 0.0, mine)
+        search = mine.part(1, GUARANTEE if relative else 0)
+        with one_blas_thread():
+            design = gains_for_share(asked.target, nominal, share, _of_threshold(progress, share, n, len(shares)), search)
+        mine.back(search)
+        if relative:
+            yield _guaranteed(asked.target, design, share, share, mine, search.spent)
+        else:
+            yield from (Candidate(each, share, design.gains[0, 0], None, search.spent) for each in asked.thresholds)
+        budget.back(mine)
+
+
+def unknowns_of(design: Design) -> int:
+    """Return how many unknowns an equation of a design's loop has: a symmetric matrix in every mode."""
+    modes, order = design.problem.structure().base.shape[:2]
+    return int(modes * order * (order + 1) // 2)
+
+
+def _guaranteed(
+    target: TrackingTarget, design: Design, threshold: float, share: float, budget: EquationBudget, cut: bool = False
+) -> Candidate:
+    try:
+        budget.take(GUARANTEE)
+    except BudgetSpent:
+        return Candidate(threshold, share, design.gains[0, 0], None, cut=True)
     with one_blas_thread():
-        shares = asked.thresholds if relative else POOL
-        aware = {
-            share: gains_for_share(asked.target, nominal, share, _of_threshold(progress, share, n, len(shares)))
-            for n, share in enumerate(shares)
-        }
-        found = [Candidate(0.0, 0.0, nominal.gains[0, 0], nominal.certificate.h2_norm)]
-        for threshold in asked.thresholds:
-            designed = {threshold: aware[threshold]} if relative else aware
-            for share, design in ((0.0, nominal), *designed.items()):
-                bound = guaranteed(asked.target, design, threshold) if relative else None
-                found.append(Candidate(threshold, share, design.gains[0, 0], bound))
-    return found
+        return Candidate(threshold, share, design.gains[0, 0], guaranteed(target, design, threshold), cut)
 
 
 def _of_threshold(progress: Progress | None, share: float, number: int, count: int) -> Progress:
@@ -147,9 +195,11 @@ def nominal_design(target: TrackingTarget, progress: Progress | None = None, **o
     return solve_tracking(problem, progress=progress)
 
 
-def gains_for_share(target: TrackingTarget, nominal: Design, share: float, progress: Progress | None = None) -> Design:
+def gains_for_share(
+    target: TrackingTarget, nominal: Design, share: float, progress: Progress | None = None, budget: EquationBudget | None = None
+) -> Design:
     """Return the gains of least guaranteed H2 norm where samples are wrong by up to a share, beginning at the nominal ones."""
-    return robust(nominal, *_error(target, share), progress=progress)
+    return robust(nominal, *_error(target, share), progress=progress, budget=budget)
 
 
 def guaranteed(target: TrackingTarget, design: Design, share: float) -> float | None:

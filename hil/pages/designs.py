@@ -10,7 +10,7 @@ from hil.design_questions.can_priority import Judged
 from hil.design_questions.norm_trade_off import Compromise
 from hil.pages.html.figures import Badge, Cell, Figure, Section, Series, State, Table
 from hil.pages.html.page import render_page
-from hil.sweeps.trigger_cost import TriggerPoint
+from hil.sweeps.trigger_cost import OpenPoint, TriggerPoint
 
 STATES: dict[str, State] = {"certified": "good", "refused": "bad"}
 
@@ -86,7 +86,9 @@ def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> str:
     )
 
 
-def trigger_page(name: str, kind: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint]) -> str:
+def trigger_page(
+    name: str, kind: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint], open_points: Sequence[OpenPoint] = ()
+) -> str:
     """Return the page.
 
     Args:
@@ -94,6 +96,7 @@ def trigger_page(name: str, kind: str, points: Sequence[TriggerPoint], best: Seq
         kind: of the trigger.
         points: thresholds with gains.
         best: those that no other certified one beats.
+        open_points: those that the budget or an interrupt left undecided.
     """
 
     def marks(label: str, of: Sequence[TriggerPoint], line: bool = False) -> Series:
@@ -123,9 +126,13 @@ def trigger_page(name: str, kind: str, points: Sequence[TriggerPoint], best: Seq
     ]  # fmt: skip
     columns = ["threshold", "designed for share", "gain", "squared error", "±", "packets/s", "±", "runs stopped", "certificate"]
     columns += ["H2 norm at most", "ends within (rms)", "best"]
+    tables = [Table(columns=columns, rows=rows, wide=True)]
+    if open_points:
+        left: list[list[Cell]] = [[each.threshold, each.designed_for_share, each.why] for each in open_points]
+        tables.append(Table(columns=["undecided: threshold", "designed for share", "why"], rows=left, wide=True))
     return render_page(
         f"Event trigger: {name}",
-        [Section(title="Threshold and gain", blocks=(figure, Table(columns=columns, rows=rows, wide=True)))],
+        [Section(title="Threshold and gain", blocks=(figure, *tables))],
         kicker="hilrig · design",
         subtitle=f"A {kind} trigger: every threshold with the gain for no trigger, and with gains that know its error.",
         facts=[("points", str(len(points))), ("runs of each", str(points[0].packets.n))],

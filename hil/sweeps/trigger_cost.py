@@ -45,12 +45,36 @@ class TriggerPoint(NamedTuple):
             "threshold": self.of.threshold, "designed_for_share": self.of.share, "gain": self.of.gain.tolist(),
             "h2_bound": self.bound, "certificate": self.state, "reason": self.reason, "ends_within": self.ends_within,
             "cost": None if self.stopped else _plain(self.cost), "packets_per_s": _plain(self.packets), "stopped": self.stopped,
+            "budget_spent": self.of.cut,
         }  # fmt: skip
 
     @property
     def bound(self) -> float | None:
         """The H2 norm that holds for every error that the trigger allows; None where the loop is not certified."""
         return self.of.bound if self.state == "certified" else None
+
+
+class OpenPoint(NamedTuple):
+    """A point that is not decided: threshold, share that its gain is designed for, and why."""
+
+    threshold: float
+    designed_for_share: float
+    why: str
+
+    def __str__(self) -> str:
+        """Say which, and why."""
+        gain = f"the gain for {self.designed_for_share:.0%} wrong" if self.designed_for_share else "the gain for no trigger"
+        return f"threshold {self.threshold:g}, {gain}: {self.why}"
+
+
+NOT_REACHED: Final = "not reached before the interrupt"
+CUT: Final = "the budget of equations was spent before the search for its gain, or its H2 norm, ended; its row has the gain found"
+
+
+def undecided(plan: Sequence[tuple[float, float]], points: Sequence[TriggerPoint]) -> list[OpenPoint]:
+    """Return what is open of a plan: points that the budget cut short, and those that no run has reached."""
+    cut = [OpenPoint(each.of.threshold, each.of.share, CUT) for each in points if each.of.cut]
+    return cut + [OpenPoint(*each, NOT_REACHED) for each in plan[len(points) :]]
 
 
 def _plain(each: Interval) -> dict[str, float | int]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.networked_loop import uncertainty
 from design.tracking.synthesis import certified
 from hil.cli.design import command
 from hil.compose.loop import compose
@@ -20,14 +22,16 @@ from hil.design_questions.trigger_gains import (
     gains_for_share,
     guaranteed,
     nominal_design,
+    planned,
     trigger_question,
+    unknowns_of,
 )
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.runtime.simulated import simulate
 from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of
-from hil.sweeps.trigger_cost import TriggerPoint, experiment_with, front, run_candidate
+from hil.sweeps.trigger_cost import TriggerPoint, experiment_with, front, run_candidate, undecided
 
 LARGE = 0.4
 
@@ -39,7 +43,7 @@ STAGES: list[tuple[str, int, int, float]] = []
 def large() -> list[Candidate]:
     """The node that sends in every slot, then the nominal gain and the one that knows the trigger, both at `LARGE`."""
     asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
-    return candidates(asked, lambda *said: STAGES.append(said), starts=1)
+    return list(candidates(asked, lambda *said: STAGES.append(said), starts=1))
 
 
 def test_every_point_of_the_search_says_for_which_threshold_it_is_and_what_it_has_reached(large: list[Candidate]) -> None:
@@ -145,7 +149,7 @@ def test_a_dead_band_is_tried_in_multiples_of_its_own_and_ends_within_as_many(tm
     ("said", "why"),
     [
         (["dc-motor"], "name an experiment"),
-        (["dc-motor-two-nodes"], "2 sensor nodes, expected one"),
+        (["dc-motor-two-nodes"], "each node has a chain of ages of its own.*angle.trigger.threshold=LOW,HIGH"),
         (["dc-motor-ours-h2", "--information", "applied"], "--information: not with --trigger"),
         (["dc-motor-ours-h2", "--input-weight", "-1"], "--input-weight: -1, expected"),
     ],
@@ -167,12 +171,66 @@ def test_a_trigger_without_a_bound_is_refused(tmp_path: Path, trigger: str, why:
         trigger_question(own(tmp_path, trigger))
 
 
-def test_an_interrupt_writes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]) -> None:
+def test_an_interrupt_before_the_first_point_writes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]
+) -> None:
     def interrupted(*_: object) -> TriggerPoint:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
+    monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: iter(large))
     monkeypatch.setattr(trigger_cost, "run_candidate", interrupted)
     page = tmp_path / "trigger.html"
     done = CliRunner().invoke(command, ["dc-motor-ours-h2", "--trigger", "-o", str(page)])
     assert done.exit_code == 130 and not page.exists() and "nothing was written" in done.stderr
+
+
+def test_an_interrupt_keeps_the_points_found_and_says_which_are_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, large: list[Candidate]
+) -> None:
+    def found(*_: object, **__: object) -> Iterator[Candidate]:
+        yield from large[:2]
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(trigger_gains, "SHARES", (LARGE,))
+    monkeypatch.setattr(trigger_gains, "candidates", found)
+    monkeypatch.setattr(run_candidate, "__defaults__", (2,))
+    page = tmp_path / "trigger.html"
+    done = CliRunner().invoke(command, ["dc-motor-ours-h2", "--trigger", "--json", "-o", str(page)])
+    said = json.loads(done.stdout)
+    assert done.exit_code == 130 and "after 2 of 3 points" in done.stderr and said["interrupted"]
+    assert [each["designed_for_share"] for each in said["points"]] == [0.0, 0.0]
+    assert [(each["threshold"], each["designed_for_share"]) for each in said["undecided"]] == [(LARGE, LARGE)]
+    assert "not reached" in said["undecided"][0]["why"] and "not reached" in page.read_text()
+
+
+def test_candidates_come_in_the_order_of_the_plan(large: list[Candidate], tmp_path: Path) -> None:
+    asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
+    assert planned(asked) == [(each.threshold, each.share) for each in large]
+    band = trigger_question(own(tmp_path, '{ kind = "dead-band", threshold = 0.1 }'))
+    found = [(each.threshold, each.share) for each in candidates(band, unknowns=0, starts=1)]
+    assert planned(band) == found and len(found) == 1 + 4 * len(band.thresholds)
+
+
+def test_a_budget_ends_the_search_with_what_was_found(large: list[Candidate], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Equations are counted beside the budget, by wrapping the solver; the gains are between the nominal and the best ones."""
+    asked = trigger_question("dc-motor-ours-h2")._replace(thresholds=(LARGE,))
+    nominal = nominal_design(asked.target, starts=1)
+    equations = 60 + 60 + 60 + 60  # both norms, where the descent begins, and a part of the descent
+    solved = []
+    real = uncertainty.solve_bounded_real
+    monkeypatch.setattr(uncertainty, "solve_bounded_real", lambda *said, **more: solved.append(1) or real(*said, **more))
+    always, plain, aware = candidates(asked, unknowns=equations * unknowns_of(nominal), starts=1)
+    assert not always.cut and not plain.cut and aware.cut and 0 < len(solved) <= equations
+    assert aware.bound is not None and large[2].bound is not None and aware.bound >= large[2].bound * (1 - 1e-9)
+    none = list(candidates(asked, unknowns=0, starts=1))
+    assert [each.cut for each in none] == [False, True, True] and none[2].bound is None
+    assert np.array_equal(none[2].gain, none[0].gain)
+    points = [trigger_point(each) for each in (always, plain, aware)]
+    (left,) = undecided(planned(asked), points)
+    assert (left.threshold, left.designed_for_share) == (LARGE, LARGE) and "budget" in str(left)
+    assert [each.to_json()["budget_spent"] for each in points] == [False, False, True]
+
+
+def trigger_point(of: Candidate) -> TriggerPoint:
+    one = interval_of(np.full(3, 1.0))
+    return TriggerPoint(of, "certified", "", {}, one, one, 0)
