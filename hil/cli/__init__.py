@@ -7,7 +7,6 @@ import errno
 import os
 import resource
 import sys
-from collections.abc import Sequence
 from importlib import import_module
 from typing import Any
 
@@ -101,10 +100,13 @@ class LazyGroup(click.Group):
             print("\nhil: interrupted", file=sys.stderr)
             sys.exit(at.status if isinstance(at, Terminated) else 130)
         except click.UsageError as e:
-            from hil.cli import suggestion
+            from hil.cli.usage import expected, near_options, suggestion
 
-            if hint := suggestion(e, ctx.meta[__name__]):
-                raise click.UsageError(e.format_message() + hint, e.ctx) from e
+            if isinstance(e, click.NoSuchOption):
+                raise click.NoSuchOption(e.option_name, possibilities=near_options(e), ctx=e.ctx) from e
+            said = expected(e)
+            if said or (hint := suggestion(e, ctx.meta[__name__])):
+                raise click.UsageError(said or e.format_message() + hint, e.ctx) from e
             raise
         except BrokenPipeError:  # `hil list | head`; click would make it a failure
             _close_stdout()
@@ -197,30 +199,3 @@ def main(args: list[str] | None = None) -> Any:
 
 if __name__ == "__main__":
     main()
-
-
-def suggestion(error: click.UsageError, words: Sequence[str]) -> str:
-    """Return a question for the nearest option or value to a word that a command does not take, or nothing.
-
-    Args:
-        error: what click says; it asks for the nearest name itself where an option or a command is misspelt.
-        words: what was typed behind ``hil``.
-    """
-    if error.ctx is None:
-        return ""
-    words = words[len(error.ctx.command_path.split()) - 1 :]  # behind the names of the command
-    if isinstance(error, click.BadParameter):
-        if error.param is None or not isinstance(error.param.type, click.Choice):
-            return ""
-        choices = [str(choice) for choice in error.param.type.choices]
-        values = [word.partition("=")[2] if word.startswith("--") else word for word in words]
-        hints = (nearest(value, choices, lead=" ") for value in values if value not in choices)
-        return next(filter(None, hints), "").replace("did", "Did", 1)
-    if type(error) is not click.UsageError:
-        return ""
-    options = [option for each in error.ctx.command.params if isinstance(each, click.Option) for option in each.opts]
-    for before, word in zip(("", *words), words):
-        key, equals, _ = word.partition("=")
-        if equals and not before.startswith("-") and not word.startswith("-"):
-            return nearest(f"--{key}", options) or (f"; did you mean '--set {word}'?" if "--set" in options else "")
-    return ""

@@ -42,7 +42,7 @@ def command(
     from rich.table import Table
 
     from hil.cli.sweep import check_jobs
-    from hil.cli.terminal import cell, visible
+    from hil.cli.terminal import cell, print_table, visible
     from hil.experiment import load_experiment
     from hil.files.outputs import check_page, write_output
     from hil.measure.signals import with_unit
@@ -96,12 +96,10 @@ def command(
     for head in ("n", "mean", "difference", "95 % interval"):
         table.add_column(head, justify="right", no_wrap=True)
     for quantity in comparison.quantities:
-        table.add_row(cell(with_unit(quantity.name, quantity.unit)))
+        table.add_row(cell(with_unit(quantity.title, quantity.unit)))
         for name in experiments:
             table.add_row(cell(f"  {name}"), *_numbers(out[name], quantity.name, name == first))
-    console = Console()
-    needed = console.measure(table, options=console.options.update(max_width=10_000)).minimum  # a number is never cut
-    Console(width=max(console.width, needed)).print(table)
+    print_table(table, folds=True)
     print(fill(visible(f"differences are against {first}, run by run on the same delays"), columns))
     if output is not None:
         print(f"page: {visible(output)}")

@@ -27,14 +27,14 @@ def show(summary: dict[str, Any]) -> None:
 
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
     row("ran", f"{summary['slots']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
-    units = summary.get("units", {})
+    units, titles = summary.get("units", {}), summary.get("titles", {})
     for name, value in summary["metrics"].items():
         if isinstance(value, dict):  # the same for every output; their units are the outputs' own, and stand in the report
             for output, numbers in value.items():
-                row(f"  {output}", ", ".join(f"{key} {number(v)}" for key, v in numbers.items()))
+                row(f"  {output}", ", ".join(f"{titles.get(key, key)} {number(v)}" for key, v in numbers.items()))
         else:
             unit = units.get(name, "")
-            row(name, number(value) + (f" {unit}" if unit and value is not None else ""))
+            row(titles.get(name, name), number(value) + (f" {unit}" if unit and value is not None else ""))
     nodes = summary["network"]["nodes"]
     ways = {f"{name} to controller" if len(nodes) > 1 else "to controller": found for name, found in nodes.items()}
     for name, n in (ways | {"to actuator": summary["network"]["ca"]}).items():

@@ -80,6 +80,7 @@ def command(
     from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
+    from hil.measure.signals import with_unit
     from hil.sweeps.seeds import columns_of, here, run_sweep
     from hil.sweeps.sweep import SweepStore, statistics
 
@@ -154,7 +155,7 @@ def command(
         }
     if table is not None:
         write_output(table, csv_of(as_points(found)), replace=force)
-    _show(out, {q.name: q.unit for q in found.quantities}, as_json)
+    _show(out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, as_json)
     if table is not None and not as_json:
         print(f"csv: {visible(table)}")
     if found.interrupted:
@@ -211,15 +212,14 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         raise HilError(f"--until: {e}") from e
 
 
-def _show(out: dict[str, Any], units: dict[str, str], as_json: bool) -> None:
+def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
     from shutil import get_terminal_size
     from textwrap import fill
 
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from hil.cli.terminal import print_table, visible
-    from hil.measure.signals import with_unit
+    from hil.cli.terminal import cell, print_table, visible
 
     if as_json:
         print_json(out)
@@ -229,12 +229,13 @@ def _show(out: dict[str, Any], units: dict[str, str], as_json: bool) -> None:
     if out["caution"]:
         print(fill(out["caution"], get_terminal_size().columns))
     table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    for head in ("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"):
-        table.add_column(head, justify="left" if head == "metric" else "right")
+    table.add_column("metric", overflow="fold", min_width=12)
+    for head in ("n", "mean", "sd", "5 %", "50 %", "95 %"):
+        table.add_column(head, justify="right", no_wrap=True)
     for name, s in out["metrics"].items():
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-        table.add_row(with_unit(name, units[name]), str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
-    print_table(table)
+        table.add_row(cell(titles[name]), str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
+    print_table(table, folds=True)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:
         what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"

@@ -146,7 +146,7 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
     for quantity in sweep.quantities:
         if not any("mean" in point["metrics"][quantity.name] for point in out["points"]):
             continue
-        shown = Table(title=with_unit(quantity.name, quantity.unit), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+        shown = Table(title=with_unit(quantity.title, quantity.unit), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
         for head in (*sweep.points.keys, "n", "mean", "95 % interval"):
             shown.add_column(head, justify="right")
         for point in out["points"]:

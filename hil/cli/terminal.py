@@ -86,16 +86,20 @@ def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:
         click.echo(f"{name:>22}  {value:<12} {remark}".rstrip())
 
 
-def print_table(table: Table) -> None:
+def print_table(table: Table, *, folds: bool = False) -> None:
     """Print a table as wide as its content needs, also where that is wider than the terminal or a pipe's 80 columns.
 
     A line that the terminal folds can be read; ``1.3081e-…`` cannot.
+
+    Args:
+        table: what is printed.
+        folds: words may go on below themselves where the terminal is narrow; a column that may not says `no_wrap`.
     """
     from rich.console import Console
 
     console = Console()
-    needed = console.measure(table, options=console.options.update(max_width=10_000)).maximum
-    Console(width=max(console.width, needed)).print(table)
+    found = console.measure(table, options=console.options.update(max_width=10_000))
+    Console(width=max(console.width, found.minimum if folds else found.maximum)).print(table)
 
 
 GAP = 2  # blanks between the columns

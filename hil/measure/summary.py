@@ -100,11 +100,10 @@ def percentiles(values: Array) -> dict[str, float | None]:
 def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, Any]:
     """Return the summary of a run as plain JSON values.
 
-    Keys: experiment, seed, clock, link, controller (see `controller_of`), slots, duration_s;
-    metrics (the numbers of the experiment's measures, see
-    `hil.measure.measure.measured`) and units (of them, nothing for a pure number); network.sc and network.ca (see
-    `network_metrics`) and network.nodes (the same per sensor node, and its load; see `network_summary`), network.bus (where a CAN
-    bus takes time; see `hil.measure.bus_load.BusLoad`); timing (see
+    Keys: experiment, seed, clock, link, controller (see `controller_of`), slots, duration_s; metrics (the numbers of the
+    experiment's measures, see `hil.measure.measure.measured`), titles (what people read of them) and units (nothing for a pure
+    number); network.sc and network.ca (see `network_metrics`) and network.nodes (the same per sensor node, and its load; see
+    `network_summary`), network.bus (where a CAN bus takes time; see `hil.measure.bus_load.BusLoad`); timing (see
     `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
     carries of it, or None).
 
@@ -116,6 +115,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
     ticks = _ticks(run)
     timing = run_timing(view)
     measures = view.once(run_measures)
+    quantities = quantities_of(measures, view.signals)
     return {
         "experiment": run.metadata.get("experiment", ""),
         "seed": int(run.metadata.get("seed", 0)),
@@ -125,7 +125,8 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         "slots": ticks,
         "duration_s": round(ticks * view.period_s, 9),
         "metrics": measured(view, measures, failed),
-        "units": {q.name: q.unit for q in quantities_of(measures, view.signals)},
+        "titles": {q.name: q.title for q in quantities},
+        "units": {q.name: q.unit for q in quantities},
         "network": network_summary(view, timing["late"]) | _bus(view),
         "timing": timing,
         "safety": safety_of(run),

@@ -61,8 +61,8 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
         drawn: whether its output is drawn too.
     """
     summary = view.once(page_summary)
-    units = summary["units"]
-    numbers = {with_unit(key.replace("_", " "), units.get(key, "")): value for key, value in summary["metrics"].items()}
+    titles, units = summary["titles"], summary["units"]
+    numbers = {with_unit(titles.get(key, key), units.get(key, "")): value for key, value in summary["metrics"].items()}
     said = sorted(verdicts(view.run, summary), key=lambda badge: _WORST.index(badge.state))
     wrong = [badge for badge in said if badge.state != "good"]
     certificate = next((badge for badge in said if badge.label.startswith("certified")), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,8 +13,7 @@ from hil.experiment import Experiment
 from hil.log.read.arrays import StructuredArray
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
-from hil.measure.measure import Named, Quantity, measures_of, quantities_of
-from hil.measure.signals import signals_of
+from hil.measure.measure import Named
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
 from hil.notebook import as_svg, data_frame, drawn
 from hil.session.named_arrays import NamedArrays
@@ -98,25 +97,22 @@ def _paint(run: Run, sheet: Figure) -> None:
     rows[-1].set_xlabel("time (s)")
 
 
-def cell(run: Run, summary: dict[str, Any], line: str, quantities: Sequence[Quantity] = ()) -> str:
+def cell(run: Run, summary: dict[str, Any], line: str) -> str:
     """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
 
     Args:
         run: what ran.
         summary: its summary.
         line: the session in one line.
-        quantities: what the numbers are, with the titles that the page of the run has.
     """
     from html import escape  # its table of names is large
 
-    known = {quantity.name: quantity for quantity in quantities}
-    units = summary.get("units", {})
+    titles, units = summary["titles"], summary["units"]
     found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
-    plain = {name: Quantity(name=name, title=name, unit=units.get(name, "")) for name, _ in found}
     tiles = "".join(
         '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
-        f'<div style="font-size:80%;opacity:.7">{escape(of.title)}</div><b>{value:.5g}</b> {escape(of.unit)}</div>'
-        for of, value in ((known.get(name, plain[name]), value) for name, value in found)
+        f'<div style="font-size:80%;opacity:.7">{escape(titles[name])}</div><b>{value:.5g}</b> {escape(units[name])}</div>'
+        for name, value in found
     )
     svg = as_svg(partial(_paint, run))
     return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
@@ -159,7 +155,7 @@ class Session:
 
     @property
     def metrics(self) -> dict[str, Any]:
-        """The numbers of the experiment's measures, by name; ``summary["units"]`` has their units."""
+        """The numbers of the experiment's measures, by name; ``summary["titles"]`` and ``summary["units"]`` say what they are."""
         return Named("metric", self.summary["metrics"])
 
     @property
@@ -180,13 +176,11 @@ class Session:
         return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
 
     def _repr_html_(self) -> str:
-        of = self.experiment
-        quantities = () if of is None else quantities_of(measures_of(of), signals_of(of.plant))
-        return cell(self.run, self.summary, repr(self), quantities)
+        return cell(self.run, self.summary, repr(self))
 
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]
         number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
-        value_text = "" if value is None else f", {number} {value:.5g}"
+        value_text = "" if value is None else f", {s['titles'][number]} {value:.5g}"
         safety = ", stopped by safety" if s.get("safety") else ""
         return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{value_text}{safety}>"

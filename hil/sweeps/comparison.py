@@ -72,8 +72,8 @@ class Comparison(ShownResult):
         pairs = self._pairs(name, judged.name)
         gap = difference_interval(*pairs)
         if gap.n < 2:
-            return f"{name} against {self.first}: undecided; {judged.name} is a number in {gap.n} runs of both, 2 are needed"
-        numbers = f"{judged.name} {_change(*pairs, judged.unit)}, {gap.n} runs"
+            return f"{name} against {self.first}: undecided; {judged.title} is a number in {gap.n} runs of both, 2 are needed"
+        numbers = f"{judged.title} {_change(*pairs, judged.unit)}, {gap.n} runs"
         if gap.low <= 0.0 <= gap.high:
             return f"{name} against {self.first}: no difference is shown: {numbers}"
         better = (gap.value < 0.0) == (judged.better == "lower")
@@ -97,7 +97,7 @@ class Comparison(ShownResult):
             for name, values in self.values.items():
                 found, gap = interval_of(values[each.name]), self.difference(name, each.name)
                 gap_cells = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
-                rows.append([with_unit(each.name, each.unit), name, found.n, found.value if found.n else None, *gap_cells])
+                rows.append([with_unit(each.title, each.unit), name, found.n, found.value if found.n else None, *gap_cells])
         heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
         answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))

@@ -82,7 +82,7 @@ class ParameterSweep(ShownResult):
         """Return in words which point is best, and from how many others a paired difference distinguishes it."""
         best, asked_for = self.best(quantity), asked(self.quantities, quantity)
         if best is None:
-            return f"{quantity}: no measure states which value is better"
+            return f"{asked_for.title}: no measure states which value is better"
         others = [p for p in range(len(self.columns)) if p != best]
         gaps = [self.difference(p, best, quantity) for p in others]
         clear = sum(g.n > 1 and (g.low > 0.0 or g.high < 0.0) for g in gaps)
@@ -117,7 +117,7 @@ class ParameterSweep(ShownResult):
             gap = None if best is None or point == best else self.difference(point, best, of.name)
             cell = "best" if point == best else within(gap) if gap is not None and gap.n > 1 else None
             rows.append([*self.points.values[point], interval.n, interval.value, within(interval), cell])
-        heads = (*keys, "runs", with_unit(f"mean {of.name}", of.unit), "95 % interval", "difference to the best, paired")
+        heads = (*keys, "runs", with_unit(f"{of.title}, mean", of.unit), "95 % interval", "difference to the best, paired")
         paint = self._paint(of, found)
         return Result(line=repr(self)[1:-1], answer=[self.answer(of.name)], columns=heads, rows=rows, paint=paint)
 

@@ -77,10 +77,10 @@ def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:
     """Return the mean of a quantity with its interval, in one line."""
     found = interval_of(values)
     if not found.n:
-        return f"{quantity.name} undefined in all runs"
+        return f"{quantity.title} undefined in all runs"
     unit = f" {quantity.unit}" if quantity.unit else ""
     inner = within(found)
-    return f"mean {quantity.name} {found.value:.5g}{unit}" + (f", 95 % interval {inner}" if inner else "")
+    return f"{quantity.title} {found.value:.5g}{unit} on average" + (f", 95 % interval {inner}" if inner else "")
 
 
 def stopped_in_words(values: Values) -> str:

@@ -68,7 +68,7 @@ class Sweep(ShownResult):
         for each in self.quantities:
             s, inner = statistics(self.values[each.name]), within(interval_of(self.values[each.name]))
             shares = (s["percentiles"].get(p) for p in ("5", "50", "95"))
-            rows.append([with_unit(each.name, each.unit), s["n"], s["mean"], inner, s["sd"], *shares])
+            rows.append([with_unit(each.title, each.unit), s["n"], s["mean"], inner, s["sd"], *shares])
         heads = ("quantity", "runs", "mean", "95 % interval", "sd", "5 %", "50 %", "95 %")
         value_text = f"{mean_and_interval(self.values[of.name], of)}; {stopped_in_words(self.values)}"
         paint = paint_distributions({self.experiment: self.values}, of)

@@ -134,7 +134,8 @@ def test_what_cannot_be_is_told_as_one_error() -> None:
 
 
 def test_a_session_is_one_line() -> None:
-    assert repr(hil.run("dc-motor-hinf", duration=1)) == "<Session dc-motor-hinf seed 0, virtual time, 20 slots, sse 0>"
+    said = repr(hil.run("dc-motor-hinf", duration=1))
+    assert said == "<Session dc-motor-hinf seed 0, virtual time, 20 slots, squared tracking error 0>"
 
 
 def test_sweep_compare_and_design_give_numbers() -> None:

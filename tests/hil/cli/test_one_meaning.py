@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import click
 import pytest
 
+import hil
 from hil.cli import COMMANDS
 from hil.cli.list import FIRST
 from tests.hil.cli.conftest import Hil
@@ -82,9 +84,31 @@ def test_a_sweep_says_units_and_writes_a_row_per_run(cli: Hil, tmp_path: Path) -
     table = tmp_path / "runs.csv"
     arguments = ("sweep", "dc-motor-hinf", "--runs", "3", "--jobs", "1", "--duration", "2s", "--csv", str(table))
     status, out, _ = cli(*arguments)
-    assert status == 0 and "sse (rad² s)" in out and "overshoot (%)" in out
+    assert status == 0 and "squared tracking error (rad² s)" in out and "overshoot (%)" in out
     rows = list(csv.DictReader(table.open()))
     assert [row["seed"] for row in rows] == ["0", "1", "2"] and all(float(row["sse"]) > 0 for row in rows)
     status, _, err = cli(*arguments)
     assert status == 2 and "add --force" in err
     assert cli(*arguments, "--force")[0] == 0
+
+
+def test_people_read_titles_and_programs_read_keys(cli: Hil, tmp_path: Path) -> None:
+    """A number has one title in every table, tile and page, and one key in JSON and CSV."""
+    short = ("--duration", "2s")
+    summary = json.loads(cli("run", "dc-motor-hinf", *short, "--json", "-o", str(tmp_path / "run.mcap"))[1])
+    assert summary["titles"].keys() == summary["metrics"].keys() == summary["units"].keys()
+    page = tmp_path / "all.html"
+    many = ("--runs", "2", "--jobs", "1", *short)
+    read = [
+        cli("run", "dc-motor-hinf", *short, "-o", str(tmp_path / "again.mcap"))[1],
+        cli("sweep", "dc-motor-hinf", *many)[1],
+        cli("sweep", "dc-motor-hinf", "--grid", "plant.gain=140,150", *many)[1],
+        cli("compare", "dc-motor-hinf", "dc-motor-h2", *many, "-o", str(page))[1],
+        page.read_text(),
+        hil.run("dc-motor-hinf", duration=2)._repr_html_(),
+        hil.sweep("dc-motor-hinf", runs=2, jobs=1, duration=2)._repr_html_(),
+    ]
+    for text in read:
+        words = " ".join(text.split())
+        assert "squared tracking error" in words and "steady-state" in words
+        assert not re.search(r"\bsse\b|steady_state_error|max_abs_u", words)

@@ -38,6 +38,23 @@ def test_a_word_that_is_near_nothing_is_not_guessed(cli: Hil, words: tuple[str, 
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("laws", "dc-motor-hinf", "--csv"), "No such option '--csv'.\n"),
+        (("run", "dc-motor-hinf", "--duratoin", "3"), "Did you mean '--duration'?"),
+        (("live", "dc-motor-hinf", "--speed", "fast"), "'fast' is not a number from 0.001 to 1000.\n"),
+        (("live", "dc-motor-hinf", "--speed", "0"), "0.0 is not a number from 0.001 to 1000.\n"),
+        (("identify", "law", "x.csv", "--deadline", "1"), "1.0 is not a number above 0 below 1.\n"),
+        (("live", "dc-motor-hinf", "--port", "99999"), "99999 is not a whole number from 0 to 65535.\n"),
+        (("run", "dc-motor-hinf", "--seed", "x"), "'x' is not a whole number.\n"),
+    ],
+)
+def test_a_wrong_option_is_answered_with_what_was_expected(cli: Hil, words: tuple[str, ...], said: str) -> None:
+    status, out, err = cli(*words)
+    assert status == 2 and not out and said in err
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         ("nodes.angle.id=1", "nodes: unknown field; did you mean 'network.nodes'?"),

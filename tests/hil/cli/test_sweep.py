@@ -31,7 +31,7 @@ def test_the_length_of_a_run_is_asked_for_as_of_hil_run(cli: Hil) -> None:
 def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.MonkeyPatch, columns: str) -> None:
     monkeypatch.setenv("COLUMNS", columns)
     _, out, _ = cli("sweep", "dc-motor-hinf", "--runs", "3", *SHORT)
-    assert "…" not in out and "steady_state_error" in out
+    assert "…" not in out and "steady-state" in out
     _, out, _ = cli("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2", *SHORT)
     assert "…" not in out and "dc-motor-hinf" in out
     verdict = out.partition("metric,")[0].rstrip().splitlines()
@@ -97,7 +97,7 @@ def test_compare_writes_a_page_and_paired_differences(cli: Hil, tmp_path: Path) 
 
 def test_the_table_of_a_sweep_fits_eighty_columns(cli: Hil) -> None:
     out = cli("sweep", "dc-motor-hinf", "--runs", "3", "--jobs", "1", "--set", "duration=2")[1]
-    assert "steady_state_error" in out and max(map(len, out.splitlines())) <= 80
+    assert "steady-state" in out and max(map(len, out.splitlines())) <= 80
 
 
 def test_the_table_of_a_comparison_fits_eighty_columns_and_counts_its_runs(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:

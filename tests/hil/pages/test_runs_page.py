@@ -28,7 +28,7 @@ def test_a_folder_has_a_page_and_each_log_its_own(folder: Path) -> None:
     for name in ("motor-0", "motor-1", "omni"):
         assert f'<a href="{name}.html">{name}.mcap</a>' in page and (folder / f"{name}.html").exists()
     assert "torn.mcap" in page and "is no MCAP file" in page and not (folder / "torn.html").exists()
-    assert "certified: passivity" in page and "sse (rad² s)" in page
+    assert "certified: passivity" in page and "squared tracking error (rad² s)" in page
 
 
 def test_pages_are_made_again_only_where_the_log_is_newer_and_never_over_other_files(folder: Path) -> None:
@@ -78,5 +78,5 @@ def test_rows_are_filtered_and_choose_curves(folder: Path) -> None:
         assert page.evaluate(shown) == [[False, True], [False]]
         page.evaluate(f"{rows}[0].querySelector('input').click()")
         said = page.evaluate("document.querySelector('.differences').textContent")
-        assert said.startswith("motor-0.mcap minus motor-1.mcap: ") and "sse (rad² s) " in said
+        assert said.startswith("motor-0.mcap minus motor-1.mcap: ") and "squared tracking error (rad² s) " in said
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")

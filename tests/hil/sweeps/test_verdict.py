@@ -21,10 +21,11 @@ def both() -> hil.Comparison:
 def test_it_says_which_is_better_by_how_much(both: hil.Comparison) -> None:
     told = both.verdict("dc-motor-smith")
     a, b = (both.values[name]["sse"] for name in both.values)
-    assert b.mean() > a.mean() and told.startswith("dc-motor-smith is worse than dc-motor-ours-h2: sse +")
-    assert f"sse {100 * (b.mean() / a.mean() - 1):+.1f} %, 95 % interval +" in told and told.endswith("30 runs")
+    assert b.mean() > a.mean() and told.startswith("dc-motor-smith is worse than dc-motor-ours-h2: squared tracking error +")
+    assert f"error {100 * (b.mean() / a.mean() - 1):+.1f} %, 95 % interval +" in told and told.endswith("30 runs")
     turned = replace(both, values=dict(reversed(both.values.items())))
-    assert turned.verdict("dc-motor-ours-h2").startswith("dc-motor-ours-h2 is better than dc-motor-smith: sse -")
+    said = turned.verdict("dc-motor-ours-h2")
+    assert said.startswith("dc-motor-ours-h2 is better than dc-motor-smith: squared tracking error -")
 
 
 def test_the_same_experiment_shows_no_difference(both: hil.Comparison) -> None:
@@ -68,7 +69,7 @@ def test_a_difference_has_its_unit_where_a_share_means_nothing(unit: str, end: s
     spread = np.linspace(-0.5, 0.5, 10)
     values = {name: {"stopped": np.zeros(10), "sse": mean + spread} for name, mean in (("a", -12.0), ("b", -9.0))}
     said = hil.Comparison(runs=10, values=values, quantities=(quantity,)).verdict("b")
-    assert said == f"b is worse than a: sse +3, 95 % interval +3 to +3{end} 10 runs"
+    assert said == f"b is worse than a: squared error +3, 95 % interval +3 to +3{end} 10 runs"
 
 
 def test_the_table_of_the_page_has_runs_differences_and_intervals_first(both: hil.Comparison) -> None:
