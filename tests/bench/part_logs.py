@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from statistics import median
 
 from hil.errors import HilError
-from hil.runtime.real.child import PYTHON
 from tests.bench.engines import bench_log, bench_memory
 from tests.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
 from tests.bench.other_code import BEFORE, OLD, beside
 from tests.bench.processes import HIL, Spent, spent
+from tests.bench.slot_turns import least_us
 
 MOTOR = "dc-motor-hinf"
 PLAIN = "mcap's own writer"
@@ -71,25 +68,13 @@ def _before(tell: Tell, quick: bool) -> Iterator[Found]:
     folder = os.environ.get(BEFORE)
     if folder is None:
         raise HilError(f"no sources of {OLD} were given: --before FOLDER")
-    turns, slots = (1, 100) if quick else (7, 4000)
-    taken: dict[str, list[tuple[float, float]]] = {"ours": [], "then": []}
-    for turn in range(turns):
-        tell(f"turn {turn + 1} of {turns}: virtual slot, of {OLD} and of today")
-        taken["then"].append(_slot_us("hil.bench.engines", slots, beside(Path(folder))))
-        taken["ours"].append(_slot_us("tests.bench.engines", slots, {}))
-    ours, then = ([median(each) for each in zip(*taken[name])] for name in ("ours", "then"))
-    note = f"{turns} turns of {slots} slots, each in processes of its own"
-    for figure, numbers in zip((AS_BEFORE, BARE_AS_BEFORE), zip(ours, then)):
-        yield Found(figure.name, *numbers, note)
-
-
-def _slot_us(module: str, slots: int, sets: Mapping[str, str]) -> tuple[float, float]:
-    """Return CPU time of a slot in a process of its own, with its log and without, us."""
-    once = "bench_log(slots=100, turns=1)"  # what is imported and read once belongs to no slot
-    text = f"import json; from {module} import bench_log; {once}; print(json.dumps(bench_log(slots={slots}, turns=1)))"
-    said = subprocess.run([*PYTHON, "-c", text], check=True, stdout=subprocess.PIPE, text=True, env=os.environ | sets).stdout
-    (row,) = json.loads(said)
-    return float(row["us"]), float(row["without log us"])
+    turns, slots = (1, 100) if quick else (60, 2000)
+    tell(f"virtual slot, of {OLD} and of today: {turns} turns")
+    versions = {"then": ("hil.bench.engines", beside(Path(folder))), "ours": ("tests.bench.engines", {})}
+    least = least_us(versions, slots=slots, turns=turns)
+    note = f"least of {turns} turns of {slots} slots"
+    for figure, ours, then in zip((AS_BEFORE, BARE_AS_BEFORE), least["ours"], least["then"]):
+        yield Found(figure.name, ours, then, note)
 
 
 def _held(tell: Tell, quick: bool) -> Iterator[Found]:
