@@ -35,6 +35,11 @@ def test_the_fault_halves_one_entry():
     assert {(int(i), int(j)) for i, j in np.argwhere(np.array(B1) != np.array(B2))} == {(1, 0)}
 
 
+def test_the_level_is_that_of_the_vertical_velocity_in_its_own_unit():
+    velocity = tuple(FaultyVTOL().model().C[1].tolist())
+    assert ((velocity,),) * 2 == FaultyVTOL().jump_system().C
+
+
 def test_between_events_the_state_follows_one_exponential():
     plant = FaultyVTOL(noise_period_s=0.3, noise_std=2.0)
     run = plant.start(np.random.default_rng(3))

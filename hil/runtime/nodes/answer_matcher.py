@@ -135,7 +135,7 @@ class AnswerMatcher:
             if data != self._answered[seq]:
                 self._contradict(f"slot {seq} was answered twice, differently", seq)
             self._foreign(seq, data)
-        elif seq != HELLO and seq >= self._k:  # of the open slot no answer was taken
+        elif seq != HELLO and seq > self._k:
             self._contradict(f"slot {seq} was answered before it was asked", seq)
             self._foreign(seq, data)
         else:

@@ -10,7 +10,7 @@ from design.controllers.scheduled_gain import constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.sampled import sampled_verdict
-from design.semi_markov_loop.sampled_detection import growth_while_it_stays
+from design.semi_markov_loop.sampled_detection import _grows, growth_while_it_stays
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
 from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 
@@ -21,6 +21,12 @@ FAST = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(5.0, 60.0))
 def integrator(modes: int = 1) -> JumpSystem:
     """x' = u, with u = -k x two seconds late: unstable from about k = pi / 4 on."""
     return JumpSystem(a=np.zeros((modes, 1, 1)), b=np.ones((modes, 1, 1)))
+
+
+def test_a_form_proves_growth_only_where_every_direction_rises() -> None:
+    mean = 2.0 * np.eye(2)
+    assert _grows([np.diag([2.0, 3.0])], mean, 1.0, 2, 1.0)
+    assert not _grows([np.diag([2.0, 3.0]), np.diag([0.1, 3.0])], mean, 1.0, 2, 1.0)
 
 
 def loop(process: SemiMarkov, system: JumpSystem) -> SampledLoop:

@@ -276,6 +276,12 @@ def test_what_a_plant_has_cannot_end_in_a_run(field: str) -> None:
         changed(loop, 10, f"plant.{field}", [])
 
 
+def test_a_plant_whose_own_way_changes_its_model_is_refused(motor: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(motor.experiment.plant), "own_way", lambda plant: ("gain",))
+    with pytest.raises(ExperimentError, match=r"plant\.gain: changes the plant's model, and the plant says that it does not"):
+        changed(motor, 10, "plant.gain", 170.0)
+
+
 def test_a_noise_that_a_plant_does_not_have_cannot_begin_in_a_run() -> None:
     sets = [NOISY.replace("measurement_noise=[0.01], ", ""), "limits.state={}", "allow_uncertified=true"]
     loop = compose(load_experiment("dc-motor-hinf", sets))

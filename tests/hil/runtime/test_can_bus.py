@@ -32,6 +32,8 @@ def session():  # type: ignore[no-untyped-def]
 def test_frames_never_overlap_and_the_lowest_identifier_that_waits_is_sent(session) -> None:  # type: ignore[no-untyped-def]
     frames = session.run.arrays["/link/bus"]
     assert len(frames) > 5000
+    slots, period_ns = frames["t_ns"] // 50_000_000, 50_000_000
+    assert (frames["t_ns"] == slots * period_ns).all() and slots[0] == 0 and slots[-1] == 79
     assert (frames["start_ns"][1:] >= frames["idle_ns"][:-1]).all()
     assert (frames["start_ns"] >= frames["queued_ns"]).all()
     for i in range(2000):  # who was queued by the start of a frame and came later had a higher identifier

@@ -32,6 +32,7 @@ from transport.draws import (
     SENT,
     Draw,
 )
+from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, described, latency, seconds
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.protocols import load_files, prepare, slots_served
@@ -319,6 +320,13 @@ def test_memory_is_bounded_by_latency_and_queue() -> None:
         network.collect(k)
         assert len(network._flying) <= 102  # type: ignore[attr-defined]
         assert not network._offered  # type: ignore[attr-defined]
+
+
+def test_a_recording_that_ends_before_the_run_is_named() -> None:
+    following = latency({"trace": ["1 ms"], "past_end": "refuse"}).in_order()  # type: ignore[union-attr]
+    assert following(0.5) == pytest.approx(1e-3)
+    with pytest.raises(FieldError, match=r"^latency\.trace: has 1 entries, the run needs more"):
+        following(0.5)
 
 
 def test_losses_of_a_recording_and_of_the_channel_combine_and_do_not_add() -> None:
