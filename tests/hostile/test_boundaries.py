@@ -113,7 +113,7 @@ def draw(name: str, count: int, note: Note) -> None:
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_what_a_stranger_writes_is_read_or_refused_with_one_message(name: str, record_property: Note) -> None:
+def test_what_another_program_writes_is_read_or_refused_with_one_message(name: str, record_property: Note) -> None:
     draw(name, FEW, record_property)
 
 

@@ -77,7 +77,7 @@ def _attack(given: list[Input], note: Note) -> None:
     tally.end(note)
 
 
-def test_a_number_that_nobody_expects_is_run_or_refused_with_one_message(record_property: Note) -> None:
+def test_an_unusual_number_is_run_or_refused_with_one_message(record_property: Note) -> None:
     _attack(Random(11).sample(_inputs(), FEW), record_property)
 
 

@@ -82,7 +82,7 @@ def _attack(given: list[Words], folder: Path) -> None:
     assert not bad, "\n\n".join(bad)
 
 
-def test_a_word_that_nobody_expects_gets_one_message(tmp_path: Path) -> None:
+def test_an_unusual_word_gets_one_message(tmp_path: Path) -> None:
     _attack(Random(15).sample(_inputs(), FEW), tmp_path)
 
 

@@ -139,7 +139,7 @@ def test_what_was_recorded_in_another_session_is_refused() -> None:
     assert wire.on_frame(wire.controller, asked) == asked
 
 
-def test_a_controller_that_hears_its_rig_is_not_taken_away_by_an_old_question() -> None:
+def test_a_controller_that_receives_from_its_rig_is_not_taken_away_by_an_old_question() -> None:
     wire = Wire()
     wire.begin(7)
     old_hello = wire.say(wire.rig, hello(7))

@@ -84,7 +84,7 @@ def test_others_go_on_without_a_process_that_is_stopped_and_it_does_its_change_a
     assert state(ours) == "begin ours again child"
 
 
-def test_two_that_are_stopped_one_behind_the_other_stop_nobody(tmp_path: Path) -> None:
+def test_two_that_are_stopped_one_behind_the_other_stop_no_other(tmp_path: Path) -> None:
     ours = BusFile(tmp_path)
     ours.change(lambda text: b"begin")
     with holder(tmp_path) as first, holder(tmp_path) as second:  # the second went on without the first, and wrote nothing

@@ -189,7 +189,7 @@ def test_a_sender_may_wait_for_room() -> None:
         assert sender.dropped == 0
 
 
-def test_a_descriptor_tells_select_and_asyncio_that_frames_wait() -> None:
+def test_a_descriptor_shows_select_and_asyncio_that_frames_wait() -> None:
     with bus() as sender, bus(receive_own_messages=True) as listener:
         drain(listener)
         assert select.select([listener.fileno()], [], [], 0)[0] == []
@@ -211,7 +211,7 @@ def test_a_descriptor_tells_select_and_asyncio_that_frames_wait() -> None:
         assert asyncio.run(read()) == list(range(20))
 
 
-def test_a_notifier_thread_reads_while_newcomers_join_and_send() -> None:
+def test_a_notifier_thread_reads_while_others_join_and_send() -> None:
     reader = can.BufferedReader()
     with ExitStack() as stack:
         listener = stack.enter_context(bus())
@@ -233,7 +233,7 @@ def test_what_came_before_a_connection_was_let_in_is_older_than_what_came_after(
         assert 0 < before <= admitted <= peer.arrival_ns()
 
 
-def test_a_newcomer_hears_everything_that_is_sent_once_it_has_joined() -> None:
+def test_a_participant_receives_everything_that_is_sent_once_it_has_joined() -> None:
     with bus() as sender:
         for number in range(20):
             sender.send(frame(number))
@@ -242,7 +242,7 @@ def test_a_newcomer_hears_everything_that_is_sent_once_it_has_joined() -> None:
                 assert [number_of(message) for message in drain(newcomer)] == [100 + number]
 
 
-def test_processes_that_join_at_once_all_hear_each_other() -> None:
+def test_processes_that_join_at_once_all_receive_from_each_other() -> None:
     program = """
 import can, os, sys, threading
 import transport.links.can_bus
@@ -274,7 +274,7 @@ print("heard", flush=True)
     assert done.stdout == "heard\n", done.stderr
 
 
-def test_a_killed_process_blocks_nobody_and_the_next_to_join_clears_it_away(bus_directory: Path) -> None:
+def test_a_killed_process_blocks_no_other_and_the_next_to_join_clears_it_away(bus_directory: Path) -> None:
     with bus() as sender, bus() as listener:
         with process(*python(IDLE)) as victim:
             sender.send(frame(1))
@@ -302,7 +302,7 @@ def test_what_a_process_sent_before_it_was_killed_still_arrives() -> None:
         assert listener.participants == 1
 
 
-def test_a_stopped_process_blocks_nobody_and_is_told_what_it_missed() -> None:
+def test_a_stopped_process_blocks_no_other_and_learns_what_it_missed() -> None:
     program = """
 import select
 while bus.recv(120).arbitration_id != 0x7FF:

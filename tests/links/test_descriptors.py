@@ -21,7 +21,7 @@ def few_descriptors() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("few_descriptors")
-def test_a_newcomer_without_a_descriptor_is_counted_by_the_link(bus_directory: Path) -> None:
+def test_a_participant_without_a_descriptor_is_counted_by_the_link(bus_directory: Path) -> None:
     with open_link("can:hil:few", "rig") as rig, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as newcomer:
         (path,) = (bus_directory / "few").glob("*.sock")
         newcomer.connect(str(path))

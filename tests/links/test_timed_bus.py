@@ -78,7 +78,7 @@ def test_can_fd_takes_the_time_of_both_rates() -> None:
             assert gap == pytest.approx(expected, abs=CLOCKS)
 
 
-def test_a_lone_sender_becomes_passive_and_its_frame_goes_when_somebody_joins() -> None:
+def test_a_lone_sender_becomes_passive_and_its_frame_goes_when_another_joins() -> None:
     with bus(bitrate=500_000, receive_own_messages=True) as lone:
         assert lone.state is can.BusState.ACTIVE
         lone.send(message(0x100))

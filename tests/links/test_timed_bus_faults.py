@@ -76,7 +76,7 @@ def test_a_rate_of_bit_errors_breaks_frames_and_all_get_through_in_their_order()
         assert got == list(range(150)) and 5 < broken < 150  # of 0.2 an attempt, some 38
 
 
-def test_a_fault_takes_another_participant_off_the_bus_which_hears_nothing_and_comes_back_when_it_is_over() -> None:
+def test_a_fault_takes_another_participant_off_the_bus_which_receives_nothing_and_comes_back_when_it_is_over() -> None:
     with bus(bitrate=500_000) as rig, bus(bitrate=500_000) as controller, bus(bitrate=500_000) as listener:
         controller.send(message(0x140))
         assert received(rig, 1)[0].arbitration_id == received(listener, 1)[0].arbitration_id == 0x140
@@ -95,7 +95,7 @@ def test_a_fault_takes_another_participant_off_the_bus_which_hears_nothing_and_c
         assert kinds(seen) == [BUS_OFF, CONTROLLER | RESTARTED]  # and no 0x100
 
 
-def test_who_is_told_to_restart_comes_back_by_itself_and_who_is_not_stays_off() -> None:
+def test_who_may_restart_comes_back_by_itself_and_who_may_not_stays_off() -> None:
     for restart_ms in (20, 0):
         with bus(bitrate=500_000, restart_ms=restart_ms) as first, bus(bitrate=500_000) as second:
             over = monotonic_ns() + SOON_NS // 5
@@ -135,7 +135,7 @@ def test_two_participants_with_one_identifier_and_other_data_collide_until_one_i
         until(round_of_both, "a collision")
 
 
-def test_the_very_same_frame_of_two_is_heard_once_and_both_have_sent_it() -> None:
+def test_the_very_same_frame_of_two_is_received_once_and_both_have_sent_it() -> None:
     with bus(bitrate="5k") as first, bus(bitrate="5k") as second, bus(bitrate="5k") as listener:
         heard: list[int] = []
 

@@ -43,7 +43,7 @@ def both_directions_work(rig: Link, controller: Link) -> None:
     expect(rig, control(1))
 
 
-def test_certificates_of_one_authority_let_both_ends_hear_each_other(keys: Path) -> None:
+def test_certificates_of_one_authority_let_both_ends_receive_from_each_other(keys: Path) -> None:
     uri = f"zenoh:tls/127.0.0.1:{free_port()}?keys={keys}"
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         both_directions_work(rig, controller)
@@ -121,7 +121,7 @@ def test_another_authority_and_no_certificate_never_connect(keys: Path, tmp_path
                 assert not [*session.info.peers_zid()]
 
 
-def test_a_password_lets_the_controller_in_and_nobody_else(users: Path) -> None:
+def test_a_password_lets_the_controller_in_and_no_other(users: Path) -> None:
     port = free_port()
     uri = f"zenoh:tcp/127.0.0.1:{port}?users={users}"
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:

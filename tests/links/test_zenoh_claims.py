@@ -83,7 +83,7 @@ def test_a_second_controller_from_another_machine_is_refused_and_a_death_frees_t
             until(lambda: answered(rig, 3), "the next controller")
 
 
-def test_what_a_refused_controller_says_before_it_knows_reaches_nobody(tmp_path: Path) -> None:
+def test_what_a_refused_controller_says_before_it_knows_reaches_no_process(tmp_path: Path) -> None:
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with open_link(uri, "rig") as rig, elsewhere(tmp_path / "a", uri):
         until(lambda: answered(rig, 1), "the first controller")
@@ -97,7 +97,7 @@ def test_what_a_refused_controller_says_before_it_knows_reaches_nobody(tmp_path:
         assert control(77) not in heard and rig.counters.refused > 3
 
 
-def test_of_controllers_that_wait_for_one_rig_one_is_heard(tmp_path: Path) -> None:
+def test_of_controllers_that_wait_for_one_rig_one_is_received(tmp_path: Path) -> None:
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with ExitStack() as stack:
         waiting = [stack.enter_context(elsewhere(tmp_path / f"{n}", uri)) for n in range(3)]

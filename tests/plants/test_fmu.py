@@ -135,7 +135,7 @@ def test_parameters_reach_the_unit(units: Path) -> None:
         ({"A": []}, r"plant\.A: expected rows of one length"),
     ],
 )
-def test_what_a_unit_has_not_is_told_with_its_key(units: Path, change: dict[str, Any], told: str) -> None:
+def test_what_a_unit_has_not_is_reported_with_its_key(units: Path, change: dict[str, Any], told: str) -> None:
     with pytest.raises(hil.HilError, match=told):
         hil.load_experiment(units / "exp.toml", plant={"kind": "fmu", "file": "cart2.fmu", **LINEAR, **change})
 

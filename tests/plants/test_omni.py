@@ -131,7 +131,7 @@ def test_a_hand_out_of_range_is_refused_by_name(make, message):
         make()
 
 
-def test_a_hand_that_changes_its_pace_stays_as_long_as_it_is_told():
+def test_a_hand_that_changes_its_pace_stays_as_long_as_it_is_given():
     """Stays of 0.1 to 0.3 s at 0.2 m/s and of 0.2 s at 0.05 m/s: the mean speed follows, within 5 standard errors."""
     run = Omni(hand=Hand(slide=Slide(paces=PACES))).start(np.random.default_rng(1))
     y = [0.0]

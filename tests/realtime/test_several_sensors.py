@@ -61,7 +61,7 @@ def test_several_nodes_in_real_time_are_the_virtual_ones(tmp_path: Path, which: 
         assert verify(real.run).difference is None
 
 
-def test_each_node_is_heard_on_the_bus_under_the_identifier_that_the_experiment_gives_it(tmp_path: Path) -> None:
+def test_each_node_is_received_on_the_bus_under_the_identifier_that_the_experiment_gives_it(tmp_path: Path) -> None:
     ids = {"first": 0x090, "second": 0x091, "third": 0x210, "fourth": 0x2A0}
     changes = [f"network.nodes.{name}.can_id={number}" for name, number in ids.items()]
     experiment = load_experiment("multisensor-published", ["duration=0.4", "links.control_can_id=0x300", *changes])

@@ -89,7 +89,7 @@ def test_where_both_delays_reach_eight_ninety_three_numbers_a_mode_are_unknown()
     assert (states.free, states.rows.size, [len(w) for w in states.factors]) == (2, 93, [9, 9])
 
 
-def test_two_independent_chains_are_told_from_one_that_is_not() -> None:
+def test_two_independent_chains_are_distinguished_from_one_that_is_not() -> None:
     joint = np.kron(SC, CA)
     first, second = factors_of(joint)
     assert np.abs(first - SC).max() < 1e-15 and np.abs(second - CA).max() < 1e-15

@@ -69,7 +69,7 @@ def test_a_margin_as_small_as_rounding_is_asked_again(monkeypatch: pytest.Monkey
     assert decide(one).solver == "cvxpy" and decide(one).margin > 0.1
 
 
-def test_no_doubt_asks_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_doubt_nothing_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     def nobody(*_: object, **__: object) -> None:
         raise AssertionError("asked without a doubt")
 

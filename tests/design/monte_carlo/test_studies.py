@@ -174,7 +174,7 @@ def test_fault_and_detection_have_the_law_of_their_chain() -> None:
 
 
 @pytest.mark.parametrize("restarts", [False, True])
-def test_detection_clock_restarts_as_it_was_told(restarts: bool) -> None:
+def test_detection_clock_restarts_as_its_field_says(restarts: bool) -> None:
     process = chapter4_process(failure_restarts_detection_clock=restarts)
     system = JumpSystem(a=np.zeros((2, 1, 1)), b=np.zeros((2, 1, 1)))
     both = JumpLoop(

@@ -152,7 +152,7 @@ def unstable(coupler, delays, count, seed):
     return len({i % count for i in bad}), len(polynomials)
 
 
-def test_the_polynomials_are_those_of_the_loop_and_the_test_of_roots_tells_stable_from_unstable():
+def test_the_polynomials_are_those_of_the_loop_and_the_test_of_roots_separates_stable_from_unstable():
     """Every loop of some hands against the eigenvalues of its matrix, for a coupler that is safe and one that is not."""
     safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
     told = []

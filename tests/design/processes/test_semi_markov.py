@@ -104,7 +104,7 @@ def test_same_draws_give_same_jumps_however_the_runs_are_split(process: SemiMark
         assert np.array_equal(target, np.concatenate([p[1] for p in parts]))
 
 
-def test_path_of_two_clocks_restarts_what_it_was_told_to() -> None:
+def test_path_of_two_clocks_restarts_what_its_field_says() -> None:
     failure = SemiMarkov(rates=((None, constant_rate(2.0)), (constant_rate(2.0), None)))
     slow = SemiMarkov(rates=((None, clip_rate(0.1, 3.0)), (clip_rate(0.1, 3.0), None)))
     quick = SemiMarkov(rates=((None, clip_rate(1.0, 9.0)), (clip_rate(1.0, 9.0), None)))
@@ -134,7 +134,7 @@ def test_detection_under_both_reset_rules_has_the_right_hazard() -> None:
     assert jumps[1] < 0.35 * jumps[0]
 
 
-def test_path_tells_mode_and_sojourn_time() -> None:
+def test_path_states_mode_and_sojourn_time() -> None:
     path = sample_path(PROCESS, 0, 50.0, np.random.default_rng(0))
     mode, h = path.at(path.times_s[3] + 1e-9)
     assert int(mode) == path.modes[3] and float(h) == pytest.approx(1e-9, rel=1e-3)

@@ -103,7 +103,7 @@ def test_decay_objective_finds_faster_gains_than_stability_alone() -> None:
     assert (fast.decay_rate or 0.0) > max(0.55, plain.decay_rate or 0.0)  # (2.27) as printed: .279 in |x|, .558 in |x|^2
 
 
-def test_request_that_no_gain_can_meet_is_told_before_any_solver_runs() -> None:
+def test_request_that_no_gain_can_meet_is_reported_before_any_solver_runs() -> None:
     slow = SemiMarkov(rates=((None, constant_rate(0.5)), (constant_rate(0.5), None)))
     a = np.array([[[-1.0, 0.0], [0.0, 0.4]], [[-1.0, 0.0], [0.0, -1.0]]])
     b = np.array([[[1.0], [0.0]], [[1.0], [1.0]]])

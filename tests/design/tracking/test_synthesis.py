@@ -249,7 +249,7 @@ def test_closed_classes_of_a_chain():
     assert [c.tolist() for c in closed_classes(np.eye(2))] == [[0], [1]]
 
 
-def test_problem_digest_tells_problems_apart():
+def test_problem_digest_distinguishes_problems():
     assert problem("motor").digest() == problem("motor").digest() != problem("motor", seed=1).digest()
 
 

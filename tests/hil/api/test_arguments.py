@@ -64,7 +64,7 @@ def test_an_option_of_another_kind_is_one_error(changes: dict[str, Any], said: s
     assert str(told.value).startswith(said)
 
 
-def test_numbers_that_nobody_can_run_are_refused() -> None:
+def test_numbers_that_cannot_run_are_refused() -> None:
     for call in (
         lambda: hil.sweep("dc-motor-h2", runs=10**30), lambda: hil.sweep("dc-motor-h2", runs=2, jobs=0),
         lambda: hil.compare("dc-motor-h2", "dc-motor-hinf", runs=10**30), lambda: hil.sweep("dc-motor-h2", jobs=10**30),

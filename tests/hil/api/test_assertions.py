@@ -48,7 +48,7 @@ def test_too_few_runs_are_undecided_and_fail() -> None:
         ({"at_least": 0.5, "alpha": 2.0}, "alpha: 2;"),
     ],
 )
-def test_numbers_that_mean_nothing_are_told_by_the_users_own_name(wrong: dict[str, float], field: str) -> None:
+def test_numbers_that_mean_nothing_are_reported_by_the_users_own_name(wrong: dict[str, float], field: str) -> None:
     with pytest.raises(hil.HilError, match=f"^assert_probability: {field} expected"):
         hil.assert_probability("dc-motor-hinf", lambda s: True, **wrong)
 
@@ -89,7 +89,7 @@ def test_the_assertion_on_a_law_finds_another_law() -> None:
     assert hil.assert_law(session, "sc") == session.summary["network"]["sc"]["p_value"]
 
 
-def test_a_law_without_a_test_is_told() -> None:
+def test_a_law_without_a_test_is_reported() -> None:
     session = hil.run("dc-motor-hinf", duration=1, **{"network.sc.law": {"kind": "constant", "age": 0}})
     for side, match in (("cs", "expected one of 'sc', 'ca', 'sensor'"), ("sc", "has no test")):
         if side == "sc" and session.summary["network"]["sc"]["p_value"] is not None:

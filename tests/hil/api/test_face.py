@@ -96,7 +96,7 @@ def test_a_type_checker_knows_what_the_faces_return(tmp_path: Path) -> None:
     assert 'Argument 1 to "run"' in told and 'Module has no attribute "rum"' in told, told
 
 
-def test_run_does_what_the_command_does_and_keeps_no_log_unless_told(tmp_path: Path) -> None:
+def test_run_does_what_the_command_does_and_keeps_no_log_unless_asked(tmp_path: Path) -> None:
     session = hil.run("dc-motor-hinf", seed=3, duration=2, **{"plant.gain": 150})
     assert session.status == 0 and session.summary["log"]["path"] is None and session.summary["units"]["sse"] == "rad² s"
     kept = hil.run(hil.load_experiment("dc-motor-hinf", ["plant.gain=150"], duration="2 s"), seed=3, log=tmp_path / "a.mcap")
@@ -117,7 +117,7 @@ def test_changes_of_every_kind_reach_the_experiment() -> None:
     assert changed.kinds["network.sc.law"] == "iid"
 
 
-def test_what_cannot_be_is_told_as_one_error() -> None:
+def test_what_cannot_be_is_reported_as_one_error() -> None:
     loaded = hil.load_experiment("dc-motor-hinf", duration=1)
     for call in (
         lambda: hil.run("dc-motor-hinf", sed=3),

@@ -20,7 +20,7 @@ def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:
     assert 365 <= covered <= 394
 
 
-def test_a_leak_is_told_from_steps_that_end() -> None:
+def test_a_leak_is_distinguished_from_steps_that_end() -> None:
     rng, t = np.random.default_rng(1), np.linspace(0.0, 600.0, 400)
     noise = rng.normal(scale=20.0, size=400)
     leak, half = slope(t, 80_000 + 0.5 * t + noise)
@@ -77,7 +77,7 @@ GROWS = {"memory": [{"process": "rig", "grows": True}]}
         (BUSY | {"status": 1, "slots": 10}, "does not hold", ["ended with status 1 after 10 of 1000 slots"]),
     ],
 )  # fmt: skip
-def test_a_busy_machine_is_told_from_a_fault_of_the_rig(change: dict[str, Any], verdict: str, told: list[str]) -> None:
+def test_a_busy_machine_is_no_fault_of_the_rig(change: dict[str, Any], verdict: str, told: list[str]) -> None:
     found, why = judge(QUIET | change, {}, period_us=1000.0)
     assert found == verdict and bool(why) == (verdict != "holds")
     assert all(part in "; ".join(why) for part in told)

@@ -87,7 +87,7 @@ def tank_loop(**changes: Any) -> Any:
     return compose(replace(plain, limits=Limits(), kinds={}, **given))
 
 
-def test_a_strangers_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
+def test_a_users_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     assert any("is a JumpPlant" in sentence for sentence in check_plant(TwoSpeedTank()))
     loop = tank_loop()
     assert loop.verdict.certified and loop.verdict.details["continuous_time"] == "certified"
@@ -97,7 +97,7 @@ def test_a_strangers_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     assert any("is a ModeSchedule" in sentence for sentence in check_controller(loop.controller, loop.model))
 
 
-def test_gains_that_a_strangers_plant_outgrew_are_not_certified() -> None:
+def test_gains_that_a_users_plant_outgrew_are_not_certified() -> None:
     gains = tank_loop().controller
     with pytest.raises(ExperimentError, match="no certificate of mean-square stability, refused"):
         tank_loop(controller=gains, plant=TwoSpeedTank(growth=(0.2, 9.0)))

@@ -28,7 +28,7 @@ class History:
     def history(self) -> None: ...
 
 
-def test_a_controller_hears_what_it_may_state_and_what_it_lacks() -> None:
+def test_a_controller_receives_what_it_may_state_and_what_it_lacks() -> None:
     assert "NoSelection has table(model) and lacks selection" in why_no_controller(NoSelection())
     assert "History has history() and lacks uses" in why_no_controller(History())
     said = why_no_controller(object())

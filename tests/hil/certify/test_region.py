@@ -134,7 +134,7 @@ def test_the_guide_says_these_numbers(name: str, changes: dict[str, Any] | None)
     assert any(said in row for row in rows), said
 
 
-def test_the_realistic_motor_is_told_how_much_supply_its_friction_asks_for() -> None:
+def test_for_the_realistic_motor_the_verdict_says_how_much_supply_its_friction_asks_for() -> None:
     shipped = verdict_of(compose(load_experiment("dc-motor-h2-friction")))
     region: Any = shipped.details["region"]
     assert shipped.state == "undecided" and set(region["within"][0]["states"].values()) == {0.0}

@@ -42,7 +42,7 @@ def test_the_motor_of_a_session_over_a_network_is_found_with_its_disturbance(cli
     assert said["logged"] == {"gain": 172.38, "pole": 3.5287}
 
 
-def test_a_motor_with_friction_is_told_from_one_without(cli: Hil) -> None:
+def test_a_motor_with_friction_is_distinguished_from_one_without(cli: Hil) -> None:
     sets = ["--set", "plant.friction.coulomb_v=0.01", "--set", "allow_uncertified=true"]
     assert cli("run", "dc-motor-hinf", *sets, "-o", "motor.mcap")[0] == 0
     status, out, _ = cli("identify", "plant", "motor.mcap")
@@ -71,7 +71,7 @@ def test_a_table_says_what_its_log_says(cli: Hil, omni_log: Path, tmp_path: Path
     assert cli("identify", "plant", "omni.csv", "--plant", "omni", "--input", "torque", "--measured", "angle")[0] == 0
 
 
-def test_faults_are_told_with_status_2(cli: Hil, omni_log: Path, tmp_path: Path, hil_log: Path) -> None:
+def test_faults_are_reported_with_status_2(cli: Hil, omni_log: Path, tmp_path: Path, hil_log: Path) -> None:
     write_table(tmp_path / "good.csv", omni_log)
     write_table(tmp_path / "gap.csv", omni_log, skip=5)
     lines = (tmp_path / "good.csv").read_text().splitlines()

@@ -55,7 +55,7 @@ def test_an_option_of_one_name_means_one_thing_in_all_commands() -> None:
             assert option.metavar == "PATH=VALUE" and said(option).startswith("Change a field"), f"{path}: --set changes a field"
 
 
-def test_no_help_says_a_range_that_nobody_comes_near() -> None:
+def test_no_help_says_a_range_beyond_every_use() -> None:
     for path, option in options():
         context = click.Context(click.Command(path))
         record = option.get_help_record(context)

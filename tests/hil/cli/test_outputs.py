@@ -38,7 +38,7 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
     assert path.is_fifo()
 
 
-def test_a_folder_that_takes_no_file_is_told_before_the_work() -> None:
+def test_a_folder_that_takes_no_file_is_reported_before_the_work() -> None:
     with pytest.raises(HilError, match="cannot be written"):
         check_output(Path("/proc/x"))  # root may write there, says access()
 

@@ -147,7 +147,7 @@ def test_force_goes_through_no_link(tmp_path: Path, cli: Hil) -> None:
         hil.run("dc-motor-hinf", duration=1, log=tmp_path / "l.mcap")
 
 
-def test_a_reader_of_json_that_has_left_is_told_like_one_of_text() -> None:
+def test_a_reader_of_json_that_has_left_is_reported_like_one_of_text() -> None:
     for words in (["--json"], []):
         read, write = os.pipe()
         os.close(read)

@@ -84,7 +84,7 @@ def test_what_is_no_part_of_the_problem_changes_nothing(change: str) -> None:
         ('{"format": "hilrig-gains/1", "controller": {}}', "is of another problem"),
     ],
 )
-def test_a_damaged_file_is_told_and_solved_again(own: Path, text: str, why: str) -> None:
+def test_a_damaged_file_is_reported_and_solved_again(own: Path, text: str, why: str) -> None:
     (own.parent / "gains").mkdir()
     (own.parent / "gains" / "own.json").write_text(text)
     found = gains_of(load_experiment(own))

@@ -93,7 +93,7 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
     assert set(tmp_path.iterdir()) == made
 
 
-def test_nothing_is_drawn_where_nobody_looks(tmp_path: Path) -> None:
+def test_nothing_is_drawn_where_no_browser_looks(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "hil", "design", "wall", "--delay", "0", "--json"], cwd=tmp_path, capture_output=True, text=True
     )

@@ -169,7 +169,7 @@ class StrangersChain(msgspec.Struct, frozen=True):
         return Process()
 
 
-def test_a_strangers_chain_is_certified_analysed_and_tested():
+def test_a_users_chain_is_certified_analysed_and_tested():
     law = StrangersChain()
     said = check_law(law)
     assert any("is a ChainLaw: loops over it can be certified" in sentence for sentence in said)

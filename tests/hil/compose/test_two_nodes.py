@@ -82,7 +82,7 @@ def test_the_input_is_the_gain_of_both_ages_times_what_both_nodes_said() -> None
     assert used == {(0, 0), (0, 1), (1, 0), (1, 1)}
 
 
-def test_until_both_nodes_have_been_heard_the_rows_are_zero() -> None:
+def test_until_both_nodes_have_been_received_the_rows_are_zero() -> None:
     running = compose(load_experiment("dc-motor-two-nodes", [FIXED % GAINS])).start_controller()
     assert isinstance(running, MultiSampleController)
     angle, speed = Sample(0, 2, (1.0,)), Sample(1, 1, (5.0,))

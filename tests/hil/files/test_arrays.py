@@ -126,7 +126,7 @@ def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
         ("initial_state", 3, "initial_state: expected a list, got a whole number; it is written [number, ...]"),
     ],
 )
-def test_an_array_of_another_form_is_told_how_it_is_written(key: str, value: object, fault: str) -> None:
+def test_for_an_array_of_another_form_the_message_says_how_it_is_written(key: str, value: object, fault: str) -> None:
     plant = {"kind": "state-space", "A": [[0, 1], [0, -1]], "B": [[0], [1]], "C": [[1, 0]], key: value}
     with pytest.raises(hil.HilError) as why:
         hil.load_experiment("dc-motor-hinf", plant=plant)

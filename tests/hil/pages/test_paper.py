@@ -70,7 +70,7 @@ def test_heat_maps_and_maps_are_plots_too(tmp_path: Path) -> None:
     assert [path.name for path in files] == ["01-chain.svg", "01-chain.pdf", "02-way.svg", "02-way.pdf"]
 
 
-def test_what_cannot_be_written_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(HilError, match=r"--figures: .*cannot be written"):
         write_figures([], tmp_path / "file")

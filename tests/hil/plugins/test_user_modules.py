@@ -140,7 +140,7 @@ def test_a_class_beside_the_experiment_is_a_plant_a_controller_and_a_metric(fold
     assert known is not None and known.network.sc.max_age == 2 and known.report.measures == ("tracking",)
 
 
-def test_a_module_that_was_changed_is_told(folder: Path) -> None:
+def test_a_module_that_was_changed_is_reported(folder: Path) -> None:
     hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN)
     (folder / "cart.py").write_text(MODULE.replace("1.0 / self.mass", "2.0 / self.mass"))
     run = read_run(folder / "a.mcap")
@@ -327,7 +327,7 @@ class Leaves(Proportional):
         ("controller", "Leaves", r"check_controller: table\(model\): SystemExit: not today \(.*wrong\.py, line \d+\)"),
     ],
 )
-def test_a_typical_mistake_is_told_in_its_author_s_words(folder: Path, path: str, kind: str, told: str) -> None:
+def test_a_typical_mistake_is_reported_in_its_author_s_words(folder: Path, path: str, kind: str, told: str) -> None:
     (folder / "wrong.py").write_text(WRONG)
     with pytest.raises(hil.HilError, match=told) as said:
         hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN | {path: {"kind": f"wrong:{kind}"}})

@@ -47,7 +47,7 @@ def quietly(text, done=0, total=0):
     pass
 
 
-def test_printed_model_and_statements_are_told_apart():
+def test_printed_model_and_statements_are_distinguished():
     rows = judge(MODELS, models(quietly))
     found = verdicts(rows)
     assert found["motor: A, B at T = 0.05 s"] == "claim false"

@@ -60,7 +60,7 @@ def test_more_sections_are_feasible_where_fewer_are_not() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_chapter_2_tells_what_holds_and_what_does_not() -> None:
+def test_chapter_2_says_what_holds_and_what_does_not() -> None:
     result = reproduce("ch2")
     assert verdict(result, "Theorem 2.4") == "claim false"
     assert verdict(result, "Theorem 2.2") == "claim false"
@@ -83,7 +83,7 @@ def test_chapter_2_tells_what_holds_and_what_does_not() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_chapter_3_tells_which_reading_the_gains_fit() -> None:
+def test_chapter_3_says_which_reading_the_gains_fit() -> None:
     result = reproduce("ch3")
     assert [row.verdict for row in result.rows[:4]] == ["claim false", "reproduced", "claim false", "reproduced"]
     assert verdict(result, "Theorem 3.1") == "claim false"

@@ -139,7 +139,7 @@ def test_the_command_keeps_goes_on_and_cleans_up(tmp_path: Path, monkeypatch: py
     assert {p.name for p in pages.iterdir()} == {"ch2.html", "ch3.html", "index.html"}
 
 
-def test_what_one_interrupted_stage_leaves_is_told_and_nothing_where_nothing_is(
+def test_what_one_interrupted_stage_leaves_is_reported_and_nothing_where_nothing_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for stops, told in (("one", ""), ("two", "goes on: 1 stage is in")):
@@ -148,6 +148,6 @@ def test_what_one_interrupted_stage_leaves_is_told_and_nothing_where_nothing_is(
         assert done.exit_code != 0 and ("goes on" in done.stderr) == bool(told) and told in done.stderr
 
 
-def test_the_rest_is_told_by_the_pace_so_far() -> None:
+def test_the_rest_is_estimated_by_the_pace_so_far() -> None:
     assert remaining(20.0, 10.0, 30.0) == "about 60 s left" and remaining(10.0, 20.0, 1200.0) == "about 10 min left"
     assert remaining(0.5, 0.0, 30.0) == "about 30 s left" and remaining(5.0, 3.0, 0.0) == ""

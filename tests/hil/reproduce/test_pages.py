@@ -67,12 +67,12 @@ def test_the_index_has_the_counts_and_the_rule_of_every_row(run, tmp_path: Path)
     assert "turns 1 of 7 reproduced rows with numbers: 1 of 1 equality, 0 of 0 one run, 0 of 6 one-sided" in index
 
 
-def test_the_power_of_the_rules_is_told_when_asked(run) -> None:
+def test_the_power_of_the_rules_is_said_when_asked(run) -> None:
     assert "turns 1 of 2 reproduced rows" in run("ch3", "--power").stdout and "turns" not in run("ch3").stdout
     assert json.loads(run("ch3", "--power", "--json").stdout)["power"]["equality"] == [1, 1]
 
 
-def test_progress_is_told_on_standard_error(run) -> None:
+def test_progress_is_reported_on_standard_error(run) -> None:
     outcome = run("ch7", "--json")
     assert "ch7 1/2 first: half" in outcome.stderr and "first" not in outcome.stdout
 

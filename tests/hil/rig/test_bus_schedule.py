@@ -37,7 +37,7 @@ def on_a_bus(clocks: str, *sets: str, frames: int = 1, loss: float = 0.0) -> Loo
     return compose(load_experiment("multisensor-ours", [medium, *own, *buffers, *sets]))
 
 
-def test_a_cycle_names_who_is_heard_and_how_old_its_sample_is() -> None:
+def test_a_cycle_names_which_node_is_received_and_how_old_its_sample_is() -> None:
     assert bus_cycle([ClockTable(every=4)] * 4, 1) == (((0, 0),), ((1, 1),), ((2, 2),), ((3, 3),))
     assert bus_cycle([ClockTable(every=4)] * 4, 2) == (((0, 0), (1, 0)), ((2, 1), (3, 1)), (), ())
     assert bus_cycle([ClockTable()] * 2, 1) == (((0, 0),),)

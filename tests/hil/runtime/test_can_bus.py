@@ -113,7 +113,7 @@ def test_a_bus_with_a_data_bit_rate_carries_can_fd() -> None:
     assert set(own["flags"].tolist()) == {12} and len(own) == 40
 
 
-def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_heard(capsys: pytest.CaptureFixture[str]) -> None:
+def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_received(capsys: pytest.CaptureFixture[str]) -> None:
     more = "network.media.bus.traffic=[{name='flood', can_id=1, length=8, period='0.9 ms'}]"
     experiment = load_experiment(NAME, duration="1", sets=[more, "limits.watchdog_slots=1000"])
     done = simulated_session(compose(experiment, certify=False), 0)

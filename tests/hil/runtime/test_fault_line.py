@@ -46,7 +46,7 @@ def loop_of(text: str, *, certify: bool = True) -> Loop:
     [(kind, f'link = "{side}"') for kind in ("cut", "corrupt", "freeze", "bus-off") for side in ("sc", "ca")]
     + [("controller-restart", "")],
 )
-def test_a_fault_breaks_what_it_says_is_told_by_events_and_replayed_bit_for_bit(kind: str, where: str, tmp_path: Path) -> None:
+def test_a_fault_breaks_what_it_says_is_reported_and_replayed_bit_for_bit(kind: str, where: str, tmp_path: Path) -> None:
     session = run_session(parse_experiment(faulty(kind, where)), path=tmp_path / "x.mcap")
     run = session.run
     assert session.status == 0
@@ -85,7 +85,7 @@ def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -
     assert drawn[0] != drawn[1]  # from the seed
 
 
-def test_a_controller_off_the_bus_hears_nothing() -> None:
+def test_a_controller_off_the_bus_receives_nothing() -> None:
     run = simulate(loop_of(faulty("bus-off", 'link = "ca"'), certify=False), 0)
     packets = [decode(bytes(data)) for data in run.arrays["/link/sensor"]["data"]]
     received = {p.seq for p in packets if isinstance(p, SensorPacket) and not p.flags & EMPTY}
@@ -123,7 +123,7 @@ def test_a_loop_with_faults_is_not_certified_computed_at_once_or_predicted() -> 
     assert theory_section(view_of(simulate(loop, 0), loop.experiment)) is None
 
 
-def test_faults_of_the_table_are_told_by_their_path() -> None:
+def test_faults_of_the_table_are_reported_by_their_path() -> None:
     bad = [
         ('at = -1\nfor = 1\nkind = "cut"\nlink = "sc"', "fault[0].at: -1 s is not between"),
         ('at = 1\nkind = "cut"\nlink = "sc"', "fault[0].for: missing; a fault of kind 'cut' lasts a while"),
@@ -146,13 +146,13 @@ def test_faults_of_the_table_are_told_by_their_path() -> None:
     assert json.loads(json.dumps(resolved))["fault"][0]["for"] == 0.5 and "fault" not in load_experiment("dc-motor-h2").resolved()
 
 
-def test_somebody_else_s_controller_is_not_restarted() -> None:
+def test_a_controller_of_another_process_is_not_restarted() -> None:
     loop = loop_of(faulty("controller-restart", ""))
     with pytest.raises(HilError, match="hil cannot restart an external controller"):
         run_real(loop, 0, link_of(loop.rig, "can:hil:nobody"), MemorySink(channels_of(loop)), external=True)
 
 
-def test_a_fault_that_the_run_never_reaches_is_told(tmp_path: Path) -> None:
+def test_a_fault_that_the_run_never_reaches_is_reported(tmp_path: Path) -> None:
     late = faulty("cut", 'link = "sc"') + "\n[[fault]]\nat = \"3 s\"\nkind = \"controller-restart\"\n"
     said = "fault[1].at: 3 s lies beyond the end of the run (3 s): the restart of the controller for 0 s never happens"
     session = run_session(parse_experiment(late), path=tmp_path / "run.mcap")

@@ -133,7 +133,7 @@ def test_the_certificate_is_of_the_rows_that_run(loop: Loop) -> None:
 
 @pytest.mark.parametrize(("gain", "state"), [(-0.05, "certified"), (3.0, "refused")])
 @pytest.mark.parametrize("side", ["sc", "ca"])
-def test_gains_of_stays_that_no_hazard_tells_apart_are_in_the_certificate(side: str, gain: float, state: str) -> None:
+def test_gains_of_stays_that_no_hazard_distinguishes_are_in_the_certificate(side: str, gain: float, state: str) -> None:
     """A geometric stay is one mode of its chain; gains that change within it were certified by those of its first slot."""
     if side == "sc":
         gains = [[[[-0.05]], [[-0.05]]]] * 4 + [[[[gain]], [[gain]]]]

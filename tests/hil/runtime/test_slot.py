@@ -51,7 +51,7 @@ class Spy:
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_slot_is_sense_ask_record_hear_actuate_commit_and_one_cut_off_is_not_completed(cut: bool) -> None:
+def test_slot_is_sense_ask_record_receive_actuate_commit_and_one_cut_off_is_not_completed(cut: bool) -> None:
     spy = Spy()
     rig: Rig = spy  # type: ignore[assignment]
     Slot(rig, spy, lambda: spy.calls.append("commit"), lambda: cut).run(7)

@@ -57,7 +57,7 @@ def test_a_delay_that_never_comes_has_the_table_that_its_label_gives_it() -> Non
     assert by_stay.sojourns == (0, 2, 2, 2)
 
 
-def test_a_stay_is_not_told_where_the_receiver_measures_another_one() -> None:
+def test_a_stay_is_not_reported_where_the_receiver_measures_another_one() -> None:
     gap = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(0, 1, 3), allow_gaps=True)
     chain = delay_chain(gap)
     assert chain is not None and sorted(set(chain.delay.tolist())) == [0, 1, 2, 3]  # 2 on the way from 1 to 3
@@ -102,7 +102,7 @@ def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
          "controller.sojourns: this delay may grow by more than one per slot"),
     ],
 )
-def test_what_nobody_can_count_is_refused(name: str, sets: list[str], message: str) -> None:
+def test_what_cannot_be_counted_is_refused(name: str, sets: list[str], message: str) -> None:
     with pytest.raises(ExperimentError, match=message):
         compose(load_experiment(name, sets))
 

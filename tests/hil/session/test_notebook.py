@@ -61,7 +61,7 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
 
 
 @pytest.mark.parametrize("path, size", [("step.tiff", 85.0), (None, 1.0)])
-def test_what_cannot_be_drawn_is_told(session: hil.Session, path: str | None, size: float) -> None:
+def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: str | None, size: float) -> None:
     with pytest.raises(hil.HilError, match="plot: "):
         session.plot(path, width_mm=size)
 

@@ -83,7 +83,7 @@ def test_log_verifies_and_a_changed_log_does_not(tmp_path: Path) -> None:
     assert "/plant/state of slot 77: speed" in (verdict.difference or "")
 
 
-def test_a_log_of_a_machine_with_other_last_bits_is_told_from_one_that_differs(tmp_path: Path) -> None:
+def test_a_log_of_a_machine_with_other_last_bits_is_distinguished_from_one_that_differs(tmp_path: Path) -> None:
     run = run_session(load_experiment("dc-motor-hinf", ["duration=5"]), path=tmp_path / "a.mcap").run
     writable(run, "/plant/state")["speed"][77] += 1e-12
     writable(run, "/plant/state")["speed"][90] -= 1e-13
@@ -262,7 +262,7 @@ def test_the_first_disturbance_ends_the_window_of_the_step(tmp_path: Path) -> No
     ("frames", "status", "problem"),
     [("twice", 5, "second_controller"), ("often", 6, "flood"), ("once", 0, None)],
 )
-def test_somebody_else_on_the_link_has_an_exit_status_and_a_problem_of_its_own(
+def test_another_process_on_the_link_has_an_exit_status_and_a_problem_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: str, status: int, problem: str | None
 ) -> None:
     from hil.runtime.virtual import DirectExchange

@@ -210,7 +210,7 @@ LATE = "network.nodes.speed.law={kind='packet',latency={table=[[0,0],[1,'160 ms'
     [(EACH,), (sent("applied", 2, 2, 1, 2),), (EACH, LATE), (sent("applied", 4, 2, 1, 2), "network.sc.max_age=3", LATE)],
     ids=["an age each", "the oldest", "a packet law", "the oldest over one"],
 )  # fmt: skip
-def test_several_nodes_are_heard_the_same(sets: tuple[str, ...]) -> None:
+def test_several_nodes_are_received_the_same(sets: tuple[str, ...]) -> None:
     loop = loop_of("dc-motor-two-nodes", *NODES, *sets)
     assert supports_batch(loop) and len(loop.rig.sensors) == 2
     same_bits(loop, range(4))
@@ -243,7 +243,7 @@ def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int
     same_bits(loop, range(3))
 
 
-def test_nodes_that_take_turns_or_have_clocks_are_heard_the_same_and_silent_ones_left_to_the_plain_engine() -> None:
+def test_nodes_that_take_turns_or_have_clocks_are_received_the_same_and_silent_ones_left_to_the_plain_engine() -> None:
     oldest = sent("applied", 4, 2, 1, 2)
     turns = "network.media={bus={kind='round-robin',nodes=['angle','speed'],loss=0.1}}"
     clock = "network.nodes.angle.clock={every=3}"

@@ -62,7 +62,7 @@ def test_a_role_that_is_none_is_refused() -> None:
         open_link("can:hil:rig0", "observer")  # type: ignore[arg-type]
 
 
-def test_a_users_link_comes_in_by_the_same_door(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_users_link_comes_in_by_the_same_entry_point(monkeypatch: pytest.MonkeyPatch) -> None:
     mine, broken = link_point("mine", "transport.links.memory:MemoryLink"), link_point("broken", "nowhere:Link")
     monkeypatch.setattr("transport.links.opening.points", lambda begin: (mine, broken))
 

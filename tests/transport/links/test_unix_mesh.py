@@ -56,7 +56,7 @@ def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_he
         assert listener.receive(0.01) is not None
 
 
-def test_who_is_let_in_by_another_thread_hears_what_is_sent_meanwhile(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_who_is_let_in_by_another_thread_gets_what_is_sent_meanwhile(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A bus with time sends from a thread of its own, while its program reads: each sees that a newcomer has joined."""
     accept, lets_in, go_on = socket.socket.accept, Event(), Event()
 
@@ -85,7 +85,7 @@ def test_who_leaves_while_another_thread_sends_ends_that_thread_by_no_error(dire
         assert sender.send(HEAD.pack(0.0, 0)) and listener.receive(0.01) is None
 
 
-def test_who_joined_before_a_datagram_was_sent_hears_it_once_as_those_who_were_there(directory: Path) -> None:
+def test_who_joined_before_a_datagram_was_sent_receives_it_once_as_those_who_were_there(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as there:
         assert sender.send(HEAD.pack(0.0, 0)) and sender.participants == 2
         with Mesh(directory) as newcomer:
@@ -117,7 +117,7 @@ def test_a_datagram_too_short_to_be_one_is_passed_over(directory: Path) -> None:
         assert mesh.participants == 2
 
 
-def test_who_cannot_get_the_lock_says_that_somebody_stopped_in_mid_join(
+def test_who_cannot_get_the_lock_says_that_a_process_stopped_in_mid_join(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("transport.links.unix_mesh._JOIN_TIMEOUT_S", 0.05)
@@ -147,7 +147,7 @@ def few_descriptors() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("few_descriptors")
-def test_without_a_free_descriptor_nobody_spins_and_a_newcomer_waits_for_one(directory: Path) -> None:
+def test_without_a_free_descriptor_no_process_spins_and_a_joining_one_waits(directory: Path) -> None:
     with Mesh(directory) as mesh, Mesh(directory) as first, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as newcomer:
         assert mesh.receive(0) is None and mesh.participants == 2  # the first one is in
         newcomer.connect(str(mesh._path))
@@ -199,7 +199,7 @@ def test_a_mark_that_was_cut_costs_no_life(directory: Path) -> None:
             assert newcomer.receive(1) == HEAD.pack(2.0, 0) + b"frame"
 
 
-def test_a_full_disk_is_told_by_an_error(directory: Path) -> None:
+def test_a_full_disk_is_reported_by_an_error(directory: Path) -> None:
     with files_up_to(0), pytest.raises(TransportError, match="joined: File too large"):
         Mesh(directory)
     assert not list(directory.glob("*.sock"))
@@ -252,7 +252,7 @@ def test_participants_number_themselves_and_leave_no_descriptor_open(directory: 
     assert len(os.listdir("/proc/self/fd")) == before and not directory.exists()
 
 
-def test_who_missed_more_than_one_datagram_can_tell_is_told_by_the_next_ones(directory: Path) -> None:
+def test_who_missed_more_than_one_datagram_can_say_learns_it_by_the_next_ones(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as listener:
         sender.send(HEAD.pack(0.0, 0))
         sender._peers[0].missed = 0x1_2345
@@ -269,7 +269,7 @@ def test_a_directory_open_to_others_is_refused_with_the_remedy(directory: Path) 
         Mesh(directory)
 
 
-def test_what_arrives_first_is_heard_first_whatever_time_its_sender_says(directory: Path) -> None:
+def test_what_arrives_first_is_received_first_whatever_time_its_sender_says(directory: Path) -> None:
     with Mesh(directory) as listener, Mesh(directory) as honest, Mesh(directory) as early:
         for turn in range(20):
             honest.send(HEAD.pack(1e9 + turn, 0) + b"honest")

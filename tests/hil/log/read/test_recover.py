@@ -118,7 +118,7 @@ def test_a_damaged_first_chunk_does_not_cost_the_names_of_the_topics(log: bytes,
     assert states(read_run(tmp_path / "b.mcap")) == list(range(20, 200))
 
 
-def test_a_damaged_attachment_is_told_and_left_out(log: bytes, tmp_path: Path) -> None:
+def test_a_damaged_attachment_is_reported_and_left_out(log: bytes, tmp_path: Path) -> None:
     data = log.replace(b"# demo\n", b"# demo!", 1)
     source = written(tmp_path / "a.mcap", data)
     with pytest.raises(HilError, match=r"attachment at byte .*checksum"):

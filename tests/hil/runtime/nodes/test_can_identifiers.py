@@ -79,7 +79,7 @@ def test_a_file_has_it_and_a_slot_that_is_packed_at_once_too(tmp_path: Path) -> 
     ]
 
 
-def test_a_mangled_number_names_nobody() -> None:
+def test_a_mangled_number_names_no_process() -> None:
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
     table = channels_of(loop, on_can=True)
     sink = MemorySink(table)

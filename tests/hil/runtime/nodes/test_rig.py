@@ -169,7 +169,7 @@ def control(k: int, u: float = 0.0) -> bytes:
     return encode_control(ControlPacket(k, 0, 0, 0, 1, ((u,), (u,))))
 
 
-def test_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
+def test_second_controller_that_says_otherwise_is_reported_once(loop: Loop) -> None:
     # A copy of what was applied says nothing; what came to the same question from somebody else does.
     sink = drive(loop, lambda k: [control(k - 1), control(k)] if k else control(0), 4)
     assert "second controller" not in kinds(sink)
@@ -177,7 +177,7 @@ def test_second_controller_that_says_otherwise_is_told_once(loop: Loop) -> None:
     assert kinds(sink).count("second controller") == 1
 
 
-def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_told(loop: Loop) -> None:
+def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_is_reported(loop: Loop) -> None:
     from hil.log.read.run import Run
 
     sink = drive(loop, lambda k: [control(k + 1, 2.0), control(k)], 30)
@@ -208,7 +208,7 @@ def test_answers_that_a_stalled_controller_sends_late_are_no_flood(loop: Loop) -
 
 
 @pytest.mark.parametrize("forged", [0, 1, -1], ids=["none", "another", "old"])
-def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_told(loop: Loop, forged: int) -> None:
+def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_is_reported(loop: Loop, forged: int) -> None:
     from hil.log.read.run import Run
     from transport.wire.tags import echo
 

@@ -44,7 +44,7 @@ def test_what_is_larger_than_the_line_comes_in_pieces_whole_and_in_order() -> No
     lines.flush()
 
 
-def test_a_process_that_takes_nothing_keeps_nobody_waiting() -> None:
+def test_a_process_that_takes_nothing_keeps_no_other_waiting() -> None:
     lines = Lines(True)
     lines.open("rig")
     for k in range(20):

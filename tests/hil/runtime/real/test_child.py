@@ -38,7 +38,7 @@ def test_asking_for_twenty_minutes_takes_no_memory() -> None:
     assert int(told.stdout) < 150
 
 
-def test_a_process_that_is_stopped_is_told_from_one_that_runs_and_from_none() -> None:
+def test_a_process_that_is_stopped_is_distinguished_from_one_that_runs_and_from_none() -> None:
     with subprocess.Popen(["sleep", "60"]) as process:
         try:
             assert not is_stopped(process.pid)

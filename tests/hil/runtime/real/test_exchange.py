@@ -103,7 +103,7 @@ def test_stop_is_seen_between_two_frames() -> None:
     assert link.taken == 5
 
 
-def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_is_never_heard() -> None:
+def test_answer_in_time_is_found_behind_other_frames_and_one_after_the_deadline_is_never_received() -> None:
     link, ear = Bench(), Ear()
     one = exchange(link, ear)
     one.ask(0, question())
@@ -188,7 +188,7 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
     assert greeting.foreign > 0
 
 
-def test_stranger_who_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
+def test_a_process_that_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
     link = Bench(taking_ns=MS)
     link.on_question = lambda: setattr(link, "endless", link.endless or hello(link))
     greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()

@@ -48,7 +48,7 @@ def test_avatar_and_material_are_those_of_the_run_bit_for_bit(monkeypatch, name,
     assert np.ptp(path.depth_m) > 1e-4
 
 
-def test_forces_of_another_program_are_told():
+def test_forces_of_another_program_are_reported():
     experiment = load_experiment("omni-push", ["duration=5"])
     view = view_of(simulate(compose(experiment), 0), experiment)
     softer = load_experiment("omni-push", ["duration=5", "controller.wall.material=1"])

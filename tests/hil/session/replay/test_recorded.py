@@ -21,7 +21,7 @@ def answers(slots: Sequence[int], late: Sequence[int] = ()) -> Run:
 
 
 @pytest.mark.parametrize("slots", [[*range(5000)], [0, 1, 1, 4, 4, 9], [3, 1, 2, 2, 0, 7], []])
-def test_the_last_answer_of_a_slot_that_came_in_time_is_heard(slots: list[int]) -> None:
+def test_the_last_answer_of_a_slot_that_came_in_time_is_received(slots: list[int]) -> None:
     late = [i for i in range(len(slots)) if i % 3 == 1]
     kept = {k: b"%d at %d" % (k, i) for i, k in enumerate(slots) if i not in late}
     received = RecordedAnswers(answers(slots, late))
