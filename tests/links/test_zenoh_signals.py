@@ -32,7 +32,7 @@ def guide_watch() -> Any:
     """The function that the guide shows."""
     text = (Path(str(resources.files("hil"))) / "guide" / "wire-format.md").read_text()
     (code,) = (block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "def watch" in block)
-    scope: dict[str, Any] = {}
+    scope: dict[str, Any] = {"__name__": "guide"}
     exec(code, scope)
     return scope["watch"]
 
@@ -57,6 +57,10 @@ def test_the_subscriber_of_the_guide_reads_values_by_name() -> None:
             (reply,) = session.get("hil/arm/signals/schemas")
             assert json.loads(reply.ok.payload.to_string()) == {TOPIC: {"schema": SCHEMA.name, "text": SCHEMA.text}}
             watching.undeclare()
+            with pytest.raises(LookupError, match="arm publishes no /plnt/x; it publishes /plant/measurement"):
+                guide_watch()(session, "/plnt/x", "arm")
+            with pytest.raises(LookupError, match=r"rig7 publishes no .*nothing: does it run"):
+                guide_watch()(session, name="rig7")
         finally:
             session.close()
     publisher.close()

@@ -12,7 +12,7 @@ import numpy as np
 
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
-from hil.experiment import Experiment, load_experiment, shipped
+from hil.experiment import load_experiment, shipped
 from hil.pages.live.side import Side
 from hil.plugins.protocols import GoesOn, Plant
 from hil.rig.loop import Loop
@@ -32,7 +32,7 @@ def about(sides: Sequence[Side], where: str) -> dict[str, Any]:
 def _run(side: Side) -> dict[str, Any]:
     loop = side.first
     if loop is None:
-        return {"name": "", "traces": []}
+        return {"name": "", "traces": [], "waits": side.waits}
     e = loop.experiment
     resolved = e.resolved()
     return {
@@ -45,11 +45,14 @@ def _run(side: Side) -> dict[str, Any]:
         "fields": _fields(e.plant, resolved["plant"], real=side.clock is None) if side.acts else {},
         "network": _network(loop, resolved["network"]),
         "controller": e.kinds.get("controller", ""), "own": resolved["controller"],
-        "controllers": _controllers(side, e) if side.acts and side.clock is not None else {},
     }  # fmt: skip
 
 
-def _controllers(side: Side, e: Experiment) -> dict[str, Any]:
+def controllers_of(side: Side) -> dict[str, Any]:
+    """Return the controllers that a run may be given; none where it takes none. The page asks when it is drawn: it takes long."""
+    if side.first is None or not side.acts or side.clock is None:
+        return {}
+    e = side.first.experiment
     return controllers(e.kinds.get("plant", ""), side.period_s, len(e.plant.outputs))
 
 

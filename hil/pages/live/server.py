@@ -28,6 +28,7 @@ import msgspec
 
 from hil.errors import HilError
 from hil.log.events import plain
+from hil.pages.live.about import controllers_of
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.scopes import Window, picture
 from hil.pages.live.script import script_of
@@ -233,6 +234,8 @@ class Handler(BaseHTTPRequestHandler):
         asked = {name: values[-1] for name, values in parse_qs(query).items()}
         if path == "/about":
             return "application/json", _json(self.server.about() | {"acts": self._may_act()})
+        if path == "/controllers":
+            return "application/json", _json(controllers_of(self._side(asked)))
         if path == "/script":
             return "text/plain", script_of(self._side(asked).done)
         if path == "/view":

@@ -57,6 +57,7 @@ class Side:
         self.first: Loop | None = None
         self.loop: Loop | None = None  # with every change that is armed
         self.status = "waiting"
+        self.waits = ""  # for what, until the run begins
         self.name = ""
         self.period_s = 1.0
         self.traces: tuple[Trace, ...] = ()

@@ -91,6 +91,7 @@ def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside
 
     def run(each: Asked, side: Side) -> Session:
         experiment = each.load(seed)
+        side.waits = f"composing {experiment.name}: gains and certificate"
         onlooker = Beside(side, beside) if beside is not None and side is sides[0] else side
         try:
             return run_session(experiment, clock=each.clock, link=each.link, path=each.path(experiment), onlooker=onlooker)

@@ -1,7 +1,7 @@
 // What may be changed: each change is checked first, shown with the certificate of the loop that would run, then applied.
 import { claimBadge, number, text } from "./live.js";
 
-export function makeAct(place, abouts, wish, runs) {
+export function makeAct(place, abouts, wish, runs, controllersOf) {
   const about = abouts[0], drafts = { pending: null };
   place.hidden = false;
   const heading = text("h2", "Act");
@@ -104,9 +104,13 @@ export function makeAct(place, abouts, wish, runs) {
   // Controller: any that a shipped experiment has for the same plant.
   const controller = document.createElement("select");
   controller.setAttribute("aria-label", "Controller");
-  controller.append(text("option", "another controller …", { value: "" }), ...Object.keys(about.controllers).map((name) => text("option", name, { value: name })));
-  controller.addEventListener("change", () => controller.value && check("controller", about.controllers[controller.value]));
-  if (Object.keys(about.controllers).length) field("Controller", row(controller));
+  const others = field("Controller", row(controller));
+  others.hidden = true;
+  controllersOf().then((found) => {  // which load every shipped experiment: the page does not wait for them
+    controller.append(text("option", "another controller …", { value: "" }), ...Object.keys(found).map((name) => text("option", name, { value: name })));
+    controller.addEventListener("change", () => controller.value && check("controller", found[controller.value]));
+    others.hidden = !Object.keys(found).length;
+  });
 
   // Plant: the numbers that may change while it runs.
   const paths = Object.keys(about.fields);

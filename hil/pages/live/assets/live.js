@@ -161,7 +161,8 @@ async function frame() {
       view.latest = now.slots * about.period;
       view.first = now.first * about.period;
       $("time").textContent = `${(view.end ?? view.latest).toFixed(about.period < 0.01 ? 3 : 2)} s`;
-      badge($("status"), STATUS[now.status] || STATUS.waiting, now.status);
+      const first = now.status === "running" && !now.slots; // in real time its processes are starting
+      badge($("status"), first ? STATUS.waiting : STATUS[now.status] || STATUS.waiting, first ? "waiting for slot 0" : now.status);
       $("hold").textContent = now.status === "held" ? "Go" : "Hold";
       $("follow").setAttribute("aria-pressed", String(view.end === null));
       if (document.activeElement !== $("slider")) $("slider").value = view.latest > view.first ? (1000 * ((view.end ?? view.latest) - view.first)) / (view.latest - view.first) : 1000;
@@ -207,7 +208,10 @@ addEventListener("keydown", (event) => {
 
 async function begin() {
   const about = await (await fetch("about", { headers })).json();
-  if (!about.runs.length || !about.runs.every((r) => r.name)) return setTimeout(begin, 300);
+  if (!about.runs.length || !about.runs.every((r) => r.name)) {
+    badge($("status"), STATUS.waiting, about.runs.map((r) => r.waits).filter(Boolean).join("; ") || "waiting");
+    return setTimeout(begin, 300);
+  }
   $("where").textContent = `hilrig live · ${about.where}${about.acts ? "" : " · read only"}`;
   $("title").textContent = document.title = about.runs.map((r) => r.name).join(" beside ");
   $("seed").value = about.runs[0].seed;
@@ -215,7 +219,7 @@ async function begin() {
   $("pace").hidden = !acts;
   for (const id of ["hold", "step", "speed-of"]) $(id).hidden = !about.runs[0].paced; // in real time the clock on the wall paces
   runs = about.runs.map(makeRun);
-  if (acts) act = makeAct($("act"), about.runs, wish, () => runs);
+  if (acts) act = makeAct($("act"), about.runs, wish, () => runs, async () => (await fetch("controllers", { headers })).json());
   window.hilLive = { runs, view, table, wish }; // for tests
   frame();
 }
