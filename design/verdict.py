@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from typing import Final, Literal
 
 import msgspec
 import numpy as np
+from msgspec import Struct, field
 
 Kind = Literal[
     "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
@@ -39,8 +39,7 @@ def digest(system: Mapping[str, object]) -> str:
     return hashlib.sha256(msgspec.json.encode(plain(system))).hexdigest()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Verdict:
+class Verdict(Struct, frozen=True, kw_only=True):
     """A claim on one system and what decides it.
 
     Args:

@@ -7,10 +7,12 @@ eigenvalues are computed at these matrices.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from design.errors import NotStable
 from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
@@ -18,8 +20,7 @@ from design.jump_linear.second_moment import Array, backward, cost_once, expect,
 from design.verdict import State
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Certificate:
+class Certificate(Struct, frozen=True, kw_only=True):
     """Stability and norms of one closed loop, with the eigenvalues of the inequalities that prove them.
 
     Args:

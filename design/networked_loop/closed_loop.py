@@ -26,11 +26,11 @@ The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.controllers import Selection, row_count
 from design.errors import FieldError
@@ -61,8 +61,7 @@ class _Entries(NamedTuple):
     right: Array
 
 
-@dataclass(frozen=True, slots=True)
-class LoopStructure:
+class LoopStructure(Struct, frozen=True):
     """Everything of the closed loop but the gains. Made by `loop_structure`.
 
     Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);

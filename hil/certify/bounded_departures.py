@@ -9,11 +9,11 @@ A relative trigger lets every sample be wrong by a share of itself: one quadrati
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel

@@ -7,9 +7,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -44,8 +44,7 @@ class Said:
         return answer
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CertificationProblem:
+class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     """The loop that will run, as far as a claim can rest on it.
 
     Args:
@@ -79,9 +78,9 @@ class CertificationProblem:
     damped: bool = False
     faults: int = 0
     input_limits: tuple[float, ...] | None = None
-    state_limits: Mapping[str, float] = field(default_factory=dict)
+    state_limits: Mapping[str, float] = msgspec.field(default_factory=dict)
     selection: str = ""
-    said: Said = field(default_factory=Said)
+    said: Said = msgspec.field(default_factory=Said)
     unmet: str = ""
     neglects: str = ""
     chainless: str = ""
@@ -181,7 +180,7 @@ def _undecide(verdict: Verdict, reason: str) -> Verdict:
     """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
     if verdict.state == "undecided":
         return verdict
-    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+    return msgspec.structs.replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
 
 
 STATES = {

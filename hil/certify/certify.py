@@ -8,10 +8,10 @@ protocols is judged like ours.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from design.verdict import Verdict
 from hil.certify.certifier import (
@@ -95,7 +95,7 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             if loop.unmet and verdict.state != "undecided":
-                verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
+                verdict = replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
     return undecided(loop, "mean-square stability", why_no_controller(loop.controller))
 

@@ -10,9 +10,9 @@ The test ends after some slots; what a run is compared with while it runs is `hi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -107,7 +108,7 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"
         for said in verdict.assumptions
     )
-    known = replace(
+    known = msgspec.structs.replace(
         verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest, details={**verdict.details, **least}
     )
     return limited_to_model(loop.plant, known, knows_state_delays=True)

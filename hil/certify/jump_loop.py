@@ -6,6 +6,7 @@ from dataclasses import replace
 from math import isfinite
 from typing import TYPE_CHECKING
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -147,7 +148,7 @@ def _with_constraint(
         word, why = "undecided", str(error)
     said = {"certified": "holds", "refused": "has no proof of this form", "undecided": "is undecided"}[word]
     details = {**found.details, "constraint": {"state": word, "reason": why}}
-    return replace(
+    return msgspec.structs.replace(
         found, details=details, reason=f"{found.reason}; the constraint (4.6) {said}",
         assumptions=(*found.assumptions, "the constraint (4.6) is of the feedback that acts at every instant, without delays"),
     )  # fmt: skip
@@ -220,7 +221,7 @@ def _with_continuous_time(
     if gamma is not None:
         assumed = (*assumed, "gamma alone is of the feedback that acts at every instant, without delays")
     number = found.number if found.number is None or isfinite(found.number) else None
-    return replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
+    return msgspec.structs.replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
 
 
 Array = NDArray[np.float64]

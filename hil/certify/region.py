@@ -10,11 +10,11 @@ at most `RISK` for all of them, the run is certified; elsewhere the region is st
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished

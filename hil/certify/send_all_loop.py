@@ -7,10 +7,10 @@ a CAN bus makes them, it is certified in every order, or undecided.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import AgedFeedback, GainTable, LinearFeedback, LinearLaw, LoopModel, RowsLaw, integrates, packet_samples

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
+from msgspec.structs import replace
 
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict

@@ -142,7 +142,7 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
         experiment = replace(e, plant=experiment.plant)
         verdict = loop.verdict
         if verdict is not None:  # the claim is on the same equations
-            verdict = dataclasses.replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
+            verdict = replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
         return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
     after = compose(experiment, certify=certify)
     _fits(loop, after, path)
@@ -155,7 +155,7 @@ def _assuming(loop: Loop, *more: str) -> Loop:
     if verdict is None or not verdict.certified:
         return loop
     own = (*verdict.assumptions, *(each for each in more if each not in verdict.assumptions))
-    return dataclasses.replace(loop, verdict=dataclasses.replace(verdict, assumptions=own))
+    return dataclasses.replace(loop, verdict=replace(verdict, assumptions=own))
 
 
 def _fits(before: Loop, after: Loop, path: str) -> None:

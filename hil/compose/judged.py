@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -53,7 +52,7 @@ def judge(
         watched = replace(watched, laws=drawn)
         assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
         assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
-        verdict = dataclasses.replace(verdict, assumptions=(*verdict.assumptions, *assumed))
+        verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if external:
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
     _allow(experiment, verdict)

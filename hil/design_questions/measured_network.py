@@ -7,10 +7,11 @@ chain in the region, also one that changes from slot to slot.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec.structs import replace
 
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict

@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import math
 import typing
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from hil.errors import HilError
 from plants.parts.linear import Signal
@@ -81,8 +81,7 @@ def plain(value: Any) -> Any:
     return f"{type(value).__module__}.{type(value).__qualname__}"  # of an object that was built in Python
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class UnavailablePlugin:
+class UnavailablePlugin(Struct, frozen=True, kw_only=True):
     """A plant or a controller that ran, and cannot be made again from its log alone.
 
     Args:

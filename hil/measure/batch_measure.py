@@ -6,11 +6,11 @@ What they give is bit for bit what the measures of a single run do, such as `tra
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from hil.experiment import Experiment
 from hil.measure.followed import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
@@ -20,8 +20,7 @@ from hil.rig.spec import RigSpec
 BatchValues: TypeAlias = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BatchView:
+class BatchView(Struct, frozen=True, kw_only=True):
     """Runs of one experiment, all of the same length, every value finite.
 
     Args:

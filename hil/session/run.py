@@ -10,6 +10,8 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
+import msgspec
+
 from hil.compose.loop import compose
 from hil.errors import DiskFull
 from hil.experiment import Experiment
@@ -183,7 +185,7 @@ def _assuming(loop: Loop, assumption: str) -> Loop:
     verdict = loop.verdict
     if verdict is None or not verdict.certified:
         return loop
-    return replace(loop, verdict=replace(verdict, assumptions=(*verdict.assumptions, assumption)))
+    return replace(loop, verdict=msgspec.structs.replace(verdict, assumptions=(*verdict.assumptions, assumption)))
 
 
 def _sha256(descriptor: int) -> str:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from functools import partial
 from math import isnan
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -136,7 +137,9 @@ def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.flo
     found = dict(measure.of_batch(view))
     names = view.signals.tracked
     for c, name in enumerate(names if len(names) > 1 else ()):
-        alone = replace(view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name))
+        alone = msgspec.structs.replace(
+            view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name)
+        )
         found |= {f"{key}.{name}": value for key, value in measure.of_batch(alone).items()}
     return found
 

@@ -12,6 +12,7 @@ from itertools import chain
 from typing import ClassVar, Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
@@ -87,8 +88,7 @@ def checked_initial(initial: object, modes: int) -> Initial:
     return checked_row("initial", initial, modes)
 
 
-@dataclass(frozen=True, slots=True)
-class AgePath:
+class AgePath(Struct, frozen=True):
     """A running age law as an endless iterator of (mode, age); `draw` is the iterator's own `__next__`, hence fast."""
 
     draw: Callable[[], tuple[int, int]]

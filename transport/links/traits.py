@@ -13,9 +13,11 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, Protocol, get_args, runtime_checkable
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
 from transport.links.link import TransportError, key_file, split_uri
@@ -76,8 +78,7 @@ KeyTable = Literal["tls", "login"]
 """Tables of an experiment's `[links]` that not every link takes."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CanFraming:
+class CanFraming(Struct, frozen=True, kw_only=True):
     """How packets are cut into CAN frames.
 
     Args:
@@ -97,8 +98,7 @@ class CanFraming:
         return 64 if self.fd else 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LinkTraits:
+class LinkTraits(Struct, frozen=True, kw_only=True):
     """What a link is.
 
     Args:
@@ -126,8 +126,7 @@ class LinkTraits:
     certificates: Certificates | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Certificates:
+class Certificates(Struct, frozen=True, kw_only=True):
     """The files by which both ends of a link know each other.
 
     Args:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -193,7 +194,7 @@ def test_plain_chains_keep_the_uniform_law_of_the_thesis():
     assert found.initial == "uniform"
     again = certify_loop(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", initial=np.full(6, 1 / 6))
     assert found.h2_norm == pytest.approx(again.h2_norm, rel=1e-14)
-    assert dataclasses.asdict(found).keys() >= {"state", "reason", "tail_radius", "initial"}
+    assert msgspec.structs.asdict(found).keys() >= {"state", "reason", "tail_radius", "initial"}
 
 
 @pytest.mark.parametrize("selection", ["generated", "previous"])

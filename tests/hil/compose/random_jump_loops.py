@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
+import msgspec
 import numpy as np
 from scipy.linalg import expm
 
@@ -140,7 +140,7 @@ def network_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]
     sc, ca = chain(rng, taus), chain(rng, ds)
     system = JumpModel(A=tuple(map(rows, A)), B=tuple(map(rows, B)))
     loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
-    over = replace(loop, sc=DelayChain(transition=sc), ca=DelayChain(transition=ca))
+    over = msgspec.structs.replace(loop, sc=DelayChain(transition=sc), ca=DelayChain(transition=ca))
     return over, random_delay_radius(A, B, K, Q, T, sc, ca)
 
 
@@ -180,4 +180,4 @@ def sectioned_case(rng: np.random.Generator) -> tuple[CertificationProblem, floa
     loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
     starts = np.tile([0.0, *((c - 0.5) * T for c in counts[1:])], (modes, 1))
     controller = scheduled_of(ScheduledGain(gain=by_age, starts_s=starts))
-    return replace(loop, controller=controller), sectioned_radius(A, B, by_age, counts, Q, T)
+    return msgspec.structs.replace(loop, controller=controller), sectioned_radius(A, B, by_age, counts, Q, T)

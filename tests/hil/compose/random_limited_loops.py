@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from hil.certify.certifier import CertificationProblem
@@ -65,7 +66,7 @@ def limited_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]
     A, B, sc, ca = loop.model.A, loop.model.B, loop.sc.matrix, loop.ca.matrix
     begins = rng.normal(size=len(A))
     begins *= np.exp(rng.uniform(np.log(0.05), np.log(1.5))) / np.abs(K[:, :, 0] @ begins).max()
-    loop = replace(loop, plant=Limited(begins=tuple(begins.tolist())))
+    loop = msgspec.structs.replace(loop, plant=Limited(begins=tuple(begins.tolist())))
     growth = send_all_radius(A, B, K, sc, list(range(taus)), ca)
     if growth <= 1.0:
         growth = 1.5 if leaving_runs(A, B, K, sc, ca, begins, rng) > MOST else 0.5

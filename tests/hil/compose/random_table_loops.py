@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
+import msgspec
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
@@ -77,5 +77,5 @@ def sojourn_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]
         else:
             left[mode * longest, (1 - mode) * longest : (2 - mode) * longest] = lasts[1 - mode]
     assert loop.ca is not None
-    over = replace(loop, sc=delay_chain(law))
+    over = msgspec.structs.replace(loop, sc=delay_chain(law))
     return over, send_all_radius(loop.model.A, loop.model.B, K, left, [0] * longest + [1] * longest, loop.ca.matrix)
