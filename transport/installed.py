@@ -60,11 +60,11 @@ class Folder(NamedTuple):
 
 
 def packages() -> Iterator[tuple[str, Package]]:
-    """Yield every package with the name under which it is looked for, as pip compares names, in the order of the path."""
+    """Yield every package with its name as it stands there, see `_plain`, in the order of the path."""
     if _elsewhere():
         from importlib.metadata import distributions
 
-        yield from ((_plain(each.name), each) for each in distributions())
+        yield from ((each.name, each) for each in distributions())
         return
     for entry in dict.fromkeys(sys.path):
         try:
@@ -73,7 +73,7 @@ def packages() -> Iterator[tuple[str, Package]]:
             continue
         for name in names:
             if name.endswith((".dist-info", ".egg-info")):
-                yield _plain(name.rpartition(".")[0].partition("-")[0]), Folder(os.path.join(entry, name))
+                yield name.rpartition(".")[0].partition("-")[0], Folder(os.path.join(entry, name))
 
 
 def points(begin: str) -> tuple[Point, ...]:
@@ -82,7 +82,7 @@ def points(begin: str) -> tuple[Point, ...]:
     for name, package in packages():
         said = package.read_text("entry_points.txt") or ""
         if f"[{begin}" in said:
-            first.setdefault(name, (said, package))
+            first.setdefault(_plain(name), (said, package))
     return tuple(point for said, package in first.values() for point in _read(said, package) if point.group.startswith(begin))
 
 
@@ -90,8 +90,8 @@ def versions_of(names: Iterable[str]) -> dict[str, str]:
     """Return the versions of packages by their names as they are given; what is not installed is left out."""
     wanted = {_plain(name): name for name in names}
     first: dict[str, Package] = {}
-    for own, package in packages():
-        if own in wanted:
+    for name, package in packages():
+        if (own := _plain(name)) in wanted:
             first.setdefault(wanted[own], package)
     return {name: said_by(package, "Version") for name, package in first.items()}
 
@@ -119,4 +119,5 @@ def _elsewhere() -> bool:
 
 
 def _plain(name: str) -> str:
+    """Return the name under which a package is looked for, as pip compares names."""
     return re.sub(r"[-_.]+", "-", name).lower()

@@ -25,14 +25,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.scheduled_gain import ScheduledGain
 from design.controllers.sensor_nodes import SensorNodes, Uses, one_node
 from design.errors import FieldError
+
+if TYPE_CHECKING:
+    from design.controllers.scheduled_gain import ScheduledGain
 
 Selection = Literal["constant", "generated", "applied", "previous", "both"]
 Rows = tuple[tuple[float, ...], ...]

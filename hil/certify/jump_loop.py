@@ -17,14 +17,14 @@ from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import JumpPlant
 from hil.rig.watched import JumpStep
-from plants.parts.events import JumpModel, JumpRates
-from plants.parts.semi_markov import TransitionRates
 
 if TYPE_CHECKING:
     from design.controllers.scheduled_gain import ScheduledGain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.certificate import JumpCertificate
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+    from plants.parts.events import JumpModel, JumpRates
+    from plants.parts.semi_markov import TransitionRates
 
 
 def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:

@@ -15,7 +15,6 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.measure import Named
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
-from hil.notebook import as_svg, data_frame, drawn
 from hil.session.named_arrays import NamedArrays
 
 if TYPE_CHECKING:
@@ -33,6 +32,8 @@ def tables(run: Run) -> dict[str, pandas.DataFrame]:
     Raises:
         HilError: if pandas is not installed.
     """
+    from hil.notebook import data_frame
+
     found = {}
     for topic, array in run.arrays.items():
         columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
@@ -50,6 +51,7 @@ def datasets(run: Run) -> dict[str, xarray.Dataset]:
         import xarray
     except ImportError as error:
         raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
+
     found = {}
     for topic, array in run.arrays.items():
         units = _units(run, topic)
@@ -72,6 +74,8 @@ def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, 
     Raises:
         HilError: if matplotlib is not installed, or for another ending.
     """
+    from hil.notebook import drawn
+
     return drawn(partial(_paint, run), path, width_mm, height_mm)
 
 
@@ -106,6 +110,8 @@ def cell(run: Run, summary: dict[str, Any], line: str) -> str:
         line: the session in one line.
     """
     from html import escape  # its table of names is large
+
+    from hil.notebook import as_svg
 
     titles, units = summary["titles"], summary["units"]
     found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, Protocol, Self, runtime_checkable
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.parts.events import JumpModel, JumpRates
 from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
+
+if TYPE_CHECKING:
+    from plants.parts.events import JumpModel, JumpRates
 
 
 class PlantRun(Protocol):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from transport.errors import FieldError
 from transport.wire.fields import FD_LENGTHS
@@ -12,8 +13,7 @@ BASE_MOST: Final = 0x7FF
 EXTENDED_MOST: Final = 0x1FFF_FFFF
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CanFrame:
+class CanFrame(Struct, frozen=True, kw_only=True):
     """A data or remote frame of classic CAN or CAN FD.
 
     Args:

@@ -15,8 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws.protocols import ChainLaw, InitialLaw, LongRunLaw, MarkovModes, RecordedLaw, SemiMarkovLaw
-from transport.laws.semi_markov import augmented_chain
-from transport.laws.sojourn import mean_sojourn
 from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
 Matrix = NDArray[np.float64]
@@ -59,6 +57,8 @@ def delay_states(law: object, least: int = 1) -> DelayStates | None:
     if isinstance(law, RecordedLaw):
         return None
     if isinstance(law, SemiMarkovLaw):
+        from transport.laws.semi_markov import augmented_chain  # loaded where a mode lasts
+
         chain = augmented_chain(law, least=least)
         ages, slots = np.array(law.mode_ages, dtype=np.int64)[chain.modes], chain.slots
         matrix, low, high, stays = chain.matrix, chain.low, chain.high, chain.stays
@@ -151,6 +151,8 @@ def mode_shares(law: object) -> Numbers | None:
     if isinstance(law, LongRunLaw):
         return np.asarray(law.stationary(), dtype=np.float64)
     if isinstance(law, SemiMarkovLaw):
+        from transport.laws.sojourn import mean_sojourn
+
         weights = stationary_row(law.matrix) * np.array([mean_sojourn(s) for s in law.sojourn])
         return np.asarray(weights / weights.sum(), dtype=np.float64)
     matrix = mode_transitions(law)
@@ -162,6 +164,8 @@ def mode_bursts(law: object) -> Numbers | None:
     if isinstance(law, LongRunLaw):
         return np.asarray(law.mean_bursts(), dtype=np.float64)
     if isinstance(law, SemiMarkovLaw):
+        from transport.laws.sojourn import mean_sojourn
+
         return np.array([mean_sojourn(s) for s in law.sojourn])
     matrix = mode_transitions(law)
     return None if matrix is None else mean_holding(matrix)

@@ -22,7 +22,7 @@ from transport.packets import ControlPacket, node_of
 
 if TYPE_CHECKING:
     from transport.can_bus_model.bus import Transmission
-from transport.can_bus_model.node import CanNode
+    from transport.can_bus_model.node import CanNode
 
 _SENSED = (STATE.name, MEASUREMENT.name, REFERENCE.name)
 _ANSWERED = (CONTROL.name, ROWS.name)
