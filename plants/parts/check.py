@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import PlantError
-from plants.parts.events import JumpModel
 from plants.parts.exponential import Rows
 from plants.parts.linear import Signal
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
+
+if TYPE_CHECKING:
+    from plants.parts.events import JumpModel
 
 _SEED = 20240229
 _RUN = {
