@@ -26,6 +26,9 @@ TURNED: dict[type, tuple[type, ...]] = {
     ast.BitOr: (ast.BitAnd,), ast.LShift: (ast.RShift,), ast.RShift: (ast.LShift,),
 }  # fmt: skip
 
+SYMMETRIC = {"max", "min"}
+"""Functions whose arguments have no order."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Place:
@@ -123,7 +126,7 @@ def _faults(node: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
         yield node, "pass"
     elif isinstance(node, ast.Call) and len(node.args) > 1 and not any(isinstance(arg, ast.Starred) for arg in node.args[:2]):
         first, second, *others = node.args
-        if ast.dump(first) != ast.dump(second):
+        if ast.dump(first) != ast.dump(second) and ast.unparse(node.func) not in SYMMETRIC:
             yield node, ast.unparse(ast.Call(node.func, [second, first, *others], node.keywords))
 
 

@@ -24,6 +24,7 @@ from transport.packets import (
     encode_sensor,
     packet_size,
 )
+from transport.wire.tags import echo, with_tag
 
 singles = st.floats(width=32, allow_nan=False)
 instants = st.integers(-(2**63), 2**63 - 1)
@@ -258,3 +259,17 @@ def test_a_frame_that_contradicts_itself_is_refused_whatever_its_crc(offset: int
 def test_a_negative_age_saturates_at_its_own_end() -> None:
     packet = decode(encode_control(ControlPacket(0, 0, 0, -7, 0, ((0.0,),))))
     assert isinstance(packet, ControlPacket) and packet.tau == -1
+
+
+def test_digest_and_tag_of_a_sensor_packet_are_about_every_value_and_no_padding() -> None:
+    data, signed = encode_sensor(SensorPacket(3, 0, 10**9, (1.0, 2.0), reference=(3.0,))), []
+    whole = echo([data])
+    assert echo([data.ljust(64, b"\0")]) == whole
+    assert whole not in [echo([data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]]) for at in range(32, 44)]
+
+    def code(text: bytes) -> bytes:
+        signed.append(bytes(text))
+        return bytes(16)
+
+    assert with_tag(data.ljust(64, b"\0"), code) is not None
+    assert data[32:44] in signed[0]
