@@ -23,6 +23,7 @@ from design.verdict import State, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
+from hil.certify.saturating_loop import ends_surely
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
@@ -41,7 +42,7 @@ class Pushed(Struct, frozen=True, kw_only=True):
         states: what signals of size 1 move the state by in a slot, together, (n, q).
         outputs: what it adds to each output at most, (p,).
         within: largest command up to which these bounds hold, (m,); inf where they hold at any.
-        clips: whether a disturbance acts by a share of itself where it would take the input beyond that.
+        clips: whether a command beyond that acts as the largest, a disturbance that would take the input beyond it by a share.
     """
 
     names: tuple[str, ...]
@@ -154,7 +155,10 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0)
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
-    return inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
+    region = inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
+    if region.certified or not pushed.clips:
+        return region
+    return ends_surely(loop, region, limits=pushed.within, pushes=pushed.states, adds=pushed.outputs)
 
 
 def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:
@@ -207,7 +211,8 @@ def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[Non
     unit = np.minimum(np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float), pushed.within)
     steps, furthest = 0, np.abs(pushed.states).sum(axis=1)
     disturbed = 3.0 if pushed.clips and np.isfinite(pushed.within).all() else 0.0
-    for size, beside in ((1e-3, 0.0), (0.03, 0.0), (1.0, 0.0), (1.0, disturbed)):
+    most_input = pushed.within if pushed.clips else np.full(m, np.inf)
+    for size, beside in ((1e-3, 0.0), (0.03, 0.0), (1.0, 0.0), (1.0, disturbed), *([(30.0, 0.0)] if disturbed else ())):
         run = plant.start(np.random.default_rng(SEED))
         for u, w in zip(inputs := random_inputs(SLOTS, m) * unit * size, beside * inputs[::-1]):
             x = np.array(run.state)
@@ -216,9 +221,10 @@ def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[Non
             if not np.isfinite(after).all() or np.abs(after).max() > 1e12:
                 break
             lost = ROUNDING * (np.abs(x).max() + np.abs(after).max() + (np.abs(model.B) @ np.abs(u)).max() + 1e-300)
+            taken = np.clip(u, -most_input, most_input)
             half = 0.5 * model.B * w  # of a disturbance any share may act: as much as half of it beside half of it
             for what, found, most in (
-                ("states", after - model.A @ x - model.B @ u - half.sum(axis=1), furthest + np.abs(half).sum(axis=1)),
+                ("states", after - model.A @ x - model.B @ taken - half.sum(axis=1), furthest + np.abs(half).sum(axis=1)),
                 ("outputs", y - model.C @ after, pushed.outputs - _slack(loop)),
             ):
                 if (np.abs(found) > most + lost).any():

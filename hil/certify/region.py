@@ -66,7 +66,7 @@ def inside(
     """
     from design.jump_linear.leaving import leaving
 
-    unknown = _not_judged(loop)
+    unknown = not_judged(loop)
     if unknown:
         return _outside(verdict, named, f"not decided {unknown} ({verdict.reason})", {})
     try:
@@ -135,7 +135,7 @@ def _outside(verdict: Verdict, named: str, reason: str, details: Mapping[str, ob
     )  # fmt: skip
 
 
-def _not_judged(loop: CertificationProblem) -> str:
+def not_judged(loop: CertificationProblem) -> str:
     """Return what acts on a loop that no bound is known of, as a phrase; empty: nothing."""
     plant = loop.plant
     if isinstance(plant, HasOwnInputs) and plant.own_inputs():

@@ -93,8 +93,8 @@ class Departure(NamedTuple):
         at: ``input``: acts beside the input at any instant; ``output``: adds to what is measured.
         bounds: largest magnitude, one entry per input in its unit, or per output in its unit.
         within: largest command, one entry per input in its unit, up to which the bounds hold; empty: at any.
-        clips: whether a disturbance that would take the input beyond `within` acts by a share of itself only, as where a
-            supply saturates, or does not pass the limit at all: then a limit on the command without it is enough.
+        clips: whether a command beyond `within` acts as the largest one, and a disturbance that would take the input beyond it
+            by a share of itself, as where a supply saturates, or does not pass the limit at all.
     """
 
     name: str

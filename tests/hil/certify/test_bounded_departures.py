@@ -62,7 +62,7 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("dc-motor-h2", {"plant.driver": {"saturation_v": 0.058}}),
+        ("dc-motor-hinf", {"plant.driver": {"saturation_v": 0.058}}),
         ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.6]]}}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": AGES}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND | {"kind": "error"}, "controller": NO_AGES}),

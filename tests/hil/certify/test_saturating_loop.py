@@ -1,0 +1,108 @@
+"""A motor that saturates, with friction, dead zone and encoder: from anywhere it ends where its verdict says."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.verdict import Verdict
+from hil.api.experiment_source import load_experiment
+from hil.compose.loop import compose
+from hil.rig.loop import Loop
+from hil.runtime.simulated import simulate
+from plants import DCMotor
+from plants.dc_motor import Driver
+
+NAME, LATEST = "dc-motor-h2-friction", {"kind": "constant"}
+CALM: dict[str, Any] = {"reference": [], "disturbance": [], "limits.state": {}, "allow_uncertified": True}
+
+
+def composed(**changes: Any) -> Loop:
+    return compose(load_experiment(NAME, **CALM | changes))
+
+
+def verdict_of(loop: Loop) -> Verdict:
+    assert loop.verdict is not None
+    return loop.verdict
+
+
+def bounds_of(verdict: Verdict) -> dict[str, float]:
+    found: Any = verdict.details["ends_surely_within"]
+    return dict(found)
+
+
+def test_the_shipped_motor_is_certified_and_its_own_run_ends_within() -> None:
+    shipped = compose(load_experiment(NAME))
+    verdict = verdict_of(shipped)
+    assert verdict.certified and verdict.kind == "practical stability" and not shipped.experiment.allow_uncertified
+    assert verdict.number is not None and 0.0 < verdict.number < 0.2
+    assert "in every order of delays up to 3 slots" in verdict.reason
+    state = simulate(shipped, 0, ["/plant/state"]).arrays["/plant/state"]
+    late = state[(state["t_ns"] > 15e9) & (state["t_ns"] < 30e9)]
+    bounds = bounds_of(verdict)
+    assert np.abs(late["angle"] - 3.0).max() < bounds["angle"] and np.abs(late["speed"]).max() < bounds["speed"]
+
+
+@pytest.mark.parametrize("latest", [False, True])
+@pytest.mark.parametrize(
+    "start", [{"plant.initial_angle_rad": 15.0}, {"plant.initial_angle_rad": -6.0, "plant.initial_speed_rad_s": 40.0}]
+)
+def test_runs_from_far_away_end_within(start: dict[str, Any], latest: bool) -> None:
+    """In the order of delays that the law draws, and in the latest that it allows; from 15 rad commands saturate for 10 s."""
+    loop = composed(duration=30, **start)
+    bounds = bounds_of(verdict_of(loop))
+    assert verdict_of(loop).certified
+    late = {"network.sc.law": LATEST | {"age": 2}, "network.ca.law": LATEST | {"age": 1}} if latest else {}
+    ran = composed(duration=30, **start, **late) if latest else loop
+    state = simulate(ran, 3, ["/plant/state"]).arrays["/plant/state"]
+    for name, bound in bounds.items():
+        assert np.abs(state[name][400:]).max() < bound
+    assert np.abs(state["angle"][:20]).max() > 2.0 * bounds["angle"]
+
+
+def test_what_it_leans_on_turns_it() -> None:
+    """A supply weaker than friction and dead zone together, a gain that leads away, a load: undecided, all of them."""
+    gains = [[[[-0.198]], [[-0.1]]], [[[-0.1]], [[0.01]]], [[[-0.1]], [[-0.1]]]]
+    table = {"kind": "send-all", "selection": "applied", "gains": gains}
+    for change in ({"plant.driver.saturation_v": 0.0058}, {"controller": table}, {"plant.load": {"torque_v": 0.001}}):
+        verdict = verdict_of(composed(**change))
+        assert verdict.state == "undecided" and "ends_surely_within" not in verdict.details
+    gains[1][1] = [[-0.01]]
+    assert verdict_of(composed(controller=table)).certified
+
+
+def test_later_networks_end_further() -> None:
+    at_once = {"network.sc.law": LATEST | {"age": 0}, "network.ca.law": LATEST | {"age": 0}}
+    near, far = (bounds_of(verdict_of(composed(**change))) for change in (at_once, {}))
+    assert far["angle"] > near["angle"] + 3 * 0.05 * 48.85 * 0.058
+
+
+class Takes(DCMotor):
+    """Says that it saturates, and takes a tenth of what is beyond its limit."""
+
+    def start(self, rng: np.random.Generator) -> Any:
+        limit = self.driver.saturation_v or 0.0
+        run = DCMotor(gain=self.gain, pole=self.pole).start(rng)
+
+        class Run:
+            def advance(self, dt_ns: int, u: Any, w: Any = ()) -> None:
+                inside = float(np.clip(u[0], -limit, limit))
+                all_of_it = float(np.clip(u[0] + sum(w), -limit, limit))
+                run.advance(dt_ns, [all_of_it + 0.1 * (u[0] - inside)], [0.0])
+
+            def __getattr__(self, name: str) -> Any:
+                return getattr(run, name)
+
+        return Run()
+
+
+def test_a_plant_that_takes_more_than_its_limit_is_refused() -> None:
+    changes: Any = {"controller": {"kind": "local", "gain": [[-0.1]]}, "duration": 1} | CALM
+    verdicts = [
+        verdict_of(compose(load_experiment("dc-motor-h2", plant=kind(driver=Driver(saturation_v=0.058)), **changes)))
+        for kind in (DCMotor, Takes)
+    ]
+    assert [verdict.state for verdict in verdicts] == ["certified", "refused"]
+    assert "departures() says at most" in verdicts[1].reason
