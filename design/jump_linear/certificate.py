@@ -19,6 +19,10 @@ from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
 from design.verdict import State
 
+MOST_UNKNOWNS = 2_000_000
+"""Numbers of the second moments that are computed with: some twenty seconds of an idle core. Beyond, one product lasts a second
+in C, in which no Ctrl-C is seen, and the vectors of ARPACK fill the memory: 40 of 16 MB here."""
+
 
 class Certificate(Struct, frozen=True, kw_only=True):
     """Stability and norms of one closed loop, with the eigenvalues of the inequalities that prove them.
@@ -105,9 +109,10 @@ def certify_system(
     """
     A, B, C, D, transition = system.matrices
     alpha = system.alpha(initial)
-    radius = system.radius()
-    tail_radius = None if between is None else mean_square_radius(A, between[1])
-    growth = max((_radius_while(A, while_staying) for while_staying in stays), default=None)
+    large = too_large(system.modes, system.order)
+    radius = float("nan") if large else system.radius()
+    tail_radius = None if large or between is None else mean_square_radius(A, between[1])
+    growth = None if large else max((_radius_while(A, while_staying) for while_staying in stays), default=None)
     h2 = residual = norm = hinf_margin = lyapunov = positivity = rounding = None
     stable = False
     if radius < 1.0 and (tail_radius is None or tail_radius < 1.0):
@@ -129,7 +134,7 @@ def certify_system(
         gap = backward(A, transition, S) + weight - S
         residual = float(np.abs(np.linalg.eigvalsh(gap)).max() / max(float(np.abs(S).max()), 1e-300))
         stable = lyapunov > rounding and positivity > rounding
-    state, reason = _judge(A, radius, tail_radius, growth, stable, between)
+    state, reason = _judge(A, radius, tail_radius, growth, stable, between, large)
     if hinf and stable:
         from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 
@@ -144,11 +149,29 @@ def certify_system(
     )  # fmt: skip
 
 
+def too_large(modes: int, order: int) -> str:
+    """Return why a system is too large for its second moments to be computed; empty if it is not.
+
+    Args:
+        modes: their number.
+        order: number of states.
+    """
+    unknowns = modes * order * (order + 1) // 2
+    if modes == 1 or unknowns <= MOST_UNKNOWNS:
+        return ""
+    return (
+        f"the network has {modes} modes over {order} states, whose second moments are {unknowns} numbers, more than the "
+        f"{MOST_UNKNOWNS} that are computed with: laws with fewer ages or modes are decided"
+    )
+
+
 def _judge(
     A: Array, radius: float, tail_radius: float | None, growth: float | None, stable: bool,
-    between: tuple[Array, Array] | None,
+    between: tuple[Array, Array] | None, large: str,
 ) -> tuple[State, str]:
     """What follows from the radii and the margins, in words."""
+    if large:
+        return "undecided", large
     tail = "" if tail_radius is None else f", {tail_radius:.6g} over the bounds of the tail that is cut"
     if stable:
         return "certified", f"the second-moment radius is {radius:.6g}{tail}, below 1"

@@ -7,6 +7,7 @@ a CAN bus makes them, it is certified in every order, or undecided.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isnan
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,7 +172,7 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
     if certificate.tail_radius is not None:
         assumptions += ("a sojourn law's tail is as the law states it: the emulator ends every stay of probability below 1e-16",)
     return Verdict(
-        kind="mean-square stability", state=certificate.state, reason=reason, number=radius,
+        kind="mean-square stability", state=certificate.state, reason=reason, number=None if isnan(radius) else radius,
         quantity="second-moment radius per slot", limit=1.0, details=certificate.to_json(),
         method="second moments of the jump-linear loop (Theorem 7.1)", assumptions=assumptions, digest=digest,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.jump_linear import bounded_real, coupled_lyapunov, second_moment
+from design.jump_linear import bounded_real, certificate, coupled_lyapunov, second_moment
 from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 from design.jump_linear.coupled_lyapunov import ShiftStates
 from design.jump_linear.h2 import H2Nearby, h2_derivative
@@ -147,3 +147,20 @@ def test_a_loop_without_shift_states_is_solved_as_a_whole(free: None) -> None:
     S = Resolvent(A, transition).cost(weight)
     assert np.abs(S - second_moment.backward(A, transition, S) - weight).max() < 1e-10 * np.abs(S).max()
     assert system.modes == 6
+
+
+def test_a_system_of_too_many_second_moments_is_undecided_by_its_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit of a product that ends within a second is some 390 modes of 100 states, not 1600; here it is made small."""
+    structure = loop(SHAPES[0])
+    gains = np.zeros(structure.gain_shape)
+    system = structure.system(gains)
+    numbers = system.modes * system.order * (system.order + 1) // 2
+    monkeypatch.setattr(certificate, "MOST_UNKNOWNS", numbers)
+    assert certificate.certify_system(system).state == "certified"
+    monkeypatch.setattr(certificate, "MOST_UNKNOWNS", numbers - 1)
+    found = certificate.certify_system(system)
+    assert found.state == "undecided" and not found.stable and np.isnan(found.mean_square_radius)
+    assert f"{system.modes} modes over {system.order} states" in found.reason
+    monkeypatch.undo()
+    assert not certificate.too_large(390, 100) and "1600 modes over 100 states" in certificate.too_large(1600, 100)
+    assert not certificate.too_large(1, 5000)  # one mode takes the eigenvalues of its matrix
