@@ -80,10 +80,10 @@ def points(begin: str) -> tuple[Point, ...]:
     """Return the entry points of all groups that begin so; of two packages of one name, those of the first on the path."""
     first: dict[str, tuple[str, Package]] = {}
     for name, package in packages():
-        said = package.read_text("entry_points.txt") or ""
-        if f"[{begin}" in said:
-            first.setdefault(_plain(name), (said, package))
-    return tuple(point for said, package in first.values() for point in _read(said, package) if point.group.startswith(begin))
+        if (own := _plain(name)) not in first:
+            first[own] = package.read_text("entry_points.txt") or "", package
+    some = [(said, package) for said, package in first.values() if f"[{begin}" in said]
+    return tuple(point for said, package in some for point in _read(said, package) if point.group.startswith(begin))
 
 
 def versions_of(names: Iterable[str]) -> dict[str, str]:

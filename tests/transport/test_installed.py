@@ -54,6 +54,8 @@ def test_of_two_packages_of_one_name_the_first_on_the_path_counts(tmp_path: Path
     monkeypatch.setattr(sys, "path", [str(tmp_path / "a"), str(tmp_path / "b"), str(tmp_path / "absent"), *sys.path])
     assert versions_of(["rising_tank"]) == {"rising_tank": "2"}
     assert len([p for p in points("hil.") if p.name == "tank"]) == 1
+    (tmp_path / "a/rising_tank-1.5.dist-info/entry_points.txt").unlink()
+    assert not [p for p in points("hil.") if p.name == "tank"], "of the second one nothing is found"
 
 
 def test_a_package_in_an_archive_is_found_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
