@@ -24,7 +24,8 @@ def expected(error: click.UsageError) -> str:
         return ""
     bounds = ""
     if isinstance(kind, click.IntRange | click.FloatRange):
-        least = "" if kind.min is None else f" {'above' if kind.min_open else 'from'} {kind.min:g}"
+        closed = "from" if kind.max is not None else "of at least"
+        least = "" if kind.min is None else f" {'above' if kind.min_open else closed} {kind.min:g}"
         most = "" if kind.max is None else f" {'below' if kind.max_open else 'to'} {kind.max:g}"
         bounds = least + most
     return NOT_A_NUMBER.sub(f"is not a {'whole ' if whole else ''}number{bounds}.", said)

@@ -50,7 +50,7 @@ def test_a_run_that_an_external_controller_drives_out_of_its_limits_is_nowhere_c
             cwd=tmp_path, capture_output=True, text=True, timeout=200, env={**os.environ, "COLUMNS": "200"},
         )  # fmt: skip
     assert done.returncode == 3, done.stderr  # stopped by safety
-    said = {line[:20].strip(): line[20:] for line in done.stdout.splitlines() if not line.startswith(" ")}
+    said = {line.split()[0]: line.split(maxsplit=1)[-1] for line in done.stdout.splitlines() if line and line[0] != " "}
     assert said["controller"] == "external: not the experiment's"
     assert said["certificate"] == f"undecided, mean-square stability: {UNDECIDED}"
     assert "link_controller" not in said

@@ -121,6 +121,6 @@ def test_ctrl_c_while_a_class_is_made_is_an_interrupt(cli: Hil, monkeypatch: pyt
     def load(_name: str) -> None:
         raise RuntimeError("Error calling __set_name__") from KeyboardInterrupt()
 
-    monkeypatch.setattr("hil.cli.importlib.import_module", load)
+    monkeypatch.setattr("hil.cli.import_module", load)
     status, _, err = cli("list")
     assert status == 130 and err.split() == ["hil:", "interrupted"]

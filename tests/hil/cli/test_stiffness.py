@@ -104,7 +104,7 @@ def test_the_header_compiles_as_c99_and_renders_what_the_rig_renders(tmp_path: P
     [
         ((*WALL, "--stiffness", "90000"), "is above the ceiling 2 b/((nd + 1) T) = 2794.28 N/m"),
         ((*WALL, "--taps", "3"), "taps: 3, expected 5"),
-        (("wall", "--hand", "-1"), "-1.0 is not in the range x>=0"),
+        (("wall", "--hand", "-1"), "-1.0 is not a number of at least 0"),
         (("wall", "--delay", "3..x"), "'3..x' is no whole number or range"),
         (("wall", "--period", "0"), "expected a duration above 0 s"),
         (("wall", "--weight", "x"), "'x', expected coefficients of 1, 1/z, ..."),
