@@ -1,4 +1,4 @@
-r"""Where a loop around an integrator ends whose input saturates: from anywhere, and in every order of its delays.
+r"""Where a loop around an integrator ends whose input saturates, from anywhere: in every order of its delays, or in the mean.
 
     x(k+1) = A x(k) + B sat(u(k)) + sum_q E_q e_q(k),    |e_q(k)| <= 1,    |sat(u)| = min(|u|, L)
     u(k) = K(k) (C x(k - delta(k)) + f(k)),    0 <= delta(k) <= Delta,    |f(k)| <= F,    K(k) in [K_low, K_high]
@@ -20,6 +20,16 @@ A signal r x is a filter of z beside what pushes, as b sat(u(k)) = z(k+1) - z(k)
     |r x| <= (|r v + h_0 / b| + sum_j |h_{j+1} - h_j| / |b|) (D + M) + sum_q sum_j |r (I - v l) A^j (E_q - B l E_q / b)|
 
 in the end, and, as z, by its own response to what moves it; the smaller one is the bound.
+
+Where a few gains lead away, an order of delays may lead out, and the mean decides. Let i be a state of the chain that says which
+gain acts, a_i = W - |b| min(L, |K_i| (D - H - Delta M - F)) where it leads back and W + |b| L where it does not. With c > 0 and
+sum_j p_ij c_j exp(eta a_i) <= g c_i, g < 1, and D >= M, the function V = c_i exp(eta max(|z| - D, 0)) has
+
+    E V(k+1) <= g V(k) + q,    q = exp(eta M) max_i sum_j p_ij c_j
+
+so that E exp(eta max(|z| - D, 0)) <= Q = q / ((1 - g) min c) in the end, and with t = D + (1 + log Q) / eta
+
+    P(|z| > D + s) <= Q exp(-eta s),    E z^2 <= t^2 + 1 / eta^2
 """
 
 from __future__ import annotations
@@ -39,13 +49,17 @@ SETTLED = 1e-3
 MOST_SLOTS = 20_000
 
 
+MOST_STATES = 200
+"""States of the chain that says which gain acts, up to which a drift is looked for: a second or so."""
+
+
 class Ends(NamedTuple):
-    """Where the loop ends, whatever the order of its delays.
+    """Where the loop ends.
 
     Attributes:
         share: W / (|b| L), what pushes as a share of what the limited command moves; below 1.
-        states: bound of every |x_i|, (n,).
-        output: bound of |C x|.
+        states: bound of every |x_i|, or of its root mean square, (n,).
+        output: the same of C x.
     """
 
     share: float
@@ -53,10 +67,28 @@ class Ends(NamedTuple):
     output: float
 
 
+class _Motion(NamedTuple):
+    """What z and the rest do: b, W, M, and H + Delta M + F; of C x and every x_i what they have of z, and beside it."""
+
+    b: float
+    W: float
+    M: float
+    apart: float
+    by_itself: Array
+    rest: Array
+    filtered: Array
+    unfiltered: Array
+
+    def bounds(self, z: float, limit: float) -> Ends:
+        """Return where the loop ends whose integrator ends within z."""
+        each = np.minimum(self.by_itself * z + self.rest, self.filtered * z + self.unfiltered)
+        return Ends(self.W / (abs(self.b) * limit), each[1:], float(each[0]))
+
+
 def ends_in_every_order(
     A: Array, B: Array, C: Array, *, limit: float, gains: Array, delay: int, pushes: Array, adds: float
 ) -> Ends:  # fmt: skip
-    """Return where a saturating loop around an integrator ends.
+    """Return where a saturating loop around an integrator ends, whatever the order of its delays.
 
     Args:
         A, B, C: (n, n), (n, 1), (1, n), the plant at the sample period.
@@ -70,27 +102,69 @@ def ends_in_every_order(
         DesignError: the plant is no single integrator beside a stable part, the gains do not lead back to 0, or what pushes is as
             strong as the command; in words.
     """
-    n = len(A)
-    l, v = _integrator(A, C)
-    b, W = float(l @ B[:, 0]), float(np.abs(l @ pushes).sum())
-    if not gains.size or not (b * gains < 0.0).all():
+    motion = _motion(A, B, C, limit, delay, pushes, adds)
+    if not gains.size or not (motion.b * gains < 0.0).all():
         raise DesignError("not every gain leads the integrator back")
+    D = motion.apart + motion.W / (abs(motion.b) * float(np.abs(gains).min()))
+    return motion.bounds(D + motion.M, limit)
+
+
+def ends_in_mean(
+    A: Array, B: Array, C: Array, *, limit: float, gains: Array, chances: Array, delay: int, pushes: Array, adds: float
+) -> Ends:  # fmt: skip
+    """Return within which root mean squares a saturating loop around an integrator ends.
+
+    Args:
+        A, B, C, limit, delay, pushes, adds: as above.
+        gains: the gain that acts in each state of a chain, (N,).
+        chances: its transition probabilities, or upper bounds of them, (N, N).
+
+    Raises:
+        DesignError: as above, or in the mean the gains lead away, or nothing was found; in words.
+    """
+    motion = _motion(A, B, C, limit, delay, pushes, adds)
+    if len(gains) > MOST_STATES:
+        raise DesignError(f"{len(gains)} states say which gain acts, at most {MOST_STATES}")
+    back, size = motion.b * gains < 0.0, np.abs(gains)
+    if not back.any():
+        raise DesignError("no gain leads the integrator back")
+    found = np.inf
+    for beyond in np.geomspace(0.1, 2.0, 14) * limit / float(size[back].max()):
+        D = max(motion.apart + beyond, motion.M)
+        drift = motion.W + abs(motion.b) * np.where(back, -np.minimum(limit, size * (D - motion.apart)), limit)
+        for eta in np.geomspace(0.02, 4.0, 16) / motion.M:
+            found = min(found, *(_mean_square(drift, chances, D, eta, motion.M, g) for g in (0.5, 0.8, 0.9, 0.95, 0.99)))
+    if not np.isfinite(found):
+        raise DesignError("in the mean no drift towards 0 was found")
+    return motion.bounds(float(np.sqrt(found)), limit)
+
+
+def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g: float) -> float:
+    """The bound of E z^2 by one family c, inf where it does not serve."""
+    c = np.linalg.solve(np.eye(len(drift)) - np.exp(eta * drift)[:, None] * chances / g, np.ones(len(drift)))
+    if not c.min() > 0.0:  # with c > 0 the inverse has no entry below 0, and the family falls by g
+        return np.inf
+    Q = max(float(np.exp(eta * M) * (chances @ c).max() / ((1.0 - g) * c.min())), 1.0)
+    return float((D + (1.0 + np.log(Q)) / eta) ** 2 + 1.0 / eta**2)
+
+
+def _motion(A: Array, B: Array, C: Array, limit: float, delay: int, pushes: Array, adds: float) -> _Motion:
+    n = len(A)
+    l, v = integrator(A, C)
+    b, W = float(l @ B[:, 0]), float(np.abs(l @ pushes).sum())
     if not abs(b) * limit > W:
         raise DesignError("what departs is as strong as the limited command")
     M = abs(b) * limit + W
     aside, rows = np.eye(n) - np.outer(v, l), np.vstack([C, np.eye(n)])
-    S, moved = aside @ A, aside @ np.hstack([limit * B, pushes])
-    rest = _sums(S, moved, rows)
-    D = rest[0] + delay * M + adds + W / (abs(b) * float(np.abs(gains).min()))
-    by_itself = np.abs(rows @ v) * (D + M) + rest
+    S = aside @ A
+    rest = _sums(S, aside @ np.hstack([limit * B, pushes]), rows)
     filtered = np.abs(rows @ (v + aside @ B[:, 0] / b)) + _sums(S, aside @ B, rows @ (S - np.eye(n))) / abs(b)
-    by_filter = filtered * (D + M) + _sums(S, aside @ (pushes - np.outer(B[:, 0], l @ pushes) / b), rows)
-    bounds = np.minimum(by_itself, by_filter)
-    return Ends(W / (abs(b) * limit), bounds[1:], float(bounds[0]))
+    unfiltered = _sums(S, aside @ (pushes - np.outer(B[:, 0], l @ pushes) / b), rows)
+    return _Motion(b, W, M, float(rest[0]) + delay * M + adds, np.abs(rows @ v), rest, filtered, unfiltered)
 
 
-def _integrator(A: Array, C: Array) -> tuple[Array, Array]:
-    """l and v of the simple eigenvalue 1."""
+def integrator(A: Array, C: Array) -> tuple[Array, Array]:
+    """Return l and v of the simple eigenvalue 1; a DesignError where there is none."""
     left, sizes, right = np.linalg.svd(A - np.eye(len(A)))
     if sizes[-1] > EQUAL * max(sizes[0], 1.0):
         raise DesignError("the plant does not integrate")

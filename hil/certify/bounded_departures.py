@@ -23,7 +23,7 @@ from design.verdict import State, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
-from hil.certify.saturating_loop import ends_surely
+from hil.certify.saturating_loop import ends_from_anywhere
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
@@ -158,7 +158,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     region = inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
     if region.certified or not pushed.clips:
         return region
-    return ends_surely(loop, region, limits=pushed.within, pushes=pushed.states, adds=pushed.outputs)
+    return ends_from_anywhere(loop, region, within, limits=pushed.within, pushes=pushed.states, adds=pushed.outputs)
 
 
 def _by_share(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> Verdict:

@@ -1,6 +1,9 @@
-"""A loop around an integrator whose input saturates: where it surely ends, from anywhere and in every order of its delays."""
+"""A loop around an integrator whose input saturates: where it ends from anywhere, in every order of its delays or in the mean."""
 
 from __future__ import annotations
+
+from itertools import product
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -10,17 +13,20 @@ from design.controllers import GainTable, integrates, packet_samples
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, table_of
-from hil.certify.region import not_judged
+from hil.certify.region import ClosedLoop, not_judged
 
 Array = NDArray[np.float64]
 
 
-def ends_surely(loop: CertificationProblem, verdict: Verdict, *, limits: Array, pushes: Array, adds: Array) -> Verdict:
+def ends_from_anywhere(
+    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array
+) -> Verdict:
     """Return a verdict on a loop that may leave its limits as one on where it ends whatever it leaves; the same where unknown.
 
     Args:
         loop: the loop; beyond a limit its plant acts as at the limit.
         verdict: undecided, on the loop within its limits.
+        closed: that loop.
         limits: largest command, (m,).
         pushes: (n, q), what signals of size 1 move the plant's state by in a slot.
         adds: what departures add to each output, at most, (p,).
@@ -30,26 +36,51 @@ def ends_surely(loop: CertificationProblem, verdict: Verdict, *, limits: Array, 
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict
-    from design.networked_loop.saturated_integrator import ends_in_every_order
+    from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean
 
+    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     delay = int(loop.sc.delay.max() + loop.ca.delay.max())
+    known: Any = {"limit": float(limits[0]), "delay": delay, "pushes": pushes, "adds": float(adds[0])}
     try:
-        ends = ends_in_every_order(
-            loop.motion.A, loop.motion.B, loop.motion.C, limit=float(limits[0]), gains=table_of(loop, controller),
-            delay=delay, pushes=pushes, adds=float(adds[0]),
-        )  # fmt: skip
+        try:
+            ends, surely = ends_in_every_order(A, B, C, gains=table_of(loop, controller), **known), True
+        except DesignError:
+            if loop.sc.open or loop.ca.open:
+                return verdict
+            gains, chances = _acting(closed, int(loop.ca.delay.max()), len(A), A, C)
+            ends, surely = ends_in_mean(A, B, C, gains=gains, chances=chances, **known), False
     except (DesignError, np.linalg.LinAlgError):
         return verdict
     signal = loop.plant.outputs[0]
+    order = f"in every order of delays up to {delay} slots" if surely else "in the root mean square"
     return replace(
         verdict, kind="practical stability", state="certified", number=ends.share, limit=1.0,
         quantity="what departs from the model as a share of what the limited command moves",
-        reason=f"from anywhere it surely ends with {signal.name} within {ends.output:.4g} {signal.unit} of its reference, in "
-        f"every order of delays up to {delay} slots, however long commands saturate; {verdict.reason}",
+        reason=f"from anywhere it {'surely ' if surely else ''}ends with {signal.name} within {ends.output:.4g} {signal.unit} of "
+        f"its reference, {order}, however long commands saturate; {verdict.reason}",
         details={
-            **verdict.details, "stable": True,
-            "ends_surely_within": {str(s.name): float(bound) for s, bound in zip(loop.plant.states, ends.states)},
+            **verdict.details, "stable": True, "ends_surely_within" if surely else "ends_from_anywhere_within":
+            {str(s.name): float(bound) for s, bound in zip(loop.plant.states, ends.states)},
         },
         assumptions=(*verdict.assumptions, "the last step of the reference, and the last disturbance, are over"),
-        method=f"sign of the delayed sample around a saturated integrator, in every order; {verdict.method}",
+        method=f"{'sign of the delayed sample' if surely else 'drift'} around a saturated integrator; {verdict.method}",
     )  # fmt: skip
+
+
+def _acting(closed: ClosedLoop, delay: int, n: int, A: Array, C: Array) -> tuple[Array, Array]:
+    """The gain that acts where the chain has come by a path of modes, on outputs that have long been 1; how paths follow."""
+    from design.networked_loop.saturated_integrator import MOST_STATES, integrator
+
+    modes = range(len(closed.matrices))
+    if len(modes) ** (delay + 1) > MOST_STATES:
+        raise DesignError("too many paths of modes say which gain acts")
+    _, v = integrator(A, C)
+    paths, gains = list(product(modes, repeat=delay + 1)), []
+    for path in paths:
+        state = closed.standing @ v
+        for mode in path[:-1]:
+            state = closed.matrices[mode] @ state
+            state[:n] = v
+        gains.append(float(closed.inputs[path[-1], 0] @ state))
+    follows = [[closed.chances[a[-1], b[-1]] if a[1:] == b[:-1] else 0.0 for b in paths] for a in paths]
+    return np.array(gains), np.array(follows)

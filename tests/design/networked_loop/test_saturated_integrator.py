@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from design.errors import DesignError
-from design.networked_loop.saturated_integrator import Ends, ends_in_every_order
+from design.networked_loop.saturated_integrator import Ends, ends_in_every_order, ends_in_mean
 
 Array = NDArray[np.float64]
 LIMIT, GAINS, DELAY = 0.058, np.array([-0.198, -0.1232, -0.0747]), 3
@@ -84,3 +84,36 @@ def test_what_it_leans_on_changes_it() -> None:
 def test_what_the_argument_does_not_carry_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(DesignError, match=message):
         ends(**change)  # type: ignore[arg-type]
+
+
+def in_mean(share: float, wrong: float = 0.05, pushes: Array = PUSHES) -> Ends:
+    """One gain leads back, one leads away in so large a share of the slots, whatever came before."""
+    gains, chances = np.array([-0.198, wrong]), np.array([[1.0 - share, share]] * 2)
+    return ends_in_mean(A, B, C, limit=LIMIT, gains=gains, chances=chances, delay=DELAY, pushes=pushes, adds=0.0019)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_where_a_gain_leads_away_at_times_the_mean_square_ends_within(share: float) -> None:
+    """400 runs from 15 rad: their root mean square is below the bound, which grows with the share."""
+    rng, runs = np.random.default_rng(7), 400
+    past = [np.tile([[15.0], [0.0]], (1, runs))] * (DELAY + 1)
+    levels = []
+    for _ in range(1500):
+        gain = np.where(rng.random(runs) < share, 0.05, -0.198)
+        seen = np.stack(past)[rng.integers(DELAY + 1, size=runs), 0, np.arange(runs)] + 0.0019
+        x = A @ past[0] + B * np.clip(gain * seen, -LIMIT, LIMIT) + PUSHES * np.sign(past[0][:1])
+        past = [x, *past[:-1]]
+        levels.append(np.sqrt((x**2).mean(axis=1)))
+    found = in_mean(share)
+    assert (np.max(levels[1000:], axis=0) < found.states).all() and levels[0][0] > 3.0 * found.output
+    assert found.output < in_mean(share + 0.05).output and found.output < in_mean(share, pushes=2.0 * PUSHES).output
+
+
+def test_in_the_mean_a_loop_that_drifts_away_has_no_bound() -> None:
+    """Near one half what pushes decides between directions as strong. Gains that lead back have a bound in the mean, too."""
+    for share in (0.48, 0.7):
+        with pytest.raises(DesignError, match="no drift towards 0"):
+            in_mean(share)
+    with pytest.raises(DesignError, match="no gain leads"):
+        ends_in_mean(A, B, C, limit=LIMIT, gains=-GAINS, chances=np.full((3, 3), 1 / 3), delay=3, pushes=PUSHES, adds=0.0)
+    assert ends().output < in_mean(0.0).output < 1.5 * ends().output
