@@ -36,7 +36,7 @@ def ends_from_anywhere(
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict
-    from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean
+    from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean, integrator
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     delay = int(loop.sc.delay.max() + loop.ca.delay.max())
@@ -47,7 +47,7 @@ def ends_from_anywhere(
         except DesignError:
             if loop.sc.open or loop.ca.open:
                 return verdict
-            gains, chances = _acting(closed, int(loop.ca.delay.max()), len(A), A, C)
+            gains, chances = _acting(closed, integrator(A, C)[1], int(loop.ca.delay.max()))
             ends, surely = ends_in_mean(A, B, C, gains=gains, chances=chances, **known), False
     except (DesignError, np.linalg.LinAlgError):
         return verdict
@@ -67,20 +67,19 @@ def ends_from_anywhere(
     )  # fmt: skip
 
 
-def _acting(closed: ClosedLoop, delay: int, n: int, A: Array, C: Array) -> tuple[Array, Array]:
-    """The gain that acts where the chain has come by a path of modes, on outputs that have long been 1; how paths follow."""
-    from design.networked_loop.saturated_integrator import MOST_STATES, integrator
+def _acting(closed: ClosedLoop, v: Array, delay: int) -> tuple[Array, Array]:
+    """The gain that acts where the chain has come by a path of modes and the plant long stood at v, (n,); their order."""
+    from design.networked_loop.saturated_integrator import MOST_STATES
 
     modes = range(len(closed.matrices))
     if len(modes) ** (delay + 1) > MOST_STATES:
         raise DesignError("too many paths of modes say which gain acts")
-    _, v = integrator(A, C)
     paths, gains = list(product(modes, repeat=delay + 1)), []
     for path in paths:
         state = closed.standing @ v
         for mode in path[:-1]:
             state = closed.matrices[mode] @ state
-            state[:n] = v
+            state[: len(v)] = v
         gains.append(float(closed.inputs[path[-1], 0] @ state))
     follows = [[closed.chances[a[-1], b[-1]] if a[1:] == b[:-1] else 0.0 for b in paths] for a in paths]
     return np.array(gains), np.array(follows)
