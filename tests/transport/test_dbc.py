@@ -13,6 +13,7 @@ import pytest
 from cantools.database.can import Database
 
 from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
+from transport.dbc import BusNode, dbc_text
 from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.can_open import open_can
 from transport.links.link import Role
@@ -130,6 +131,19 @@ def test_every_frame_lies_in_the_links_identifiers_and_says_its_kind(database: D
             assert all(message.length == (64 if fd else 8) for message in block)
     assert len(database.messages) == 36
     assert database.dbc is not None and database.dbc.attributes["BusType"].value == "CAN FD"
+
+
+def test_a_whole_number_has_the_range_of_its_bits() -> None:
+    talkers = [
+        BusNode(name="Angle", about="a sensor", identifiers=range(0x100, 0x102), values=(("angle", "rad"), ("speed", "rad/s"))),
+        BusNode(name="Command", about="commands", identifiers=range(0x200, 0x202), values=(("voltage", "V"),), sensor=False),
+    ]
+    made = cantools.database.load_string(dbc_text(talkers, fd=True, title="two nodes"), "dbc")
+    assert isinstance(made, Database)
+    whole = [signal for message in made.messages for signal in message.signals if not signal.is_float and not signal.is_signed]
+    assert {signal.length for signal in whole} > {1, 8, 16, 32}
+    for signal in whole:
+        assert signal.minimum == 0 and signal.maximum == pytest.approx(2**signal.length - 1, rel=0.03), signal.name
 
 
 def test_the_fd_flag_survives_cantools_writing_the_file(database: Database) -> None:

@@ -206,6 +206,14 @@ def test_a_further_kind_of_loop_gets_its_certificate_by_a_certifier_of_its_own()
     assert certify(loop, (*CERTIFIERS, passive)).kind == "passivity"
 
 
+def test_a_wall_over_what_is_no_device_under_one_force_is_undecided() -> None:
+    for name in ("omni-push", "omni-theorem61"):
+        loop = to_certify(composed(name))  # its plant states no port
+        verdict = certify(loop)
+        assert (verdict.kind, verdict.state) == ("passivity", "undecided") and loop.port is None
+        assert verdict.reason == "a wall is certified for a device with position, speed and one force only"
+
+
 def test_a_request_says_which_of_its_fields_is_wrong() -> None:
     for field, value in (("gain_bound", -1.0), ("decay", float("nan")), ("sections", -1)):
         with pytest.raises(ValueError, match=f"{field}: "):

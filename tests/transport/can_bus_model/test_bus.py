@@ -102,6 +102,20 @@ def test_a_disturbed_frame_costs_its_bits_flags_delimiter_and_intermission_and_i
     assert second.error_bit is None and (bus.nodes[0].errors.tec, bus.nodes[1].errors.rec) == (7, 0)
 
 
+def test_a_frame_at_other_bit_rates_is_destroyed_by_an_active_listener_and_passes_a_passive_one() -> None:
+    other = BitRates(250_000)
+    for listeners, destroyed in (([CanNode(rates=other)], True), ([CanNode(), CanNode()], False)):
+        bus = CanBus(RATES, [CanNode(), *listeners])
+        bus.queue(0, waiting(0x100))
+        first = bus.advance(MS)[0]
+        assert (first.error_bit is not None) is destroyed
+        assert (bus.nodes[0].errors.tec > 0) is destroyed
+    bus = CanBus(RATES, [CanNode(), CanNode(rates=other), CanNode()])
+    bus.nodes[1].errors.rec = 128
+    bus.queue(0, waiting(0x100))
+    assert bus.nodes[1].errors.passive and bus.advance(MS)[0].error_bit is None
+
+
 def test_an_error_in_the_data_phase_of_can_fd_counts_both_rates() -> None:
     frame = CanFrame(identifier=0x123, data=bytes([0x55] * 64), fd=True, bitrate_switch=True)
     bus = CanBus(RATES, [CanNode(), CanNode()], Planned({0: 217}))

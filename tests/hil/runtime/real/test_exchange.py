@@ -243,6 +243,39 @@ def test_the_deadline_runs_from_the_moment_the_question_left() -> None:
         assert (b"answer" in ear.received) is received
 
 
+@pytest.mark.parametrize("planned", [False, True])
+def test_a_bus_that_has_faults_ahead_learns_them_in_session_time_long_before_slot_0(
+    planned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import os
+    from types import SimpleNamespace
+
+    from hil.compose.loop import compose
+    from hil.experiment import load_experiment
+    from hil.log.write.pipe_sink import PipeSink
+    from hil.rig.session_link import no_link
+    from hil.runtime.real import rig_process
+    from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
+    from transport.can_bus_model.planned_faults import BusFault
+
+    loop = compose(load_experiment("dc-motor-hinf"), certify=False)
+    read, write = os.pipe()
+    job = Job(loop=loop, link=no_link(loop.rig), seed=7, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
+    real = RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), VIRTUAL)
+    now, disturbed = 5_000 * MS, []
+    monkeypatch.setattr(rig_process, "monotonic_ns", lambda: now)
+    fault = BusFault(first_ns=10, end_ns=20, rate=0.5)
+    real._wrong = [fault] * planned
+    real._on_bus = SimpleNamespace(disturb=lambda faults, seed: disturbed.append((faults, seed)))  # type: ignore[assignment]
+    real.clock = SimpleNamespace(begin=disturbed.append)  # type: ignore[assignment]
+    real.begin()
+    start = now + (PLAN_NS if planned else SETTLE_NS)
+    assert disturbed == [([fault._replace(first_ns=start + 10, end_ns=start + 20)], 7)] * planned + [start]
+    assert PLAN_NS >= 10 * SETTLE_NS
+    for fd in (read, write):
+        os.close(fd)
+
+
 def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
     import os
     from types import SimpleNamespace
