@@ -20,7 +20,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.optimize import minimize
 
 from design.errors import Infeasible, NotStable
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close
@@ -218,6 +217,8 @@ def _largest_scale(value: Callable[[Array, float], tuple[float, Array]], v: Arra
 
 
 def _descend(objective: Callable[[Array], tuple[float, Array]], v: Array, finish: bool) -> Array:
+    from scipy.optimize import minimize  # 0.3 s: a run that certifies its gains does not look for others
+
     found = minimize(objective, v, jac=True, method="BFGS", options={"maxiter": 1500 if finish else 40, "gtol": 1e-9})
     return np.asarray(found.x) if np.isfinite(found.fun) else v
 

@@ -42,3 +42,10 @@ def test_a_program_that_calls_the_command_line_keeps_its_own_way_with_garbage(tm
     call += "from hil.cli import main\nmain(['list'])"
     done = subprocess.run([sys.executable, "-c", call], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "frozen 0"
+
+
+def test_who_certifies_stored_gains_does_not_load_what_would_look_for_others(tmp_path: Path) -> None:
+    arguments = ["run", "multisensor-ours", "--duration", "0.1", "--quiet"]
+    done = subprocess.run([sys.executable, "-c", TRY, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
+    loaded = json.loads(done.stdout.splitlines()[-1])[0]
+    assert "design.historical_data.guaranteed_cost" in loaded and "scipy.optimize" not in loaded
