@@ -10,7 +10,8 @@ the samples only, and counts the sojourn h from its first sight in whole periods
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
 - random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
 - a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
-- a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period; certifies only.
+- a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period, for every delay
+  within its bounds; it certifies. One of them is 0: where the loop without a delay grows, that refuses.
 
 What neither decides is undecided, with the reason. References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
 """
@@ -21,6 +22,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -75,9 +77,9 @@ def sampled_verdict(
         return random_delay_verdict(system, process, gain, period_s, *(_chain(delay) for delay in (tau, d)))
     try:
         if isinstance(system, DelayedJumpSystem):
-            if system.ad.any():
+            if system.ad.any() and system.delay_max_s:
                 return _delayed(system, process, gain, period_s, late[0], late[1])
-            system = JumpSystem(a=system.a, b=system.b)
+            system = JumpSystem(a=system.a + system.ad, b=system.b)
         if isinstance(process, FaultDetection):
             return _detection(system, process, gain, period_s, late[0], late[1])
         if system.sensors is not None:
@@ -244,11 +246,20 @@ def _delayed(
         return _undecided("a rate has no finite bound")
     undelayed = JumpSystem(a=system.a, b=system.b)
     loop = SampledLoop(system=undelayed, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
-    found = delayed_decrease(system, loop)
-    proved = found.margin > MARGIN and found.slack >= 0.0
+    number: float | None = None
+    try:
+        found = delayed_decrease(system, loop)
+        proved, number, said = found.margin > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
+    except TooLarge as error:
+        proved, said = False, str(error)
+    if not proved:
+        without = sampled_verdict(replace(system, delay_max_s=0.0), process, gain, period_s=period_s, tau=tau, d=d)
+        if without.state == "refused":
+            said = f"with a delay of 0 inside the plant, which its bounds allow, {without.reason}"
+            return msgspec.structs.replace(without, reason=said)
     return Verdict(
-        kind="mean-square stability", state="certified" if proved else "undecided", number=-found.margin, limit=0.0,
-        reason=f"{'a' if proved else 'no'} Lyapunov function falls within every period and at every sample: {found.explain()}",
+        kind="mean-square stability", state="certified" if proved else "undecided", number=number, limit=0.0,
+        reason=f"{'a' if proved else 'no'} Lyapunov function falls within every period and at every sample: {said}",
         quantity="largest eigenvalue of the change of V per second and at a sample",
         method="sampled jump loop with a delay inside: Lyapunov function over the phase of a period",
         assumptions=(*_ASSUMED, "in every mode the delay is a function of time that grows at most by its slope"),

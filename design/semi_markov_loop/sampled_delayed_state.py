@@ -7,14 +7,17 @@ With z = (x, v_0, ..., v_-D), phase s in [0, T] of the sample period, label b of
     V = z' P_ib(s) z,    P_ib piecewise linear in s,    Q = sum_i S_i / (1 - h_i),
 
     [ dP_ib/ds + Az_i' P_ib + P_ib Az_i + sum_j lambda_ij (P_j0 - P_ib) + [Q 0; 0 0]     P_ib Adz_i ]
-    [ Adz_i' P_ib                                                                           -S_i    ]  <  -m I
+    [ Adz_i' P_ib                                                                           -S_i    ]
+        + tau_max [F_i Ad_i]' R [F_i Ad_i] - (1 / tau_max) [E -I]' R [E -I]  <  -m I,    E z = x,    F_i z + Ad_i w = dx/dt,
 
 at both ends of every cell of s and at every corner of the rates' bounds (it is affine in s and in the rates), and
 
     P_ib(T) >= [xi -> z]' P_ic(0) [xi -> z],    c >= b: the labels that the next sample may find, by m I.
 
 Then E int x'Qx + m (|z|^2 + |w|^2) <= V(0) + E int w'S_i w. In mode i the instant t - tau_i(t) goes at 1 - h_i or faster, so
-that E int w'S_i w <= const + E int x'Qx, whenever the mode jumps, and E int |z|^2 is finite. A jump inside a period leads to
+that E int w'S_i w <= const + E int x'Qx, whenever the mode jumps. A short delay differs little from none, however it changes:
+x - w is the integral of dx/dt over at most tau_max, so that int (x - w)'R(x - w) <= const + tau_max^2 int (dx/dt)'R(dx/dt) by
+Jensen's inequality (R takes that it is one x in all modes). So E int |z|^2 is finite. A jump inside a period leads to
 label 0; where the mode was left and entered again unseen, the next sample may find any label.
 
 Reference: thesis (3.1)-(3.2), (3.7), sampled.
@@ -61,7 +64,7 @@ def delayed_decrease(system: DelayedJumpSystem, loop: SampledLoop) -> LmiSolutio
     for by_section, cells in _SHAPES:
         labels = loop.gain.starts_s.shape[1] if by_section else 1
         size = loop.size + loop.system.inputs
-        unknowns = system.modes * (labels * (cells + 1) * svec_size(size) + svec_size(system.states))
+        unknowns = system.modes * (labels * (cells + 1) * svec_size(size) + svec_size(system.states)) + svec_size(system.states)
         if unknowns > UNKNOWNS and found is None:
             raise TooLarge(f"{system.modes} modes and {size} states with delayed inputs: {unknowns} unknowns, at most {UNKNOWNS}")
         if unknowns <= UNKNOWNS and not (by_section and loop.gain.starts_s.shape[1] == 1):
@@ -74,7 +77,7 @@ def delayed_decrease(system: DelayedJumpSystem, loop: SampledLoop) -> LmiSolutio
 
 
 def delayed_program(system: DelayedJumpSystem, loop: SampledLoop, *, by_section: bool, cells: int) -> LmiProgram:
-    """The inequalities on P[i,b,g], at the nodes g of the phase, and on S[i] / |Ad|^2.
+    """The inequalities on P[i,b,g], at the nodes g of the phase, on S[i] / |Ad|^2, and on R in a unit of its own.
 
     Args:
         by_section: whether P has a label b for every section of the gain, or one for all.
@@ -85,7 +88,7 @@ def delayed_program(system: DelayedJumpSystem, loop: SampledLoop, *, by_section:
     size, modes = loop.size + loop.system.inputs, system.modes
     labels = range(loop.gain.starts_s.shape[1] if by_section else 1)
     program = LmiProgram(reach=CONDITION)
-    names = [(f"S[{i}]", system.states) for i in range(modes)]
+    names = [("R", system.states), *((f"S[{i}]", system.states) for i in range(modes))]
     names += [(f"P[{i},{b},{g}]", size) for i, b, g in itertools.product(range(modes), labels, range(cells + 1))]
     for name, n in names:
         program.symmetric(name, n)
@@ -124,12 +127,13 @@ def _require_flow(
         function = partial(_change, system=system, mode=mode, rates=corner, end=end, cell_s=loop.period_s / cells)
         own = [f"P[{mode},{label},{g}]", f"P[{mode},{label},{g + 1}]"]
         landing = [f"P[{j},0,{g + end}]" for j in targets]
-        program.require(f"change in mode {mode}, label {label} at rates {corner}", function, *own, *weights, *landing)
+        program.require(f"change in mode {mode}, label {label} at rates {corner}", function, *own, "R", *weights, *landing)
 
 
 def _change(
     first: Array,
     last: Array,
+    smooth: Array,
     *rest: Array,
     system: DelayedJumpSystem,
     mode: int,
@@ -148,4 +152,8 @@ def _change(
     select = np.eye(n, size)
     for slope, weight in zip(system.delay_slopes, weights):
         value = value + scale * scale / (1.0 - slope) * (select.T @ weight @ select)
-    return symmetric_blocks([[value], [transpose(here @ delayed), -weights[mode]]])
+    whole = symmetric_blocks([[value], [transpose(here @ delayed), -weights[mode]]])
+    moves, late = np.hstack([flow[:n], delayed[:n]]), np.hstack([select, -np.eye(n) / scale])
+    until, speeds = system.delay_max_s, np.linalg.norm(np.concatenate([system.a, system.ad, system.b], axis=2), 2, axis=(1, 2))
+    unit = 1.0 + (until * float(speeds.max())) ** 2  # R in a unit where both terms are of moderate size, at any delay
+    return np.asarray(whole + (until * (moves.T @ smooth @ moves) - late.T @ smooth @ late / until) / unit)

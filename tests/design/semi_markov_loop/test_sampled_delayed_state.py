@@ -19,12 +19,16 @@ ONE = SemiMarkov(rates=((None,),))
 RAMP = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.5, 3.0))
 
 
-def scalar(a: list[float], ad: list[float], slopes: list[float], b: float = 1.0) -> DelayedJumpSystem:
+LONG = 1e4
+"""A delay (s) so long that its bound says nothing."""
+
+
+def scalar(a: list[float], ad: list[float], slopes: list[float], b: float = 1.0, longest: float = 2.0) -> DelayedJumpSystem:
     modes = len(a)
     column = [np.array(values).reshape(modes, 1, 1) for values in (a, ad)]
     one = np.ones((modes, 1, 1))
     return DelayedJumpSystem(
-        a=column[0], ad=column[1], b=b * one, e=one, c=one, delay_max_s=2.0, delay_slopes=np.array(slopes)
+        a=column[0], ad=column[1], b=b * one, e=one, c=one, delay_max_s=longest, delay_slopes=np.array(slopes)
     )  # fmt: skip
 
 
@@ -36,19 +40,36 @@ def judged(system: DelayedJumpSystem, process: SemiMarkov, gain: list[float], **
 @pytest.mark.parametrize("slope", [0.0, 0.6])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_one_mode_is_certified_up_to_the_limit_of_a_delay_that_grows(slope: float, sign: float) -> None:
-    """x' = -x + g x(t - tau), tau' <= h: the condition is |g| < sqrt(1 - h), here from both sides."""
+    """x' = -x + g x(t - tau), tau' <= h, tau as long as it likes: the condition is |g| < sqrt(1 - h), here from both sides."""
     limit = math.sqrt(1.0 - slope)
-    states = [judged(scalar([-1.0], [sign * share * limit], [slope]), ONE, [0.0]).state for share in (0.97, 1.03)]
+    states = [judged(scalar([-1.0], [sign * share * limit], [slope], longest=LONG), ONE, [0.0]).state for share in (0.97, 1.03)]
+    assert states == ["certified", "refused" if sign * limit == 1.0 else "undecided"]  # without a delay 1.03 x grows
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.9])
+@pytest.mark.parametrize("g", [1.0, 20.0])
+def test_a_delay_that_is_short_is_certified_however_it_changes(slope: float, g: float) -> None:
+    """x' = -g x(t - tau) rests on its delayed state alone: certified up to g tau = 1; a constant g tau = 1.6 > pi/2 grows."""
+    states = [judged(scalar([0.0], [-g], [slope], longest=share / g), ONE, [0.0]).state for share in (0.95, 1.6)]
     assert states == ["certified", "undecided"]
+
+
+def test_a_plant_that_grows_without_its_delay_is_refused() -> None:
+    """x' = a x + g x(t - tau) is unstable at tau = 0 for g > -a, whatever other delays do; feedback holds it."""
+    unstable = ((0.2, -0.1, 0.0, "refused"), (-0.2, 0.3, 0.0, "refused"))
+    for a, g, k, state in (*unstable, (0.2, -0.1, -0.5, "certified"), (0.2, -0.3, 0.0, "certified")):
+        found = judged(scalar([a], [g], [0.3], longest=0.5), ONE, [k])
+        assert found.state == state, (a, g, k, found.reason)
+    assert "delay of 0" in judged(scalar([0.2], [-0.1], [0.3]), ONE, [0.0]).reason
+    assert judged(scalar([0.2], [-0.3], [0.3], longest=0.0), ONE, [0.0]).certified
 
 
 def test_modes_that_jump_may_read_one_instant_once_in_every_mode() -> None:
     """Two equal modes, delays that differ: |g| < (1 / (1 - h_1) + 1 / (1 - h_2))^(-1/2), below what either alone allows."""
     process = SemiMarkov(rates=((None, RAMP), (constant_rate(2.0), None)))
     limit = (1.0 / (1.0 - 0.2) + 1.0 / (1.0 - 0.6)) ** -0.5
-    states = [
-        judged(scalar([-1.0, -1.0], [share * limit] * 2, [0.2, 0.6]), process, [0.0, 0.0]).state for share in (0.97, 1.03)
-    ]
+    loops = [scalar([-1.0, -1.0], [share * limit] * 2, [0.2, 0.6], longest=LONG) for share in (0.97, 1.03)]
+    states = [judged(loop, process, [0.0, 0.0]).state for loop in loops]
     assert states == ["certified", "undecided"]
 
 
@@ -57,9 +78,9 @@ def test_feedback_that_is_sampled_and_late_decides() -> None:
     system = scalar([0.5], [0.2], [0.3])
     assert judged(system, ONE, [-2.0]).certified
     assert judged(system, ONE, [-2.0], tau=1, d=1).certified
-    assert judged(system, ONE, [0.0]).state == "undecided"
-    assert judged(system, ONE, [-2.0], tau=8, d=8).state == "undecided"
-    assert judged(system, ONE, [-45.0]).state == "undecided"  # 1 - 45 T < -1: too much for the period
+    assert judged(system, ONE, [0.0]).state == "refused"
+    assert judged(system, ONE, [-2.0], tau=8, d=8).state == "refused"
+    assert judged(system, ONE, [-45.0]).state == "refused"  # 1 - 45 T < -1: too much for the period
 
 
 def test_rates_decide_which_mode_weighs() -> None:
@@ -69,13 +90,13 @@ def test_rates_decide_which_mode_weighs() -> None:
         process = SemiMarkov(rates=((None, constant_rate(leave)), (constant_rate(1.0), None)))
         return judged(scalar([0.5, -2.0], [0.1, 0.1], [0.3, 0.3]), process, [0.0, 0.0]).state
 
-    assert [state(8.0), state(1.5)] == ["certified", "undecided"]
+    assert [state(8.0), state(1.5)] == ["certified", "refused"]
 
 
 def test_every_section_of_the_gain_counts() -> None:
     process = SemiMarkov(rates=((None, RAMP), (RAMP, None)))
     system = scalar([0.5, 0.5], [0.1, 0.1], [0.3, 0.3])
-    for late, state in ((-3.0, "certified"), (1.0, "undecided")):
+    for late, state in ((-3.0, "certified"), (1.0, "refused")):
         gain = np.array([[[[-2.0]], [[-3.0]]], [[[-2.0]], [[late]]]])
         table = ScheduledGain(gain=gain, starts_s=np.array([[0.0, 0.5], [0.0, 0.5]]))
         assert sampled_verdict(system, process, table, period_s=0.05).state == state

@@ -7,6 +7,7 @@ from scipy.linalg import expm
 
 from hil.certify.certifier import CertificationProblem
 from plants import JumpModel, JumpRates, TransitionRates
+from tests.hil.compose.random_jump_loops import sampled_radius
 from tests.hil.compose.random_loops import Array, jump_loop, jump_matrices, radius, rates_of, rows
 
 
@@ -43,6 +44,7 @@ def delayed_radius(A: Array, Ad: Array, B: Array, K: Array, late: list[int], gen
 
 
 def delayed_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]:
+    """The loop; the larger of its radii with drawn delays and with none."""
     n, cut = int(rng.integers(1, 3)), 4
     A, B, K = jump_matrices(rng, 2, n)
     Ad = rng.normal(scale=float(rng.choice([0.1, 0.5, 1.5])), size=A.shape)
@@ -52,4 +54,4 @@ def delayed_case(rng: np.random.Generator) -> tuple[CertificationProblem, float]
         A=tuple(map(rows, A)), B=tuple(map(rows, B)), Ad=tuple(map(rows, Ad)), max_delay_s=2 * T, delay_slopes=(0.3, 0.3),
     )  # fmt: skip
     loop = jump_loop(rng, system, JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(rows(Q),))), K, T, 0)
-    return loop, delayed_radius(A, Ad, B, K, late, Q, T, cut)
+    return loop, max(delayed_radius(A, Ad, B, K, late, Q, T, cut), sampled_radius(A + Ad, B, K, Q, T, 0))
