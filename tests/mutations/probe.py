@@ -13,14 +13,15 @@ from typing import Any
 FOLDER, ORDER = "HILRIG_REACHED", "HILRIG_ORDER"
 """Environment: the folder where each process writes a file of its own; the file that lists tests in order."""
 seen: set[int] = set()
-_out: dict[int, int] = {}  # of this process: one open file
+_out: dict[int, tuple[int, os.stat_result]] = {}  # of this process: one open file, and which it is
 
 
 def note(block: int) -> None:
     """Write that a block was reached."""
     seen.add(block)
-    if os.getpid() not in _out:
+    if not _is_open():
         begin(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
+        seen.add(block)
     _write(f"{block}\n")
 
 
@@ -30,13 +31,22 @@ def begin(test: str) -> None:
     _write(f"T{test}\n")
 
 
-def _write(line: str) -> None:
-    pid = os.getpid()
+def _is_open() -> bool:
+    """Whether the file of this process is open; a test may close it, and something else has its number then."""
+    fd, file = _out.get(os.getpid(), (-1, None))
     try:
-        if pid not in _out:
+        return file is not None and os.path.samestat(os.fstat(fd), file)
+    except OSError:
+        return False
+
+
+def _write(line: str) -> None:
+    try:
+        if not _is_open():
             _out.clear()
-            _out[pid] = os.open(f"{os.environ[FOLDER]}/{pid}", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
-        os.write(_out[pid], line.encode())
+            fd = os.open(f"{os.environ[FOLDER]}/{os.getpid()}", os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+            _out[os.getpid()] = fd, os.fstat(fd)
+        os.write(_out[os.getpid()][0], line.encode())
     except (OSError, KeyError):  # a test may take descriptors, environment and rights away
         return
 

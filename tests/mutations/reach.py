@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,8 @@ from tests.mutations.faults import ROOT
 from tests.mutations.probe import FOLDER
 
 KEPT = ROOT / "runs/reached.json"
+PART = re.compile(r"D(\d+\.\d+) ([01]) ([01]) (.+)")
+"""Of a test: s, whether in real time, whether it ended well, name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,7 +62,7 @@ def measure(tests: Sequence[str] = (), workers: int = 0) -> Reach:
         words = ["-p", "tests.mutations.probe", "-n", str(workers), "--dist", "worksteal", *tests]
         subprocess.run([sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *words], cwd=folder,
                        env=environment(folder) | {FOLDER: str(out)}, stdout=sys.stderr)  # fmt: skip
-        return read((file.read_text() for file in out.iterdir()), [*numbers])
+        return read((file.read_text(errors="replace") for file in out.iterdir()), [*numbers])
 
 
 def _number(numbers: dict[str, int], file: str, block: str) -> int:
@@ -76,12 +79,12 @@ def read(written: Iterable[str], names: Sequence[str]) -> Reach:
         for line in text.splitlines():
             if line.startswith("T"):
                 test = line[1:]
-            elif line.startswith("D"):
-                duration, real, ended, name = line[1:].split(" ", 3)
+            elif part := PART.fullmatch(line):
+                duration, real, ended, name = part.groups()
                 seconds[name] += float(duration)
                 failed |= {name} if ended == "0" else set()
                 realtime |= {name} if real == "1" else set()
-            elif line:
+            elif line.isdecimal() and int(line) < len(names):  # a hostile test may write into any descriptor
                 by_test[test].add(int(line))
     tests = sorted(test for test in seconds if test not in failed)
     by_block: dict[str, list[int]] = defaultdict(list)

@@ -86,10 +86,29 @@ def test_probes_write_what_each_test_reaches_and_change_nothing_else(tmp_path: P
         done = subprocess.run([sys.executable, "-c", script], env=env, capture_output=True, text=True, check=True)
         assert done.stdout == "odd odd\n"
     written = [file.read_text() for file in (tmp_path / "out").iterdir()]
+    garbage = "999\nDemo\n\x00\x08AAAA3\n-1\n"
     timed = "T\nD0.25 0 1 t.py::far\nD0.25 0 1 t.py::far\nD1.0 1 1 t.py::loop\nD9.0 0 1 t.py::red\nD9.0 0 0 t.py::red\n"
-    reach = read([*written, timed], [*numbers])
+    reach = read([*written, garbage, timed], [*numbers])
     assert (reach.tests, reach.seconds, reach.realtime) == (["t.py::far", "t.py::loop"], [0.5, 1.0], [False, True])
     assert reach.by_block == {"kind#0": [0, 1], "kind#2": [1]}
+
+
+def test_a_probe_whose_descriptor_a_test_took_away_writes_to_its_own_file_alone(tmp_path: Path) -> None:
+    script = (
+        "import os\n"
+        "from tests.mutations import probe\n"
+        "probe.note(1)\n"
+        "fd = probe._out[os.getpid()][0]\n"
+        "os.close(fd)\n"
+        "assert os.open('other', os.O_WRONLY | os.O_CREAT) == fd\n"
+        "probe.note(2)\n"
+        "probe.note(3)\n"
+    )
+    env = {**os.environ, "PYTHONPATH": str(ROOT), FOLDER: str(tmp_path), "PYTEST_CURRENT_TEST": "t.py::one (call)"}
+    subprocess.run([sys.executable, "-c", script], env=env, cwd=tmp_path, check=True)
+    (written,) = (file.read_text() for file in tmp_path.iterdir() if file.name != "other")
+    assert (tmp_path / "other").read_bytes() == b""
+    assert read([written, "D0.1 0 1 t.py::one\n"], ["a", "b", "c", "d"]).by_block == {"b": [0], "c": [0], "d": [0]}
 
 
 def reach_of(*tests: str, by_block: dict[str, list[int]] | None = None, realtime: tuple[int, ...] = ()) -> Reach:
