@@ -150,6 +150,23 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
     assert (watch.departed() is None) is kept
 
 
+def test_a_mode_that_commands_change_is_named_with_the_slot_in_which_it_did() -> None:
+    shipped = load_experiment("smjls-robust")
+    watched = compose(shipped).watched
+    assert watched is not None and isinstance(watched.plant, JumpStep)
+
+    def start() -> Any:
+        return shipped.plant.start(np.random.default_rng(4))
+
+    watch, run = JumpWatch(watched.plant, start, 5_000_000), start()
+    for k in range(3 * BLOCK):
+        *y, mode = run.measure()
+        other = 1 + int(mode) % len(watched.plant.flows)
+        watch.take(run.state, (*y, other if k >= BLOCK + 40 else mode), (0.2,), (0.0,))
+        run.advance(5_000_000, (0.2,), (0.0,))
+    assert watch.departed() == (BLOCK + 40, "a mode that its inputs change")
+
+
 def test_no_slot_waits_until_a_block_of_a_plant_that_jumps_is_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     loop = compose(load_experiment("smjls-robust"))
     assert loop.watched is not None and isinstance(loop.watched.plant, JumpStep)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from design.lmi.attenuation import at_gamma, smallest_gamma, with_gamma
 from design.lmi.decision import decide
 from design.lmi.exact import as_fraction, pivots, prove_inequalities, rounded
 from design.lmi.program import Inequality, LmiProgram, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
@@ -29,6 +30,24 @@ def test_what_is_found_verifies() -> None:
     found = lyapunov(A).solve()
     assert found.holds
     assert -largest_eigenvalue(symmetric_part(found.matrices["P"] @ A)) == pytest.approx(found.margin)
+
+
+def test_the_matrices_of_a_known_gamma_are_those_of_its_scale() -> None:
+    """x' = -x + w, z = x: gamma = 1 is the least; at gamma = 4 the matrices hold for z scaled as the result says."""
+
+    def build(scale: float) -> LmiProgram:
+        program = LmiProgram()
+        program.symmetric("P", 1)
+        program.matrix("g2", 1, 1)
+        program.require("P > 0", lambda p: -p, "P")
+        program.require("bounded real", lambda p, g2: symmetric_blocks([[-2.0 * p + scale**2], [p, -g2]]), "P", "g2")
+        return program
+
+    found = at_gamma(build, 4.0, "a lag")
+    held = with_gamma(build(found.scale), found.scale * found.gamma)
+    margin, _ = verify(held.inequalities, found.found.matrices)
+    assert margin == pytest.approx(found.found.margin)
+    assert smallest_gamma(build, "a lag").gamma == pytest.approx(1.0, rel=2e-3)
 
 
 def test_absence_is_proved_by_dual_matrices_and_not_by_a_status() -> None:

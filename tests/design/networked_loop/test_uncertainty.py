@@ -57,6 +57,13 @@ def test_vanishing_uncertainty_leaves_the_nominal_norms():
     assert np.isclose(bounds.hinf, hinf_norm(nominal), rtol=1e-3)
 
 
+@pytest.mark.parametrize("scale", [1e-14, 1e14])
+def test_the_same_uncertainty_in_other_units_has_the_same_norms(scale):
+    bounds = robust_norms(short(), SHORT_GAINS, M, N1, N2)
+    same = robust_norms(short(), SHORT_GAINS, M / scale, scale * N1, scale * N2)
+    assert (same.h2, same.hinf) == pytest.approx((bounds.h2, bounds.hinf), rel=1e-3)
+
+
 def test_too_much_uncertainty_is_refused_with_the_margin():
     with pytest.raises(Infeasible, match=r"bears .Delta. up to 0") as caught:
         robust_norms(structure(), PRINTED_HINF, 50 * M, N1, N2)

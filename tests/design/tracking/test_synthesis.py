@@ -300,6 +300,19 @@ def test_over_many_modes_a_descent_starts_with_the_curvature_of_its_loop(bound, 
     assert found.certificate.h2_norm == pytest.approx(plain.certificate.h2_norm, rel=1e-9)
 
 
+@pytest.mark.parametrize(("start", "length"), [([0.2, 0.0], 0.1), ([30.0, 40.0], 5.0)])
+def test_the_first_step_of_a_descent_is_a_tenth_of_where_it_begins(start: list[float], length: float) -> None:
+    tried: list[np.ndarray] = []
+
+    def bowl(x: np.ndarray) -> tuple[float, np.ndarray]:
+        tried.append(x)
+        return 50.0 * float(x @ x), 100.0 * x
+
+    found = bfgs(bowl, np.array(start))
+    assert np.linalg.norm(tried[1] - tried[0]) == pytest.approx(length)
+    assert found.value < 1e-15
+
+
 def test_a_design_holds_every_blas_to_one_thread_scipys_own_too():
     """scipy's is loaded with the first factorisation; with two threads the VTOL's design took six times the CPU time."""
     code = (

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.design import command
-from hil.design_questions.can_priority import Judged, places_of, recommended
+from hil.design_questions.can_priority import Judged, Place, places_of, recommended
 from hil.errors import HilError
 from hil.experiment import load_experiment
 
@@ -41,6 +41,22 @@ def test_a_place_is_recommended_by_certificate_deadline_cost_and_then_modesty() 
     assert recommended([replace(each, cost=None) for each in judged], free=False) is None
 
 
+def test_the_place_that_leaves_the_others_theirs_is_said_apart_from_a_better_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def judged(place: Place) -> Judged:
+        return Judged(
+            place=place, cost=10.0 if place.moved else 14.0, state="certified", bounds_ms=(1.0, 1.0), in_time=True
+        )  # fmt: skip
+
+    monkeypatch.setattr("hil.cli.design_can_id._judge", judged)
+    monkeypatch.setattr(
+        "hil.design_questions.can_priority.places_of", lambda e, found=places_of: found(load_experiment(e.name, (FEW,)))
+    )
+    done = CliRunner().invoke(command, ["--can-id", "dc-motor-busy-can", "--json"], catch_exceptions=False)
+    found = json.loads(done.output)
+    assert found["recommended"]["moved"] == 0 < found["with_others_moved"]["moved"]
+    assert found["recommended"]["cost"] == 14.0 > found["with_others_moved"]["cost"] == 10.0
+
+
 def test_the_command_runs_every_place_and_writes_a_page(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     shown = load_experiment("dc-motor-busy-can").text
@@ -55,7 +71,11 @@ def test_the_command_runs_every_place_and_writes_a_page(tmp_path: Path) -> None:
     assert (first["can_id"], second["can_id"]) == (0, 0x41) and first["moved"] == 0
     assert first["sensor_bound_ms"] < second["sensor_bound_ms"] < 50.0 and first["in_time"] and second["in_time"]
     assert first["cost"] > 0 and second["cost"] > 0 and first["certificate"] == "certified"
-    assert found["recommended"] in found["places"] and "Cost over priority" in page.read_text()
+    assert (
+        found["recommended"] == second
+        and found["with_others_moved"] in found["places"]
+        and "Cost over priority" in page.read_text()
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,9 +15,11 @@ from click.testing import CliRunner, Result
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.passivity.condition import is_passive_over
+from design.passivity.stiffness_map import StiffnessCell
 from hil.cli import main
 from hil.cli.design import command as design
 from hil.cli.stiffness_map import command as stiffness_map
+from hil.pages.analyses import stiffness_page
 from tests.waiting import LIMIT_S
 
 MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")
@@ -51,6 +53,18 @@ def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -
         assert c["certified_n_per_m"] > 1.3 * c["gil_hulin_n_per_m"] or delay == 0
         coupler = Coupler(taps_m_per_n=tuple(c["taps_m_per_n"]))
         assert all(is_passive_over(coupler, period, 1.9857 + hand, d) for d in range(delay + 1))
+
+
+def test_a_map_of_one_hand_has_a_page() -> None:
+    cells = [
+        StiffnessCell(
+            period_s=0.001, delay=delay, hand_damping_n_s_per_m=5.0, certified_n_per_m=900.0, ceiling_n_per_m=1000.0,
+            colgate_n_per_m=None, gil_hulin_n_per_m=700.0, exact_n_per_m=710.0, taps_m_per_n=(0.001,),
+        )
+        for delay in (2, 4)
+    ]  # fmt: skip
+    page = stiffness_page(cells, mass_kg=0.1, damping_n_s_per_m=2.0)
+    assert "Stiffness at T = 1 ms" in page and "Gil-Hulin, hand 5" in page
 
 
 def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
+from hil.sweeps import seeds
 from tests.hil.cli.conftest import Hil
 
 SHORT = ("--jobs", "1", "--set", "duration=4")
@@ -60,6 +62,22 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
 def test_a_bad_sweep_is_refused_before_it_starts(cli: Hil, arguments: list[str], says: str) -> None:
     status, out, err = cli("sweep", "dc-motor-hinf", *arguments)
     assert (status, out) == (2, "") and says in err
+
+
+def test_a_grid_that_is_interrupted_says_how_it_goes_on(cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = ("sweep", "dc-motor-hinf", "--runs", "2", "--grid", "plant.gain=150,170", *SHORT, "--resume", "rows", "--json")
+    once = seeds.run_seeds
+    with monkeypatch.context() as context:
+        context.setattr(seeds, "run_seeds", lambda loop, some: once(loop, some) if loop.experiment.plant.gain == 150 else ended())
+        status, out, err = cli(*arguments)
+    assert status == 130 and err == "hil: interrupted; the same command goes on from rows\n"
+    assert len(json.loads(out)["points"]) == 1
+    status, out, _ = cli(*arguments)
+    assert status == 0 and len(json.loads(out)["points"]) == 2
+
+
+def ended() -> NoReturn:
+    raise KeyboardInterrupt
 
 
 def test_a_sweep_keeps_its_rows_and_refuses_those_of_another(cli: Hil, tmp_path: Path) -> None:

@@ -313,6 +313,18 @@ def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
     assert rows[at, 0].tolist() == rows[at, 1].tolist() == [0.0] * 20 + [3.0] * 60
 
 
+def test_a_run_may_begin_anew_with_every_seed_of_63_bits() -> None:
+    desk = Desk([Side(acts=True)])
+    try:
+        for seed in (None, 0, 2**63 - 1):
+            assert desk.take(Wish(do="restart", seed=seed))
+        for seed in (-1, 2**63):
+            with pytest.raises(HilError, match=f"seed: {seed}, expected a whole number from 0 on"):
+                desk.take(Wish(do="restart", seed=seed))
+    finally:
+        desk.close()
+
+
 def test_a_script_of_more_changes_than_a_run_takes_is_refused_while_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "many.jsonl"
     line = '{"slot": 1, "field": "reference", "value": [1.0]}\n'

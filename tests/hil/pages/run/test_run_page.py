@@ -8,8 +8,10 @@ from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.pages.html.figures import Badge, Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run.run_page import render_report
+from hil.pages.run.sections.summary import events
 from hil.pages.run.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
@@ -105,6 +107,19 @@ def test_events_stand_in_the_order_of_time() -> None:
     run.events[:] = [{**event, "t_s": 0.7, "message": "the second"}, {**event, "t_s": 0.2, "message": "the first"}]
     page = report(run)
     assert page.index("the first") < page.index("the second")
+
+
+MARKS = [("warning", "warning"), ("error", "bad"), ("info", "neutral"), (None, "neutral")]
+
+
+@pytest.mark.parametrize(("severity", "state"), MARKS)
+def test_an_event_is_marked_by_its_severity(severity: str | None, state: str) -> None:
+    run = run_of("dc-motor-hinf", 'duration="0.2 s"')
+    said = {"severity": severity} if severity else {}
+    run.events[:] = [{"tick": 1, "t_s": 0.05, "data": {}, "kind": "note", "message": "m", **said}]
+    section = events(view_of(run))
+    assert section is not None and isinstance(table := section.blocks[0], Table)
+    assert table.rows == [[0.05, Badge(label=severity or "info", state=state), "note", "m"]]  # type: ignore[arg-type]
 
 
 def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
