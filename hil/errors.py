@@ -60,3 +60,19 @@ def nearest(name: object, known: Iterable[str], *, lead: str = "; ", cutoff: flo
 
 class ForeignVerdict(Exception):
     """A verdict whose digest is not that of the loop it is shown for: a fault of the program, never of the user."""
+
+
+class UnknownName(HilError, KeyError):
+    """A name that is none of those that are there."""
+
+    __str__ = Exception.__str__  # a KeyError would print its text in quotes
+
+
+def unknown_name(what: str, name: object, known: Iterable[str]) -> UnknownName:
+    """Return the error for a name, with the nearest one and all that are there.
+
+    >>> print(unknown_name("metric", "settling_tme_s", ["sse", "settling_time_s"]))
+    no metric is called 'settling_tme_s'; did you mean 'settling_time_s'? There are: sse, settling_time_s
+    """
+    names = list(known)
+    return UnknownName(f"no {what} is called {str(name)!r}{nearest(name, names) or '.'} There are: {', '.join(names) or 'none'}")

@@ -26,7 +26,7 @@ from design.passivity.varying_delay import keeps_order, lags
 from design.processes.delay_chain import DelayChain
 from design.verdict import State, Verdict
 
-METHOD = "passivity of the delayed coupler, decided exactly on the whole circle; spectral radii of every contact"
+METHOD = "passivity of the delayed coupler, decided exactly (in integers) at all frequencies; spectral radii of every contact"
 QUANTITY = "damping that the coupler needs at its worst delay, N s/m"
 ASSUMPTIONS = (
     "the hand is passive apart from its own bounded push, and is held rigidly",

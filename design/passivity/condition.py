@@ -42,7 +42,7 @@ Integers = list[int]  # coefficients of an integer polynomial, lowest power firs
 def is_nonnegative(coefficients: Sequence[Fraction]) -> bool:
     """Return whether a_0 + a_1 cos t + ... + a_n cos nt >= 0 for every t.
 
-    The whole circle is decided in whole numbers:
+    All frequencies are decided, in integers:
 
         p(t) = a_0 + a_1 cos t + ... + a_n cos nt = P(x),  x = cos t in [-1, 1],  cos jt = T_j(x)
 
@@ -63,7 +63,7 @@ def is_nonnegative(coefficients: Sequence[Fraction]) -> bool:
 
 
 def _below(a: Sequence[Fraction]) -> list[Fraction]:
-    """A polynomial of short coefficients that lies below on the whole circle: rounded, and lowered by all the rounding."""
+    """A polynomial of short coefficients that lies below at all frequencies: rounded, and lowered by all the rounding."""
     step = Fraction(math.ceil(max((abs(c) for c in a), default=Fraction(1))) or 1, 1 << SHORT_BITS)
     short = [round(c / step) * step for c in a]
     lost = sum((abs(c - s) for c, s in zip(a, short)), Fraction(0))

@@ -4,7 +4,7 @@ r"""The stiffest coupler for a set of delays: least static compliance under the 
 
 In units of T/(2 beta) neither period nor damping occurs: s_l = 2 beta c_l/T depends on the delays alone. It is a linear program
 with one row for every angle. It is solved over finitely many angles, to which the angles of the worst violations are added; the
-last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out is proved for the whole circle in whole numbers
+last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out is proved at all frequencies, in integers
 (`design.passivity.condition`), so neither the grid nor the solver is part of the proof.
 
 Integrating the rows over (0, pi) bounds every causal coupler, of any length, from below:
@@ -150,7 +150,7 @@ class _Asked(NamedTuple):
 
 @lru_cache(maxsize=64)
 def _shape(asked: _Asked) -> npt.NDArray[np.float64]:
-    """Taps in units of T/(2 beta), with a margin on the whole circle."""
+    """Taps in units of T/(2 beta), with a margin at all frequencies."""
     fine = np.asarray(np.linspace(0.0, np.pi, 256 * asked.taps + 1), dtype=np.float64)
     kernels, wanted = dirichlet(asked.taps, fine), asked.needed(fine)
     angles = np.arange(0, fine.size, 32)

@@ -14,14 +14,13 @@ import numpy as np
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment, load_experiment, object_of
 from hil.compose.loop import compose
-from hil.errors import HilError
+from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.files.outputs import check_output, check_page, write_output
 from hil.log.read.run import read_run
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
-from hil.measure.measure import unknown_name
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate as simulate_loop

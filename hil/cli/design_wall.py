@@ -11,8 +11,8 @@ from hil.cli.option_types import Duration, NumberList, Ratio
 from hil.cli.terminal import json_option, print_facts, print_json
 from hil.errors import HilError
 
-HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in whole numbers (Sturm)"
-VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, over all delays nd, in whole numbers (Sturm)"
+HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in integer arithmetic (Sturm)"
+VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, over all delays nd, in integer arithmetic (Sturm)"
 
 
 @click.command()

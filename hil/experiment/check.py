@@ -223,7 +223,7 @@ class Checker:
         try:
             cls = registry.load(group, kind, self._folder or ".")
             if is_own(kind) and not (isinstance(cls, type) and dataclasses.is_dataclass(cls)):
-                raise HilError(f"{kind!r} is no dataclass; the fields of one are the keys of this table")
+                raise HilError(f"{kind!r} is no dataclass; write @dataclass above it: its fields are the keys of this table")
         except HilError as e:
             self.faults.append(f"{path}.kind: {e}")
             return None

@@ -13,6 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 from hil.log.append_column import ROWS, pieces
 from hil.log.events import decode_events
 from hil.log.read.arrays import StructuredArray, assemble
+from hil.log.read.named_fields import Records
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.topics import missing
 from hil.log.write.sinks import MemorySink
@@ -61,8 +62,9 @@ class Run:
 
     def __post_init__(self) -> None:
         if isinstance(self.arrays, dict):  # others make their arrays when they are asked for
-            for array in self.arrays.values():
+            for topic, array in self.arrays.items():
                 array.setflags(write=False)  # a record is no measure's to change
+                self.arrays[topic] = array.view(Records)
 
     @classmethod
     def from_memory(cls, sink: MemorySink, **about: Any) -> Run:

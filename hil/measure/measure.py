@@ -6,13 +6,13 @@ A name that is not there is answered with those that are.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
-from hil.errors import HilError, nearest
+from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
@@ -247,22 +247,6 @@ def _as_promised(measure: Measure, view: RunView, found: Mapping[str, float | No
 
 
 T = TypeVar("T")
-
-
-class UnknownName(HilError, KeyError):
-    """A name that is none of those that are there."""
-
-    __str__ = Exception.__str__  # a KeyError would print its text in quotes
-
-
-def unknown_name(what: str, name: object, known: Iterable[str]) -> UnknownName:
-    """Return the error for a name, with the nearest one and all that are there.
-
-    >>> print(unknown_name("metric", "settling_tme_s", ["sse", "settling_time_s"]))
-    no metric is called 'settling_tme_s'; did you mean 'settling_time_s'? There are: sse, settling_time_s
-    """
-    names = list(known)
-    return UnknownName(f"no {what} is called {str(name)!r}{nearest(name, names) or '.'} There are: {', '.join(names) or 'none'}")
 
 
 class Named(dict[str, T]):

@@ -213,6 +213,9 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
     if isinstance(controller, GainTable):
         check_table(controller, model)
         said.append(f"{name} is a GainTable: its loop over delay chains is certified exactly, and its error is predicted")
+    if isinstance(controller, LinearFeedback | AgedFeedback):
+        kind = "LinearFeedback" if isinstance(controller, LinearFeedback) else "AgedFeedback"
+        said.append(f"{name} is a {kind}: linear with states of its own, and its loop over delay chains is certified")
     if isinstance(controller, ModeSchedule):
         shape = controller.schedule_of_modes().gain.shape[2:]
         assert shape == (m, p - 1), f"gains of shape {shape}, expected ({m}, {p - 1}): the state without the mode"
@@ -222,7 +225,10 @@ def check_controller(controller: Controller, model: LoopModel) -> list[str]:
         assert shape == (m, p), f"gains of shape {shape}, expected ({m}, {p})"
         said.append(f"{name} is a HistoryGains: its loop over scheduled nodes is certified where they measure the state")
     if len(said) == 1:
-        said.append(f"{name} is neither a GainTable nor a ModeSchedule: its loop runs with allow_uncertified only")
+        said.append(
+            f"{name} states no gains or matrices: its loop runs with allow_uncertified only. State table(model) of a gain "
+            'without a state, linear_law(model) of an observer, or take kind = "output-feedback" with its A, B, C, D'
+        )
     if isinstance(controller, SeveralSamples):
         said.append(f"{name} takes SeveralSamples: {packet_samples(controller)} in one sensor packet")
     return said
@@ -295,7 +301,9 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
                 tau = int(rng.integers(0, model.tau_max + 1))
                 rows = asked("rows(k, tau, y, r)", running.rows, k, tau, y, (1.0,) * p)
             expected = row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))
-            numbers = asked(f"rows() returned {rows!r:.80}", lambda rows=rows: [[float(u) for u in row] for row in rows])
+            shape = f"{expected} row{'s' * (expected > 1)} of {m} input{'s' * (m > 1)} in a tuple of tuples"
+            what = f"rows() returned {rows!r:.80}, expected {shape}"
+            numbers = asked(what, lambda rows=rows: [[float(u) for u in row] for row in rows])
             assert len(numbers) == expected, f"{len(numbers)} rows, expected {expected} for {running.selection!r}"
             assert all(len(row) == m for row in numbers), f"a row has not {m} inputs"
             assert np.isfinite(numbers).all(), "a row is not finite"

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from hil.measure.measure import unknown_name
+from hil.errors import unknown_name
 from hil.reproduce.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
 from hil.reproduce.power import power, power_in_words

@@ -13,8 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from hil.errors import HilError
-from hil.measure.measure import unknown_name
+from hil.errors import HilError, unknown_name
 from hil.notebook import Result, data_frame
 from hil.pages.html.figures import Bars, Figure, Histogram
 from hil.pages.paper import draw

@@ -15,7 +15,6 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.measure import Named
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
-from hil.session.named_arrays import NamedArrays
 
 if TYPE_CHECKING:
     import pandas
@@ -167,7 +166,7 @@ class Session:
     @property
     def arrays(self) -> Mapping[str, StructuredArray]:
         """Topic to records, a structured numpy array each; field ``t_ns`` is the session time."""
-        return NamedArrays(self.run.arrays)
+        return self.run.arrays
 
     def to_pandas(self) -> dict[str, pandas.DataFrame]:
         """Return the arrays as tables of pandas; see `tables`."""

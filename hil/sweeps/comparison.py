@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, difference_interval, ratio_interval
+from hil.errors import unknown_name
 from hil.experiment import Experiment
-from hil.measure.measure import Quantity, unknown_name
+from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result, data_frame
 from hil.sweeps.seeds import here, quantities_in, run_sweep

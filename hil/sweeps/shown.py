@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, mean_interval
-from hil.measure.measure import Quantity, unknown_name
+from hil.errors import unknown_name
+from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
 

@@ -14,6 +14,7 @@ import numpy as np
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
 from hil.log.read.arrays import StructuredArray, assemble, run_dtype
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
+from hil.log.read.named_fields import Records
 from hil.log.records import TIME_FIELD, Schema
 from hil.log.topics import missing
 
@@ -121,7 +122,7 @@ class Topics(MutableMapping[str, StructuredArray]):
         if topic not in self._topics:
             raise missing(topic, [*self])
         if topic not in self._arrays:
-            array = self._arrays[topic] = self._columns[topic].array()
+            array = self._arrays[topic] = self._columns[topic].array().view(Records)
             array.setflags(write=False)  # a record is no measure's to change
         return self._arrays[topic]
 

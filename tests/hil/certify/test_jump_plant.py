@@ -12,7 +12,7 @@ import pytest
 from msgspec.structs import replace
 
 from design.as_printed import examples
-from design.controllers import Constant, LoopModel, SendAll
+from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
@@ -127,7 +127,11 @@ def test_checks_say_what_a_plug_in_is_and_what_that_earns() -> None:
     model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
     gains = SendAll(gains=((((0.5,),),),))
     assert any("is a GainTable" in sentence for sentence in check_controller(gains, model))
-    assert any("allow_uncertified only" in sentence for sentence in check_controller(Constant(value=(0.0,)), model))
+    one = ((0.5,),)
+    observer, constant = OutputFeedback(A=one, B=one, C=one, D=one), Constant(value=(0.0,))
+    assert any("LinearFeedback: linear with states" in sentence for sentence in check_controller(observer, model))
+    assert not any("allow_uncertified" in sentence for sentence in check_controller(observer, model))
+    assert any("only. State table(model)" in sentence for sentence in check_controller(constant, model))
     with pytest.raises(AssertionError, match=r"gains of shape \(1, 2\), expected \(1, 0\)"):
         check_controller(_Blind(gain=((((1.0, 1.0),),),), starts_s=((0.0,),)), model)
 

@@ -85,6 +85,17 @@ class Whole(Half):
             applied = (0.0,)
         return Running()
 
+class Undisturbed(Whole):
+    def start(self, rng):
+        class Running(type(Whole.start(self, rng))):
+            def advance(self, dt_ns, u):
+                pass
+        return Running()
+
+class Seedless(Cart):
+    def start(self):
+        return super().start(None)
+
 class Base(BaseException):
     pass
 
@@ -177,7 +188,9 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
         ("cart:Lying", r"plant: 'cart:Lying': check_plant: "),
         ("cart:Failing", r"check_plant: KeyError: 'nothing' \(.*cart\.py, line \d+\)"),
         ("cart:Half", r"check_plant: what Half\.start\(rng\) returns needs `applied` \(the input that was commanded last"),
-        ("cart:Whole", r"check_plant: what Whole\.start\(rng\) returns: advance\(dt_ns, u, w=\(\)\) must do without w"),
+        ("cart:Whole", r"what Whole\.start\(rng\) returns: advance\(dt_ns, u, w=\(\)\), with and without w: missing"),
+        ("cart:Undisturbed", r"returns: advance\(dt_ns, u, w=\(\)\), with and without w: too many positional arguments"),
+        ("cart:Seedless", r"check_plant: Seedless\.start\(rng\): too many positional arguments"),
         ("cart:Raising", r"plant: 'cart:Raising': Base: not today \(.*cart\.py, line \d+\)"),
         ("cart:Metaclass", r"plant: 'cart:Metaclass': Base: no instance \(.*cart\.py, line \d+\)"),
         ("cart:Leaving", r"plant: 'cart:Leaving': check_plant: .*SystemExit: 0 \(.*cart\.py, line \d+\)"),

@@ -79,6 +79,10 @@ def test_a_misspelt_field_or_part_is_answered_with_the_nearest_one(session: hil.
         records["angel"]
     with pytest.raises(hil.HilError, match="did you mean 'angle'"):
         records[3:]["angel"]
+    with pytest.raises(hil.HilError, match="did you mean 'angle'"):
+        session.run.arrays["/plant/measurement"]["angel"]
+    with pytest.raises(hil.HilError, match="did you mean '/plant/state'"):
+        session.run.arrays["/plnt/state"]
     with pytest.raises(hil.HilError, match=r"no part of the summary is called 'metrcs'; did you mean 'metrics'\?"):
         session.summary["metrcs"]
     assert type(records["angle"]) is np.ndarray
