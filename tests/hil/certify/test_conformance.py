@@ -71,6 +71,13 @@ def test_a_controller_that_is_not_its_table_is_not_certified(lie: str) -> None:
     assert found is None or not found.certified, lie
 
 
+@pytest.mark.parametrize(("other", "same"), [("small", "large"), ("large", "small")])
+def test_a_controller_that_is_its_table_on_samples_of_one_size_alone_is_non_linear(other: str, same: str) -> None:
+    found = on_own_plant(Plant(), Table(f"{other} samples"))
+    assert found is not None and found.state == "undecided"
+    assert found.reason.startswith(f"non-linear: the controller answers as its table says on {same} samples, but on samples up to")
+
+
 @pytest.mark.parametrize("selection", ["constant", "generated", "previous", "both"])
 @pytest.mark.parametrize("lie", ["last row", "of age 1", "a state"])
 def test_every_information_pattern_is_tested(selection: Any, lie: str) -> None:
