@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-REASONS: tuple[str, ...] = (
+REASONS: Final[tuple[str, ...]] = (
     "delivered",  # arrives for the first time, newer than all before
     "repeated",  # age law: the newest packet of an earlier slot is still the newest
     "disordered",  # arrives for the first time, after a newer one
@@ -23,25 +23,23 @@ REASONS: tuple[str, ...] = (
 )
 """Names of the reason codes: `REASONS[draw.reason]`."""
 
-(
-    DELIVERED,
-    REPEATED,
-    DISORDERED,
-    DUPLICATED,
-    SUPERSEDED,
-    LOST,
-    OVERFLOW,
-    NONE_YET,
-    ABSENT,
-    SENT,
-    COPIED,
-    REPLACED,
-    CUT,
-    CORRUPTED,
-    OFF_BUS,
-) = range(len(REASONS))
+DELIVERED: Final = 0
+REPEATED: Final = 1
+DISORDERED: Final = 2
+DUPLICATED: Final = 3
+SUPERSEDED: Final = 4
+LOST: Final = 5
+OVERFLOW: Final = 6
+NONE_YET: Final = 7
+ABSENT: Final = 8
+SENT: Final = 9
+COPIED: Final = 10
+REPLACED: Final = 11
+CUT: Final = 12
+CORRUPTED: Final = 13
+OFF_BUS: Final = 14
 
-NO_MODE = -1
+NO_MODE: Final = -1
 """`Draw.mode` of a row that books a packet's fate and is no draw of the law."""
 
 

@@ -76,8 +76,9 @@ def encode_control(packet: ControlPacket) -> bytes:
     """
     rows, tau = packet.rows, packet.tau
     inputs = len(rows[0]) if rows else 0
-    if len(rows) > 1 and [*map(len, rows)].count(inputs) != len(rows):
-        raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected one length")
+    for row in rows:
+        if len(row) != inputs:
+            raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected one length")
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
     body = layout.write_control(packet, tau, inputs)

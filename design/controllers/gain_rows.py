@@ -58,7 +58,7 @@ class GainRows:
         self.selection = selection
         self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains = nested(K)
-        self._gain_at = GainIndex(sojourns or (1,) * len(K)).at
+        self._index = GainIndex(sojourns or (1,) * len(K))
         self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
         # One input, one output: the same sums without loops in loops, 18 % of an interpreted virtual slot.
         scalar = K.shape[2:] == (1, 1)
@@ -67,13 +67,13 @@ class GainRows:
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
         if self._scalars is not None:
             error, held = y[0] - r[0], self._omega[0][0] * r[0]
-            return tuple([(held + g * error,) for g in self._scalars[self._gain_at(tau)]])
+            return tuple([(held + g * error,) for g in self._scalars[self._index.at(tau)]])
         e = [a - b for a, b in zip(y, cycle(r))]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
         star = [dot(row, r) for row in self._omega]
         return tuple(
-            [tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._gain_at(tau)]]
+            [tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._index.at(tau)]]
         )
 
 

@@ -102,7 +102,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         or not np.array_equal(feedforward(motion_of(plant, loop.model)), feedforward(loop.model))  # u* holds another plant
     ):
         return None
-    at, at_w, signals, motion = loop.reference(), loop.disturbance(), signals_of(plant), drive_of(loop, slots)
+    at, at_w, signals, motion = loop.reference().at, loop.disturbance().at, signals_of(plant), drive_of(loop, slots)
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
     moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
     rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
@@ -167,7 +167,7 @@ def drive_of(loop: Loop, slots: int) -> tuple[Matrix, Matrix]:
     The plant itself moves, without an input: f(k) = x(k+1) - A x(k) - B w(k). Where it has more than its model, f would not be
     the same with an input, and where chance moves it not the same in the next run: then it is 0, and `left_out` says so.
     """
-    e, at, model = loop.experiment, loop.disturbance(), motion_of(loop.experiment.plant, loop.model)
+    e, at, model = loop.experiment, loop.disturbance().at, motion_of(loop.experiment.plant, loop.model)
     A, B = model.A, model.B
     run = e.plant.start(np.random.default_rng(0))
     state = first = np.array(run.state)
@@ -196,7 +196,7 @@ def _moments(
 ) -> Prediction:  # fmt: skip
     from design.networked_loop.prediction import predict_tracking
 
-    model, at = motion_of(loop.experiment.plant, loop.model), loop.disturbance()
+    model, at = motion_of(loop.experiment.plant, loop.model), loop.disturbance().at
     x0, drive = motion
     return predict_tracking(
         model.A, model.B, model.C, *chains, gains_over(controller, model, *chains), controller.selection, r,

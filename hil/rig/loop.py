@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from bisect import bisect_right
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -16,6 +13,7 @@ from design.verdict import Verdict, digest
 from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 from hil.rig.delay_chains import Chains
+from hil.rig.piecewise import Piecewise
 from hil.rig.spec import RigSpec
 from hil.rig.watched import Watched
 
@@ -81,14 +79,14 @@ class Loop:
         """Return the control law, ready for slot 0."""
         return self.controller.start(self.model)
 
-    def reference(self) -> Callable[[int], tuple[float, ...]]:
-        """Return the reference as a function of the slot."""
+    def reference(self) -> Piecewise:
+        """Return the reference, slot by slot."""
         e = self.experiment
         zero = (0.0,) * len(e.plant.outputs)
-        return _schedule(zero, [(round(s.at / e.period), s.value) for s in e.reference])
+        return Piecewise(zero, {round(s.at / e.period): s.value for s in e.reference})
 
-    def disturbance(self) -> Callable[[int], tuple[float, ...]]:
-        """Return the input disturbance as a function of the slot."""
+    def disturbance(self) -> Piecewise:
+        """Return the input disturbance, slot by slot."""
         e = self.experiment
         zero = (0.0,) * len(e.plant.inputs)
         changes: dict[int, tuple[float, ...]] = {}
@@ -96,26 +94,7 @@ class Loop:
         for k in sorted({edge for a, b, _ in pulses for edge in (a, b)}):
             active = [v for a, b, v in pulses if a <= k < b]
             changes[k] = tuple(map(sum, zip(zero, *active)))
-        return _schedule(zero, list(changes.items()))
-
-
-def _schedule(start: tuple[float, ...], changes: Sequence[tuple[int, tuple[float, ...]]]) -> Callable[[int], tuple[float, ...]]:
-    """Piecewise constant in the slot; it is looked up where a piece begins."""
-    ordered = sorted(changes)
-    edges = [k for k, _ in ordered]
-    values = [start, *(v for _, v in ordered)]
-    begins, ends = [-sys.maxsize, *edges], [*edges, sys.maxsize]
-    begin = end = 0
-    value = start
-
-    def at(k: int) -> tuple[float, ...]:
-        nonlocal begin, end, value
-        if not begin <= k < end:
-            piece = bisect_right(edges, k)
-            begin, end, value = begins[piece], ends[piece], values[piece]
-        return value
-
-    return at
+        return Piecewise(zero, changes)
 
 
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:

@@ -149,7 +149,7 @@ class _Slots:
         """Move all plants from the first slot to the last."""
         loop, plants, runs, controllers = self._loop, self._plants, self._runs, self._controllers
         begun = np.logical_and.reduce if self._samples is None else np.logical_or.reduce  # of every sample, any node will do
-        e, reference, disturbance = loop.experiment, loop.reference(), loop.disturbance()
+        e, reference, disturbance = loop.experiment, loop.reference().at, loop.disturbance().at
         p, m = len(e.plant.outputs), len(e.plant.inputs)
         outputs, inputs = np.empty((p, self._slots, runs)), np.zeros((m, self._slots, runs))
         sent = np.zeros((m, self._ring * loop.rows * runs))  # rows of the last packets, as the wire holds them

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from plants.errors import PlantError
 from plants.parts.exponential import zero_order_hold
@@ -12,10 +12,6 @@ from plants.parts.linear import NS_PER_S
 
 if TYPE_CHECKING:
     from plants.dc_motor import DCMotor
-
-
-class _Axis(Protocol):
-    def move(self, angle: float, speed: float, drive: float, dt_ns: int) -> tuple[float, float]: ...
 
 
 class _FreeAxis:
@@ -58,16 +54,15 @@ class _DryAxis:
 class DCMotorRun:
     """The running motor. See `DCMotor` for the equations."""
 
-    __slots__ = ("_angle", "_applied", "_drive", "_move", "_now_ns", "_pieces", "_read", "_speed", "_tacho", "_through")
+    __slots__ = ("_angle", "_applied", "_axis", "_drive", "_now_ns", "_pieces", "_read", "_speed", "_tacho", "_through")
 
     def __init__(self, motor: DCMotor, before: DCMotorRun | None = None) -> None:
         damping = motor._damping
-        axis: _Axis = (
+        self._axis = (
             _DryAxis(RubbingAxis(motor.gain, motor.pole, motor.friction))
             if motor.friction.dry
             else _FreeAxis(motor.gain, damping)
         )
-        self._move = axis.move
         self._drive = None if motor.driver.ideal else motor.driver.drive
         self._through = motor.disturbance_through_driver
         self._read = motor.encoder.read if motor.encoder.step_rad else None
@@ -99,11 +94,11 @@ class DCMotorRun:
             if w:
                 v += w[0]
         if self._pieces is None:
-            self._angle, self._speed = self._move(self._angle, self._speed, v, dt_ns)
+            self._angle, self._speed = self._axis.move(self._angle, self._speed, v, dt_ns)
             return
         for span_ns, load_v in self._pieces(self._now_ns, dt_ns):
             drive = v if load_v is None else v - load_v
-            self._angle, self._speed = self._move(self._angle, self._speed, drive, span_ns)
+            self._angle, self._speed = self._axis.move(self._angle, self._speed, drive, span_ns)
         self._now_ns += dt_ns
 
     def measure(self) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the p
 def predicted_of(loop, ticks, **options):
     from design.networked_loop.prediction import predict_tracking
 
-    reference, disturbance, chains = loop.reference(), loop.disturbance(), (loop.chains.sc, loop.chains.ca)
+    reference, disturbance, chains = loop.reference().at, loop.disturbance().at, (loop.chains.sc, loop.chains.ca)
     return predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, *chains,
         gains_over(loop.controller, loop.model, *chains), loop.controller.selection,

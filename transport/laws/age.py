@@ -5,7 +5,6 @@ A field may hold ages in slots, ages of modes without gaps, and the law of slot 
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
@@ -16,6 +15,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws.age_draws import ChainDraws
 from transport.laws.age_paths import Ages, chain_ages, uniforms_of_many
 from transport.laws.stochastic_matrix import (
     Row,
@@ -24,7 +24,6 @@ from transport.laws.stochastic_matrix import (
     cumulative,
     mean_holding,
     stationary_row,
-    uniforms,
 )
 
 Initial = Literal["stationary", "uniform"] | tuple[float, ...]
@@ -199,15 +198,10 @@ class IidAge:
         """Age of every mode, in slots: the mode itself."""
         return tuple(range(len(self.probabilities)))
 
-    def start(self, rng: np.random.Generator) -> AgePath:
+    def start(self, rng: np.random.Generator) -> ChainDraws:
         """Return the process: one uniform number per slot."""
-        return AgePath.of(self._path(rng))
-
-    def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
         row = cumulative(self.probabilities)
-        states = [(age, age) for age in self.mode_ages]
-        for u in uniforms(rng):
-            yield states[bisect_right(row, u)]
+        return ChainDraws(row, [row] * len(row), self.mode_ages, rng)
 
     def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""
@@ -307,18 +301,10 @@ class MarkovAge(ChainAge):
             if row[i] == 1.0 and len(self.matrix) > 1 and not self.allow_absorbing:
                 raise FieldError(f"matrix[{i}]", f"mode {i} is never left (allow_absorbing permits it)")
 
-    def start(self, rng: np.random.Generator) -> AgePath:
+    def start(self, rng: np.random.Generator) -> ChainDraws:
         """Return the process: one uniform number per slot."""
-        return AgePath.of(self._path(rng))
-
-    def _path(self, rng: np.random.Generator) -> Iterator[tuple[int, int]]:
-        rows = [cumulative(row) for row in self.matrix]
-        states = list(enumerate(self.mode_ages))
-        row = cumulative(self.initial_law().tolist())
-        for u in uniforms(rng):
-            mode = bisect_right(row, u)
-            yield states[mode]
-            row = rows[mode]
+        first = cumulative(self.initial_law().tolist())
+        return ChainDraws(first, [cumulative(row) for row in self.matrix], self.mode_ages, rng)
 
     def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from hil.runtime.nodes.port_damper import Injected, PortDamper
 from hil.runtime.nodes.safety import Safety
 from transport.packets import SELECTIONS, ControlPacket
 
-OK, HOLD, NONE_YET, SAFE = range(4)  # the codes of /actuator/applied.status
-_new = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
+OK: Final = 0
+HOLD: Final = 1
+NONE_YET: Final = 2
+SAFE: Final = 3
+"""The codes of /actuator/applied.status."""
+
+_new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 
 
 def row_index(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import compress, product
-from math import isfinite
-from typing import Literal
+from math import isinf, isnan
+from typing import Final, Literal
 
 from design.controllers import row_count
 from hil.runtime.nodes.controller_node import HELLO
@@ -13,22 +13,23 @@ from hil.runtime.nodes.journal import Journal
 from transport.packets import SELECTIONS, ControlPacket, decode
 from transport.wire.tags import echo
 
-FLOOD, FLOOD_NS = 64, 50_000_000
+FLOOD: Final = 64
+FLOOD_NS: Final = 50_000_000
 """So many frames thrown away within so long (or one slot, if that is longer) make a flood."""
 
-LOGGED = 16
+LOGGED: Final = 16
 """Late frames of one slot that the log keeps."""
 
-REMEMBERED = 64
+REMEMBERED: Final = 64
 """Slots for which a second answer is compared with the first one."""
 
-SAMPLES = 1024
+SAMPLES: Final = 1024
 """Samples that are known to have been sent."""
 
 Arrival = Literal["in time", "late"]
 """When a frame came: before the deadline, or after it."""
 
-MOST_LOST = 6
+MOST_LOST: Final = 6
 """Frames of a slot up to which an answer to some of them is distinguished from one to forged frames."""
 
 
@@ -162,7 +163,11 @@ class AnswerMatcher:
         """
         expected, rows = self._row_counts[packet.selection], packet.rows
         if len(rows) == expected and len(rows[0]) == self._inputs:
-            if isfinite(sum(map(sum, rows))):
+            total = 0.0
+            for row in rows:
+                for value in row:
+                    total += value
+            if not (isinf(total) or isnan(total)):
                 return True
             fault = "a row is not finite"
         else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
-from typing import Protocol
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
 from hil.plugins.user_modules import is_ours
@@ -57,29 +56,7 @@ class SampleHistory:
         return tuple(found)
 
 
-class ControllerInput(Protocol):
-    """A control law with what it has received since slot 0."""
-
-    sample_ns: int
-    """Time stamp of the newest sample of any node, -1 before the first."""
-
-    watch: AnswerWatch | None
-    """Compares the answers with the table; None where they are not compared."""
-
-    def take(self, packet: SensorPacket) -> bool:
-        """Keep a packet; return False if it is not of this loop."""
-        ...
-
-    def rows(self, k: int) -> Rows:
-        """Return what the control law says in slot k, once a sample is there."""
-        ...
-
-    def aim(self, loop: Loop) -> None:
-        """Go on with the reference of a changed experiment."""
-        ...
-
-
-def controller_input(loop: Loop) -> ControllerInput:
+def controller_input(loop: Loop) -> NewestSample | EverySample:
     """Return a fresh control law and its memory: which of the two is the control law's own choice, for any number of nodes."""
     running = loop.start_controller()
     return EverySample(loop, running) if isinstance(running, MultiSampleController) else NewestSample(loop, running)
@@ -114,6 +91,10 @@ class NewestSample:
     Args:
         loop: the composed experiment.
         running: the control law.
+
+    Attributes:
+        watch: compares the answers with the table; None where they are not compared.
+        sample_ns: time stamp of the newest sample of any node, -1 before the first.
     """
 
     def __init__(self, loop: Loop, running: RunningController) -> None:
@@ -134,7 +115,7 @@ class NewestSample:
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:
-        """Keep a packet unless a newer one is here; see `ControllerInput.take`."""
+        """Keep a packet unless a newer one is here; return False if it is not of this loop."""
         node, y, sample_ns = packet.node, packet.y, packet.sample_ns
         if packet.nodes != len(self._lengths) or len(y) != self._lengths[node]:
             return False
@@ -152,15 +133,15 @@ class NewestSample:
         return tuple(known)
 
     def rows(self, k: int) -> Rows:
-        """Return what the control law says; see `ControllerInput.rows`."""
+        """Return what the control law says in slot k, once a sample is there."""
         sampled = self._sampled_ns
         oldest = sampled[0] if len(sampled) == 1 else self._oldest()  # one node, at once: 7 % of an interpreted virtual slot
         if oldest < 0:
             return self._nothing
-        return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference(k))
+        return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference.at(k))
 
     def aim(self, loop: Loop) -> None:
-        """Go on with another reference; see `ControllerInput.aim`."""
+        """Go on with the reference of a changed experiment."""
         self._reference = loop.reference()
 
     def _oldest(self) -> int:
@@ -174,6 +155,9 @@ class EverySample:
     Args:
         loop: the composed experiment.
         running: the control law.
+
+    Attributes:
+        watch, sample_ns: see `NewestSample`.
     """
 
     def __init__(self, loop: Loop, running: MultiSampleController) -> None:
@@ -184,7 +168,7 @@ class EverySample:
         self.sample_ns = -1
 
     def take(self, packet: SensorPacket) -> bool:
-        """Keep the samples of a packet; see `ControllerInput.take`."""
+        """Keep the samples of a packet; see `NewestSample.take`."""
         slot, rest = divmod(packet.sample_ns, self._period_ns)
         if rest or slot < 0 or not self._assembly.fits(packet.node, packet.nodes, packet.samples, len(packet.y)):
             return False
@@ -193,9 +177,9 @@ class EverySample:
         return True
 
     def rows(self, k: int) -> Rows:
-        """Return what the control law says; see `ControllerInput.rows`."""
-        return self._rows(k, Known(self._assembly.known(k), self._reference(k)))
+        """Return what the control law says; see `NewestSample.rows`."""
+        return self._rows(k, Known(self._assembly.known(k), self._reference.at(k)))
 
     def aim(self, loop: Loop) -> None:
-        """Go on with another reference; see `ControllerInput.aim`."""
+        """Go on with another reference; see `NewestSample.aim`."""
         self._reference = loop.reference()

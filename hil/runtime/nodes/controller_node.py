@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from functools import partial
+from typing import Final
 
 from hil.rig.loop import Loop
-from hil.runtime.nodes.controller_input import controller_input
+from hil.runtime.nodes.controller_input import EverySample, NewestSample, controller_input
 from hil.runtime.nodes.questions import Questions, Refusals
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 from transport.wire.tags import echo
 
-HELLO = 0xFFFFFFFF  # seq of the rig's hello (is a controller there?), answered before slot 0 and never counted
+HELLO: Final = 0xFFFFFFFF  # seq of the rig's hello (is a controller there?), answered before slot 0 and never counted
 
-_new = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
+_new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 
 
 class ControlNode:
@@ -28,7 +28,7 @@ class ControlNode:
 
     def __init__(self, loop: Loop) -> None:
         self._lead(loop)
-        self._input = self._begin()
+        self._input: NewestSample | EverySample = controller_input(loop)
         self._to_come = 0
         self._departed: tuple[int, str] | None = None  # of a controller that was changed
         self.counts = Refusals()
@@ -36,7 +36,7 @@ class ControlNode:
         self._counter = self._hellos = 0
 
     def _lead(self, loop: Loop) -> None:
-        self._begin = partial(controller_input, loop)
+        self._loop = loop
         self._restarts = loop.rig.fault_schedule.restarts
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
@@ -54,7 +54,7 @@ class ControlNode:
         self._to_come = sum(restart in past for restart in self._restarts)
         if anew:
             self._departed = self.departed
-            self._input = self._begin()
+            self._input = controller_input(self._loop)
         else:
             self._input.aim(loop)
 
@@ -78,7 +78,7 @@ class ControlNode:
             return self._answer(seq, 0) if self._keep(packet, seq) and not packet.flags & MORE else None
         frames = self._questions.take(packet, data, now_ns)
         if self._questions.begun:
-            self._input, self._to_come, self._counter = self._begin(), 0, 0
+            self._input, self._to_come, self._counter = controller_input(self._loop), 0, 0
         if (self._restarts and self._down(seq)) or frames is None:
             return None
         sound = [(packet, data) for packet, data in frames if data]
@@ -108,7 +108,7 @@ class ControlNode:
         if not self._questions.hello(packet.nonce, now_ns):
             return None
         if not packet.nonce and self._input.sample_ns >= 0:
-            self._input, self._to_come, self._counter = self._begin(), 0, 0
+            self._input, self._to_come, self._counter = controller_input(self._loop), 0, 0
         self._hellos += 1
         nothing = ControlPacket(HELLO, -1, 0, 0, self._selection, self._zeros, echo([data]), self._hellos)
         return encode_control(nothing)
@@ -126,5 +126,5 @@ class ControlNode:
     def _down(self, k: int) -> bool:
         """Forget everything where a restart has begun; return whether nothing is received in slot k."""
         while self._to_come < len(self._restarts) and self._restarts[self._to_come][0] <= k:
-            self._input, self._to_come = self._begin(), self._to_come + 1
+            self._input, self._to_come = controller_input(self._loop), self._to_come + 1
         return any(first <= k < end for first, end in self._restarts)

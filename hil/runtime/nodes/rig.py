@@ -8,7 +8,7 @@ come, records go to a sink, and time is the nominal time that the kernel hands o
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
@@ -43,7 +43,7 @@ from transport.can_bus_model.node import CanNode
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 
-_new = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
+_new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 
 
 class Rig:
@@ -133,7 +133,7 @@ class Rig:
 
     def _disturbed_by(self, k: int) -> tuple[float, ...]:
         """Return the disturbance of a slot as the run has it in the end: a change adds to it, and takes nothing back."""
-        return self._disturbance(k)
+        return self._disturbance.at(k)
 
     def change(self, loop: Loop, *, network: Literal["sc", "ca"] | None = None, plant: bool = False) -> None:
         """Go on, before the next slot, with a changed experiment of the same signals, nodes and limits.
@@ -191,19 +191,19 @@ class Rig:
         if k:
             self._plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = self._plant.measure()
-        self._r = self._reference(k)
+        self._r = self._reference.at(k)
         nonce = self._nonce(k) if self._nonce is not None else 0
         for i, node in enumerate(self._sensors):
             sample = node.measure(k, y, self._uplink.may_send(i, k))
             if sample is not None:
                 self._uplink.offer(i, k, sample)
         self._sent = self._uplink.collect(k)
-        mangled = []
+        mangled: list[bytes] = []
         if self._faults is not None:
             mangled = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
         frames = self._frames(k, nonce)
         self.answers.open(t_ns, k, frames if nonce else ())
-        return [*mangled, *frames]
+        return mangled + frames if mangled else frames
 
     def _frame(self, k: int, nonce: int, flags: int, node: int, g: int, y: tuple[float, ...]) -> bytes:
         self._counter += 1
@@ -280,7 +280,7 @@ class Rig:
         if applied.tripped is not None:
             self._note_trip(t_ns, applied.tripped)
         if self._disturbed:
-            self._w = self._disturbance(k)
+            self._w = self._disturbance.at(k)
         self._journal.slot_answered(t_ns, k, applied, self._w, draws, packet, self.answers.data)
         self._slots = k + 1
         if self._watch is not None:

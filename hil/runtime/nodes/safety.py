@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from math import isinf, isnan
 
 
 class Safety:
@@ -38,7 +38,10 @@ class Safety:
             for i, name, bound in self._states:
                 if not -bound <= state[i] <= bound:
                     return self.trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
-            if not math.isfinite(sum(state)):
+            total = 0.0
+            for value in state:
+                total += value
+            if isinf(total) or isnan(total):
                 return self.trip("the plant's state is not finite")
         return None
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable
+from heapq import heappop, heappush
 from itertools import count
 
 from hil.runtime.time.clock import Clock
@@ -33,11 +33,11 @@ class Kernel:
 
     def at(self, t_ns: int, handler: Handler) -> None:
         """Run ``handler(t_ns)`` once at ``t_ns``."""
-        heapq.heappush(self._heap, (t_ns, next(self._seq), handler, 0, t_ns))
+        heappush(self._heap, (t_ns, next(self._seq), handler, 0, t_ns))
 
     def every(self, period_ns: int, times: int, handler: Handler) -> None:
         """Run ``handler`` at 0, ``period_ns``, ... : ``times`` times."""
-        heapq.heappush(self._heap, (0, next(self._seq), handler, period_ns, (times - 1) * period_ns))
+        heappush(self._heap, (0, next(self._seq), handler, period_ns, (times - 1) * period_ns))
 
     def stop(self) -> None:
         """Run no further event (safe in a signal handler)."""
@@ -49,7 +49,7 @@ class Kernel:
             self.clock.wait_until(self._heap[0][0])
             if self.stopped:
                 return
-            t_ns, _, handler, period_ns, last = heapq.heappop(self._heap)
+            t_ns, _, handler, period_ns, last = heappop(self._heap)
             handler(t_ns)
             if t_ns < last:
-                heapq.heappush(self._heap, (t_ns + period_ns, next(self._seq), handler, period_ns, last))
+                heappush(self._heap, (t_ns + period_ns, next(self._seq), handler, period_ns, last))

@@ -116,7 +116,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
         if sample_ns < 0 or taken not in samples:
             continue
         packet = [samples.get(taken - i, samples[taken]) for i in range(loop.samples)]
-        rows = controller.rows(k, tau, [value for sample in packet for value in sample], reference(k))
+        rows = controller.rows(k, tau, [value for sample in packet for value in sample], reference.at(k))
         same = same and float(np.float32(rows[0][0])) == force
         contact = touching.contact
         found.append((k * loop.model.period_s, contact.avatar_m, contact.material, packet[0][1], packet[0][2]))

@@ -44,7 +44,7 @@ def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:
     """Error rate 0.1 % over all slots together (Bonferroni); with 60 runs a mean off by one standard deviation is seen."""
     sc, ca = loop.chains.sc, loop.chains.ca
     slots, runs = loop.experiment.slots, 60
-    r = np.array([loop.reference()(k) for k in range(slots)])
+    r = np.array([loop.reference().at(k) for k in range(slots)])
     told = predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, sc, ca, gains_over(loop.controller, loop.model, sc, ca), "applied", r,  # type: ignore[arg-type]
         period_s=loop.model.period_s, initial=loop.chains.initial(),
