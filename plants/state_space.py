@@ -147,10 +147,12 @@ class LinearPlant:
         """
         inner = run.inner if isinstance(run, NoisyRun) else run
         if isinstance(inner, DrivenRun) and (self.saturation or self.process_noise):
-            inner = inner.under(self.model(), self.saturation, self.process_noise)
+            inner.change(self.model(), self.saturation, self.process_noise)
         elif not isinstance(inner, LinearRun) or self.saturation or self.process_noise:
             raise PlantError(f"go_on: a {type(inner).__name__}, expected a plant with the same limits and noises")
-        return run.under(inner, self.measurement_noise) if isinstance(run, NoisyRun) else inner
+        if isinstance(run, NoisyRun):
+            run.change(inner, self.measurement_noise)
+        return run
 
     def start_batch(self, runs: int) -> LinearRuns | None:
         """Return so many of them at time 0; None where they saturate or draw random numbers."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from collections.abc import Sequence
 
@@ -70,11 +69,9 @@ class DrivenRun:
             self._left_ns -= span
             dt_ns -= span
 
-    def under(self, model: StateSpace, limits: Sequence[float], intensity: Sequence[float]) -> DrivenRun:
-        """Return the same run under other limits and forces; its random numbers go on. As many forces as before."""
-        other = copy.copy(self)
-        other._run, other._limits = LinearRun(_with_forces(model, intensity), self.state), tuple(limits)
-        return other
+    def change(self, model: StateSpace, limits: Sequence[float], intensity: Sequence[float]) -> None:
+        """Go on under other equations, limits and forces, as many forces as before; the random numbers go on."""
+        self._run, self._limits = LinearRun(_with_forces(model, intensity), self.state), tuple(limits)
 
     def measure(self) -> tuple[float, ...]:
         """Return y = C x."""
@@ -131,11 +128,9 @@ class NoisyRun:
         """The plant behind the noise."""
         return self._run
 
-    def under(self, run: PlantRun, noise_sd: Sequence[float]) -> NoisyRun:
-        """Return the same sensors on another run, with other noise from the next draw on; the random numbers go on."""
-        other = copy.copy(self)
-        other._run, other._noise_sd = run, tuple(map(float, noise_sd))
-        return other
+    def change(self, run: PlantRun, noise_sd: Sequence[float]) -> None:
+        """Measure another run, with other noise from the next draw on; the random numbers go on."""
+        self._run, self._noise_sd = run, tuple(map(float, noise_sd))
 
     def measure(self) -> tuple[float, ...]:
         """Return y = C x + e."""

@@ -152,7 +152,8 @@ class Rig:
             self._bus.plan(e)
         if plant and isinstance(e.plant, GoesOn):
             self._plant = self._changed_plant(e.plant)
-            self._watch, self._past_watch = None, self._past_watch or self._watch
+            self._past_watch = self._past_watch or self._watch
+            self._watch = None
         if network is not None and self._network is not None:
             self._change_network(loop, network)
 
