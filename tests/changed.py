@@ -2,8 +2,9 @@
 
     python -m tests.changed
 
-Of each changed file these are: the file itself if it is one of tests or holds doctests, the folder that mirrors its room, and the
-test files that import it. What changed is what differs from where this branch left main, and what git does not know yet.
+Of each changed file these are: the file itself if it is one of tests or holds doctests, the folder that mirrors its room or else
+the one above, and the test files that import it. What changed is what differs from where this branch left main, and what git does
+not know yet.
 """
 
 from __future__ import annotations
@@ -53,8 +54,8 @@ def _of_module(path: Path, files: dict[str, str], root: Path) -> set[str]:
     found = {file for file, text in files.items() if said.search(text)}
     if path.parts[0] in PACKAGES:
         room = Path("tests", *path.parts[:-1])
-        if len(room.parts) > 2 and (root / room).is_dir():
-            found.add(room.as_posix())
+        mirrors = [folder for folder in (room, *room.parents) if len(folder.parts) > 2 and (root / folder).is_dir()]
+        found |= {folder.as_posix() for folder in mirrors[:1]}
         if ">>>" in (root / path).read_text():
             found.add(path.as_posix())
         return found | {f"{room.as_posix()}/test_{path.stem}.py"} & {*files}

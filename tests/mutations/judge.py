@@ -31,7 +31,7 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
 
     Those of the file's own tests come first, then those of its room, then others; cheap ones first, real time last. Behind those
     that reach the block come the others of their files, which may share what the first one made. A block that no test reaches
-    has none; outside of functions what counts is which tests import the file.
+    has none; outside of functions the tests are those that reach a function of the file, then those that import it.
     """
     mirror, own = f"tests/{Path(place.file).parent.as_posix()}/", f"test_{Path(place.file).stem}.py"
     near = chosen_for([place.file], root)
@@ -39,7 +39,8 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
         reaching = {*reach.by_block.get(f"{place.file}::{place.block}", ())}
         files = {reach.tests[n].partition("::")[0] for n in reaching}
     else:
-        reaching, files = set(), {test.partition("::")[0] for test in reach.tests}
+        reaching = {n for block, tests in reach.by_block.items() if block.startswith(f"{place.file}::") for n in tests}
+        files = {test.partition("::")[0] for test in reach.tests}
         files = {file for file in files if any(file == each or file.startswith(f"{each}/") for each in near)}
 
     def rank(n: int) -> tuple[bool, bool, bool, bool, float]:

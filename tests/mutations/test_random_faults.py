@@ -135,6 +135,14 @@ def test_the_tests_of_a_fault_are_those_that_reach_it_nearest_first(monkeypatch:
     assert asked_for(place, reach_of(*tests)) == []
 
 
+def test_the_tests_of_a_constant_are_those_that_reach_a_function_beside_it() -> None:
+    constant, _ = places("hil/log/topics/loop.py", "N = 3\ndef f(x):\n    return x\n")
+    tests = ("tests/far.py::a", "tests/far.py::b", "tests/hil/log/test_other.py::c", "tests/hil/cli/test_run.py::d")
+    assert asked_for(constant, reach_of(*tests, by_block={"hil/log/topics/loop.py::f#0": [1], "hil/log/m.py::f#0": [3]})) == [
+        tests[1], tests[2],
+    ]  # fmt: skip
+
+
 def test_faults_are_drawn_by_seed_from_every_room_without_those_that_change_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
