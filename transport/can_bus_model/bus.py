@@ -133,7 +133,7 @@ class CanBus:
                 ready = max(ready, self._not_before[node])
             if ready <= self._idle:
                 return self._idle
-            best = ready if best is None or ready < best else best
+            best = ready if best is None else min(ready, best)
         return best
 
     def _next_recovery(self) -> int | None:

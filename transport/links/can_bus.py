@@ -120,11 +120,6 @@ class HilBus(can.BusABC):
         return self.frames.lost
 
     @property
-    def turned_away(self) -> int:
-        """How often a newcomer found no free file descriptor here."""
-        return self.frames.turned_away
-
-    @property
     def participants(self) -> int:
         """Number of participants known, this one included."""
         return self.frames.mesh.participants

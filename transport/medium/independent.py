@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
+from itertools import count
 from math import nan
 from typing import Final, Protocol, cast
 
@@ -207,7 +208,7 @@ class PacketImpairment:
         self._queue = queue
         self._offered: deque[_Offered] = deque()
         self._flying: list[tuple[int, float, int, float, _Offered]] = []  # slot, arrival s, order, latency s
-        self._order = 0
+        self._order = count()
         self._last = (0, 0.0)
         self._newest = -1
         self._next = first
@@ -254,8 +255,7 @@ class PacketImpairment:
         due = (draw.tick + draw.age, sent_s + draw.latency_s)
         if not self._reordering:
             due = self._last = max(due, self._last)
-        heapq.heappush(self._flying, (*due, self._order, due[1] - sent_s, offered))
-        self._order += 1
+        heapq.heappush(self._flying, (*due, next(self._order), due[1] - sent_s, offered))
 
     def _arrive(self, k: int, draws: list[Draw]) -> tuple[int, object]:
         *_, latency_s, offered = heapq.heappop(self._flying)

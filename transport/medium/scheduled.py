@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import accumulate
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from transport.draws import LOST, NO_MODE, REPLACED, Draw
 from transport.errors import FieldError
+from transport.laws.stochastic_matrix import cumulative
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
 
@@ -62,15 +63,14 @@ class RandomTurns:
         self, nodes: Sequence[int], matrix: Sequence[Sequence[float]], initial: Sequence[float], loss: float,
         rng: np.random.Generator,
     ) -> None:  # fmt: skip
-        self._nodes, self._initial = tuple(nodes), list(accumulate(initial))
-        self._rows = [list(accumulate(row)) for row in matrix]
+        self._nodes, self._initial = tuple(nodes), cumulative(initial)
+        self._rows = [cumulative(row) for row in matrix]
         self._last, self._loss, self._random = -1, loss, rng.random
 
     def turn(self) -> tuple[int, bool]:
         """See `Turns.turn`."""
         row = self._initial if self._last < 0 else self._rows[self._last]
-        drawn = float(self._random()) * row[-1]
-        self._last = next((i for i, total in enumerate(row) if drawn < total), len(row) - 1)
+        self._last = bisect_right(row, float(self._random()))
         return self._nodes[self._last], float(self._random()) < self._loss
 
 
