@@ -15,7 +15,8 @@ from transport import TransportError
 from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.planned_faults import BusFault
-from transport.links.can_errors import changed, destroyed, location
+from transport.links.can_errors import changed, destroyed, location, status
+from transport.links.link import BusStatus
 
 SOON_NS = 10**9
 FOR_EVER_NS = 10**15
@@ -182,3 +183,26 @@ def test_a_state_is_that_of_the_larger_counter_and_an_unanswered_frame_says_so()
     frame = CanFrame(identifier=0x100)
     unanswered = destroyed(frame, wire_bits(frame).ack_slot, sender=True)
     assert (unanswered.kind, unanswered.data[3]) == (0x0A8, 0x19)
+
+
+@pytest.mark.parametrize(
+    ("kind", "level", "state"),
+    [
+        (CONTROLLER, 0x10, "passive"), (CONTROLLER, 0x20, "passive"), (CONTROLLER, 0x24, "passive"),
+        (CONTROLLER, 0x04, "warning"),
+        (CONTROLLER, 0x08, "warning"), (CONTROLLER, 0x48, "warning"), (CONTROLLER, 0x40, "active"), (CONTROLLER, 0x01, None),
+        (CONTROLLER, 0x80, None), (RESTARTED, 0x00, "active"), (RESTARTED, 0x03, "active"), (BUS_OFF, 0x00, "off"),
+        (BUS_OFF, 0x20, "off"), (BUS_ERROR, 0x20, None),
+    ],
+)  # fmt: skip
+def test_an_error_frame_says_the_worst_state_that_its_bits_name_or_none(kind: int, level: int, state: str | None) -> None:
+    data = bytes((0, level, 0, 0, 0, 0, 130, 7))
+    said = status(kind, data)
+    assert said == (None if state is None else BusStatus(state, 130, 7))  # type: ignore[arg-type]
+    assert status(kind, data[:7]) is None
+
+
+def test_a_change_of_state_is_read_as_it_was_said() -> None:
+    for before, state, tec, rec in (("active", "warning", 96, 3), ("warning", "passive", 3, 128), ("off", "active", 0, 0)):
+        error = changed(before, state, tec, rec)  # type: ignore[arg-type]
+        assert status(error.kind, error.data) == BusStatus(state, tec, rec)  # type: ignore[arg-type]

@@ -164,7 +164,7 @@ def _difference(
                 if isinstance(x, bytes):
                     differs[name][i] = not near_frames(x, y)
                 elif a[name].dtype.kind == "f":
-                    differs[name][i] = not abs(float(x) - float(y)) <= NEAR * largest.get(name, 0.0)
+                    differs[name][i] = not abs(float(x) - float(y)) <= NEAR * largest[name]
     where = np.flatnonzero(np.any([*differs.values()], axis=0))
     if not where.size and len(recorded) == len(now):
         return None

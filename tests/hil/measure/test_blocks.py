@@ -74,6 +74,14 @@ def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:
     assert view.followed().changes(9) == changes
 
 
+@pytest.mark.parametrize(("ticks", "period_s"), [((), 1.0), ((3,), 1.0), ((3, 4), 0.02), ((3, 4, 5, 9), 0.02)])
+def test_without_a_stated_period_it_is_that_of_the_records(ticks: tuple[int, ...], period_s: float) -> None:
+    measured = np.zeros(len(ticks), [("t_ns", "<i8"), ("angle", "<f8"), ("tick", "<i8")])
+    measured["t_ns"] = np.array(ticks, dtype=np.int64) * 20 * 10**6
+    schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="angle"),))
+    assert view_of(Run(arrays={MEASUREMENT: measured}, schemas={MEASUREMENT: schema})).period_s == period_s
+
+
 def test_a_cost_in_pieces_is_that_of_whole_arrays_and_never_holds_them() -> None:
     n, rng = 4 * ROWS + 5, np.random.default_rng(3)
     states = np.zeros(n, [("t_ns", "<i8"), ("x1", "<f8"), ("x2", "<f8"), ("tick", "<i8")])

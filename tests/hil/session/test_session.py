@@ -29,7 +29,7 @@ from hil.session.replay.replay import verify, what_if
 from hil.sweeps.seeds import here, run_sweep
 from hil.sweeps.sweep import statistics
 from tests.warm_hil import hil_command
-from transport.packets import ControlPacket, decode, encode_control
+from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
 
 def test_same_seed_gives_the_same_file_in_two_processes_with_two_hash_seeds(tmp_path: Path) -> None:
@@ -90,6 +90,19 @@ def test_a_log_of_a_machine_with_other_last_bits_is_distinguished_from_one_that_
     verdict = verify(run)
     assert (verdict.likeness, verdict.answers, verdict.states) == ("same within 1e-9", 100, 100)
     assert "/plant/state of slot 77: speed" in (verdict.difference or "")
+    for share, likeness in ((0.9e-9, "same within 1e-9"), (1.1e-9, "different")):
+        again = read_run(tmp_path / "a.mcap")
+        for name in ("angle", "speed"):
+            values = writable(again, "/plant/state")[name]
+            values[80] += share * np.abs(values).max()
+        assert verify(again).likeness == likeness
+    again = read_run(tmp_path / "a.mcap")
+    sent = writable(again, "/link/sensor")["data"]
+    question = decode(sent[60])
+    assert isinstance(question, SensorPacket)
+    for change, likeness in ((1.0 + 2.0**-23, "same within 1e-9"), (1.0 + 2.0**-20, "different")):
+        sent[60] = encode_sensor(question._replace(y=tuple(change * y for y in question.y)))
+        assert verify(again).likeness == likeness and "/link/sensor of slot 60: data" in (verify(again).difference or "")
     frames = run.arrays["/link/control"]["data"]
     packet = decode(frames[60])
     assert isinstance(packet, ControlPacket)

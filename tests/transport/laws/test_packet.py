@@ -198,8 +198,9 @@ def test_a_prepared_law_draws_the_same_and_needs_no_scipy_stats() -> None:
     [(0.0, 0), (DEADLINE, 0), (DEADLINE + 1e-6, 1), (DEADLINE + T, 1), (DEADLINE + T + 1e-6, 2), (DEADLINE + 7 * T, 7)],
 )
 def test_a_latency_leads_to_the_slot_whose_deadline_it_meets(latency_s: float, slots: int) -> None:
-    _, arrivals = run(start(PacketLaw(latency=latency_s)), slots + 2)
+    draws, arrivals = run(start(PacketLaw(latency=latency_s)), slots + 2)
     assert ticks(arrivals) == [[]] * slots + [[0], [1]]
+    assert run(start(PacketLaw(latency=latency_s, reordering=False)), slots + 2) == (draws, arrivals)
 
 
 def test_packets_that_overtake_are_disordered_and_come_in_order_of_time() -> None:
