@@ -149,7 +149,7 @@ class PacketWindow:
     def outcomes(self, phase: int) -> tuple[int | None, ...]:
         """Return the node whose packet came e slots ago for e = 0, ..., length - 1, None where nothing came."""
         order = self.turns.order
-        digits, turn = phase // max(len(order), 1), phase % max(len(order), 1)
+        digits, turn = divmod(phase, len(order) or 1)
         found: list[int | None] = []
         for e in range(self.length):
             digit = digits // self.base**e % self.base

@@ -135,7 +135,7 @@ def test_a_controller_that_is_handed_fewer_samples_than_it_states_is_not_certifi
 
 
 class Boasting(Omni):
-    """A device that says from a slot on that it puts out five times the command."""
+    """A device that says from a slot on that it puts out some times the command."""
 
     def start(self, rng: np.random.Generator) -> Any:
         return Boast(super().start(rng))
@@ -154,26 +154,31 @@ class Boast:
 
     @property
     def applied(self) -> tuple[float, ...]:
-        return tuple((5.0 if self.slots > LATE_FROM[0] else 1.0) * u for u in self.run.applied)
+        late, times = SAID
+        return tuple((times if self.slots > late else 1.0) * u for u in self.run.applied)
 
 
-LATE_FROM = [0]
+SAID = [0.0, 5.0]
 
 
-@pytest.mark.parametrize("late", [0, 400])
-def test_what_a_device_says_that_it_puts_out_is_compared(late: int) -> None:
-    LATE_FROM[0] = late
+@pytest.mark.parametrize(("late", "times"), [(0, 5.0), (400, 5.0), (400, -1.0), (0, 1.0), (0, 1.0 + 1e-7)])
+def test_what_a_device_says_that_it_puts_out_is_compared(late: int, times: float) -> None:
+    SAID[:] = late, times
     plant = load_experiment("omni-push").plant
     own = Boasting(**{f.name: getattr(plant, f.name) for f in fields(plant)})  # type: ignore[arg-type]
     passivity = {"energy_j": 1e-9, "damping_n_s_per_m": 5.0}
     changes: dict[str, Any] = {"duration": "25 s", "limits.state": {}, "limits.passivity": passivity}
     loop = compose(load_experiment("omni-push", plant=own, allow_uncertified=True, **changes))
     assert loop.verdict is not None
-    if not late:
+    if not late and times == 5.0:
         assert loop.verdict.state == "refused" and "move its applied " in loop.verdict.reason, loop.verdict.reason
         return
     assert loop.verdict.certified
-    assert "the plant left its model at slot 4" in said(simulated_session(loop, 3))
+    told = said(simulated_session(loop, 3))
+    if late:
+        assert "the plant left its model at slot 401 by what it says that it puts out" in told
+    else:
+        assert not told
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

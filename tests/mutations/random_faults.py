@@ -26,7 +26,7 @@ TURNED: dict[type, tuple[type, ...]] = {
     ast.BitOr: (ast.BitAnd,), ast.LShift: (ast.RShift,), ast.RShift: (ast.LShift,),
 }  # fmt: skip
 
-SYMMETRIC = {"max", "min"}
+SYMMETRIC = {"max", "min", "np.maximum", "np.minimum", "np.array_equal", "math.hypot", "np.hypot", "hmac.compare_digest"}
 """Functions whose arguments have no order."""
 
 

@@ -43,6 +43,7 @@ def kind(n: int = 3, *, loud: bool = True) -> str:
         ("x = f(a, b)", {"x = (f(b, a))"}),
         ("x = f(a, a)", set()),
         ("x = max(a, b)", set()),
+        ("x = np.maximum(a, b)", set()),
         ("f(flag=True)", {"f(flag=(False))", "pass"}),
         ("x = max(x)", {"pass"}),
         ("x.y = a", {"pass"}),

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import hil
+from design.jump_linear.leaving import SLOTS
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
@@ -108,6 +109,12 @@ def test_steps_of_the_reference_and_disturbances_count_and_a_load_is_not_judged(
     assert verdict_of(composed(**TWO_SAMPLES | {"reference": [{"at": "1 s", "value": [0.05]}]})).certified
     loaded = verdict_of(composed(**{"plant.load": {"torque_v": 0.001}}))
     assert loaded.state == "undecided" and "a load torque" in loaded.reason and "region" not in loaded.details
+
+
+def test_a_disturbance_is_judged_as_far_as_slots_are_looked_at() -> None:
+    for first, samples, judged in ((SLOTS - 2, 1, True), (SLOTS - 1, 1, False), (SLOTS - 3, 2, True), (SLOTS - 2, 2, False)):
+        pulse = [{"at": 0.05 * first, "samples": samples, "value": [0.001]}]
+        assert (verdict_of(composed(disturbance=pulse)).kind != ANYWHERE) is judged, (first, samples)
 
 
 def test_an_edge_scales_with_the_supply_and_departures_make_it_smaller() -> None:

@@ -99,11 +99,21 @@ def test_solved_gains_stay_where_the_network_changes() -> None:
     assert changed(loop, 10, "network.ca.law", LATE).controller == loop.controller
 
 
+def test_a_network_that_is_replaced_keeps_its_largest_age(motor: Loop) -> None:
+    whole, law = changed(motor, 10, "network.ca", {"law": LATE}), changed(motor, 10, "network.ca.law", LATE)
+    assert whole.experiment.network == law.experiment.network != motor.experiment.network
+    assert whole.verdict == law.verdict
+
+
 def test_a_fault_that_is_over_takes_no_certificate_away(motor: Loop) -> None:
     broken = changed(motor, 10, "fault", {"kind": "cut", "for": 0.1, "link": "sc"})
     assert broken.verdict is not None and not broken.verdict.certified
     mended = changed(broken, 20, "network.ca.law", LATE)
     assert mended.verdict is not None and mended.verdict.certified
+    restarted = changed(motor, 10, "fault", {"kind": "controller-restart"})
+    at_once, later = (changed(restarted, k, "network.ca.law", LATE).verdict for k in (10, 11))
+    assert at_once is not None and not at_once.certified
+    assert later is not None and later.certified
 
 
 def test_claim_on_a_run_that_began_without_one_says_what_is_not_compared() -> None:

@@ -135,6 +135,8 @@ def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_received(ca
         ("network.media.bus.loss=0.1", "network.media.bus.loss: a CAN bus repeats what was destroyed"),
         ("network.media.bus.kind='round-robin'", "network.media.bus.bitrate: for a medium of kind 'can' only"),
         ("network.media.bus.traffic=[{can_id=0x800, period=1}]", "traffic[0].can_id: 0x800, expected 0 to 0x7ff (11 bits)"),
+        ("network.media.bus.traffic=[{can_id=-1, period=1}]", "traffic[0].can_id: -0x1, expected 0 to 0x7ff (11 bits)"),
+        ("network.media.bus.traffic=[{can_id=0x20000000, extended=true, period=1}]", "expected 0 to 0x1fffffff (29 bits)"),
         ("network.media.bus.traffic=[{can_id=1, period=0}]", "traffic[0].period: 0 s is not between 10 us and 1 h"),
         ("network.media.bus.traffic=[{can_id=1, period=1, length=12}]",
          "traffic[0].length: 12 bytes, expected 0 to 8, or fd = true"),

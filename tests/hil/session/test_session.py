@@ -23,6 +23,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.simulated import simulate
 from hil.session import run_session
+from hil.session.outcome import controller_counters, link_counters
 from hil.session.replay import compare as replay_compare
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
@@ -321,3 +322,12 @@ def test_a_run_in_virtual_time_reads_nothing_back(tmp_path: Path, monkeypatch: p
     assert session.summary["slots"] == 40
     with pytest.raises(AssertionError, match="read back"):
         session.arrays["/plant/state"]
+
+
+def test_what_both_ends_of_a_link_counted_is_read_from_their_events() -> None:
+    rig = {"kind": "outcome", "data": {"link": {"received": 7.0, "refused": 2}}}
+    controller = {"kind": "controller ended", "data": {"answered": 5}}
+    silent = [{"kind": "outcome"}, {"kind": "outcome", "data": {"safety": "no"}}, {"kind": "controller ended"}]
+    whole, none = (Run(arrays={}, schemas={}, events=events) for events in ([*silent, rig, controller], silent))
+    assert (link_counters(whole), controller_counters(whole)) == ({"received": 7, "refused": 2}, {"answered": 5})
+    assert (link_counters(none), controller_counters(none)) == (None, None)

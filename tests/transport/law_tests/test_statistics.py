@@ -160,6 +160,7 @@ def test_counts_are_those_of_a_plain_loop() -> None:
         pairs[i, j] += 1
     assert (transition_counts(sample, 3) == pairs).all()
     assert mode_counts(sample, 3).tolist() == [int((sample == i).sum()) for i in range(3)]
+    assert mode_counts(sample[:0]).tolist() == [] == transition_counts(sample[:0]).tolist()
 
 
 def test_statistics_come_from_records_or_from_a_log_alike() -> None:

@@ -36,6 +36,12 @@ def test_counts_on_a_logarithmic_axis_rise_by_equal_steps_for_equal_factors() ->
     assert linear[0] - linear[1] == pytest.approx(linear[1] - linear[2], abs=0.2)
 
 
+def test_bars_without_a_number_stand_on_an_axis_from_0_to_1() -> None:
+    svg = draw_bars(Bars(title="delays", categories=("0", "1"), groups=(BarGroup(label="sc", values=np.full(2, np.nan)),)))
+    numbers = [float(text) for text in re.findall(r'text-anchor="end"[^>]*>([\d.]+)<', svg)]
+    assert (min(numbers), max(numbers)) == (0.0, 1.0) and not tops(svg)
+
+
 def test_words_of_a_scene_stay_inside_and_shapes_have_the_ink_of_their_number() -> None:
     way = Shape(points=[(0.0, 0.0), (4.0, 1.0)])
     patch = Shape(points=[(0.0, 0.0), (1.0, 0.0), (1.0, 1.0)], colour=2, filled=True)
