@@ -78,6 +78,14 @@ def test_can_fd_takes_the_time_of_both_rates() -> None:
             assert gap == pytest.approx(expected, abs=CLOCKS)
 
 
+def test_a_bus_without_time_is_active_and_so_is_one_that_was_left() -> None:
+    with can.Bus("t", interface="hil") as untimed:
+        assert untimed.state is can.BusState.ACTIVE
+    left = bus()
+    left.shutdown()
+    assert left.state is can.BusState.ACTIVE
+
+
 def test_a_lone_sender_becomes_passive_and_its_frame_goes_when_another_joins() -> None:
     with bus(bitrate=500_000, receive_own_messages=True) as lone:
         assert lone.state is can.BusState.ACTIVE

@@ -176,6 +176,25 @@ def test_every_bit_of_a_frame_lies_in_a_field_in_the_order_of_the_frame() -> Non
     assert list(dict.fromkeys(fields)) == order and fields.count(0x1A) == 7 and fields.count(0x0A) > 64  # with its stuff bits
 
 
+@pytest.mark.parametrize(
+    ("frame", "fields"),
+    [
+        (CanFrame(identifier=0x555, data=b"U" * 8),
+         ((1, 0x03), (8, 0x02), (3, 0x06), (1, 0x0C), (1, 0x05), (1, 0x09), (4, 0x0B))),
+        (CanFrame(identifier=0x555, data=b"U" * 8, fd=True, bitrate_switch=True),
+         ((1, 0x03), (8, 0x02), (3, 0x06), (1, 0x0C), (1, 0x05), (4, 0x09), (4, 0x0B))),
+        (CanFrame(identifier=0x15555555, data=b"U" * 8, extended=True),
+         ((1, 0x03), (8, 0x02), (3, 0x06), (1, 0x04), (1, 0x05), (5, 0x07), (8, 0x0F), (5, 0x0E), (1, 0x0C), (1, 0x0D), (1, 0x09),
+          (4, 0x0B))),
+    ],
+    ids=["base", "fd", "extended"],
+)  # fmt: skip
+def test_fields_are_as_long_as_in_the_standard(frame: CanFrame, fields: tuple[tuple[int, int], ...]) -> None:
+    """ISO 11898-1; identifiers and data are chosen so that no stuff bit stands before the checksum."""
+    expected = [field for size, field in (*fields, (64, 0x0A)) for _ in range(size)]
+    assert [location(frame, bit) for bit in range(len(expected) + 1)] == [*expected, 0x08]
+
+
 def test_a_state_is_that_of_the_larger_counter_and_an_unanswered_frame_says_so() -> None:
     assert [changed("active", "warning", *counters).data[1] for counters in ((96, 0), (0, 96), (100, 100))] == [0x08, 0x04, 0x0C]
     assert changed("warning", "passive", 96, 130).data[1] == 0x10  # not the transmitter

@@ -24,7 +24,7 @@ from transport.packets import (
     encode_sensor,
     packet_size,
 )
-from transport.wire.tags import echo, with_tag
+from transport.wire.tags import echo, tag_of, with_tag
 
 singles = st.floats(width=32, allow_nan=False)
 instants = st.integers(-(2**63), 2**63 - 1)
@@ -272,4 +272,6 @@ def test_digest_and_tag_of_a_sensor_packet_are_about_every_value_and_no_padding(
         return bytes(16)
 
     assert with_tag(data.ljust(64, b"\0"), code) is not None
+    for other in (bytes(64), b"\xff" * 64, data[:2] + b"\x07" + data[3:].ljust(61, b"\xff")):
+        assert with_tag(other, code) is None is tag_of(other)
     assert data[32:44] in signed[0]

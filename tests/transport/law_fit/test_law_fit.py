@@ -29,6 +29,8 @@ def test_class_is_found(number: int) -> None:
     expected, law = LAWS[number]
     fit = fit_law(record_of(law, N, [number, 1]), T, DEADLINE)
     assert fit.law_class == expected
+    for kind, best in (("latencies", fit.latencies.name), ("losses", f"loss: {fit.losses.kind}")):
+        assert next(each for each in fit.candidates if each.fitted_to == kind).name == best
 
 
 @pytest.mark.slow

@@ -282,13 +282,27 @@ def test_records_of_any_size_keep_the_framing(sizes: list[int], ticks: int) -> N
         assert [len(data) for data in frames["data"]] == sizes * ticks
 
 
-def test_a_record_cut_by_a_full_pipe_is_completed_later(ends: Ends) -> None:
+@pytest.mark.parametrize("at_once", [False, True], ids=["later", "at once"])
+def test_a_record_cut_by_a_full_pipe_is_completed_by_the_next_tick(
+    ends: Ends, at_once: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whether the pipe has room again behind the tick, or within it, as soon as the record is cut."""
     read, write = ends
+    write_some = os.write
     sink = PipeSink(write, TABLE)
     put = sink.channel("/link/sensor")
     assert put is not None
     filler = filled(write) - len(os.read(read, 8192))
     pack = TABLE["/link/sensor"].schema.pack
+
+    def with_room(fd: int, data: bytes) -> int:
+        nonlocal filler
+        done = write_some(fd, data)
+        while at_once and done < len(data) and filler:
+            filler -= len(os.read(read, min(filler, 1 << 16)))
+        return done
+
+    monkeypatch.setattr(os, "write", with_room)
     put(0, pack(0, 0, b"x" * 30_000))
     put(0, pack(1, 0, b"dropped"))
     put(0, pack(1, 0, b"z" * 30_000))

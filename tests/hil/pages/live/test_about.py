@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import Experiment, load_experiment
-from hil.pages.live.about import about, controllers, controllers_of
+from hil.pages.live.about import about, controllers, controllers_of, presets
 from hil.pages.live.side import Side
 from hil.runtime.time.clock import PacedClock
 
@@ -19,6 +20,15 @@ def test_each_node_has_the_law_of_its_own_way_and_a_single_one_that_of_the_netwo
     side = Side()
     side.begin(compose(load_experiment(name)), {})
     assert set(about([side], "here")["runs"][0]["network"]) == paths
+
+
+def test_the_laws_that_a_page_offers_keep_the_longest_delay_and_differ_in_how_often_it_grows() -> None:
+    found = presets(2)
+    worse = {"seldom late": 0.05, "often late": 0.5, "mostly late": 0.9}
+    for name, p in worse.items():
+        assert np.allclose(found.pop(name)["matrix"], [[1.0 - p, p, 0.0], [1.0 - p, 0.0, p], [1.0 - p, 0.0, p]])
+    assert found == {"no delay": {"kind": "constant", "age": 0}, "always late": {"kind": "constant", "age": 2}}
+    assert presets(0) == {"no delay": {"kind": "constant", "age": 0}}
 
 
 def test_the_page_waits_for_no_other_experiment(monkeypatch: pytest.MonkeyPatch) -> None:

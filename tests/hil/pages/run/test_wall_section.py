@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -41,6 +42,11 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
     corners = np.vstack([np.asarray(shape.points) for shape in areas])
     assert corners[:, 0].min() <= y.min() and corners[:, 1].max() >= z.max()  # the way lies on the map
     assert "first" in way.note and len(areas) < 200
+    shapes = blocks["The way in space"].shapes
+    pieces = [np.asarray(shape.points) for shape in shapes if shape.label.startswith("over material")]
+    (shadow,) = [shape for shape in shapes if shape.label.startswith("its shadow")]
+    assert len(pieces) > 2 and sum(len(piece) - 1 for piece in pieces) == len(shadow.points) - 1  # the whole way
+    assert all((one[-1] == other[0]).all() for one, other in pairwise(pieces))
 
 
 def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
