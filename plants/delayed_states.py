@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from plants.errors import FieldError
 from plants.parts.driven import NoisyRun
-from plants.parts.exponential import Rows
+from plants.parts.exponential import Rows, dot
 from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Matrix, Signal
 from plants.parts.validation import require_not_negative, require_vector, require_whole_nanoseconds
 
@@ -220,14 +220,6 @@ def _square(path: str, rows: Rows, n: int) -> None:
         require_vector(f"{path}[{i}]", row, n)
 
 
-def _dot(a: Sequence[float], b: Sequence[float]) -> float:
-    """Return 0 + a_1 b_1 + a_2 b_2 + ..., rounded after every step in this order (`sum` rounds otherwise from Python 3.12 on)."""
-    total = 0.0
-    for x, y in zip(a, b):
-        total += x * y
-    return total
-
-
 class DelayedStatesRun:
     """The plant while it runs, in plain floats; it steps when a whole slot has passed."""
 
@@ -254,7 +246,7 @@ class DelayedStatesRun:
         while self._passed_ns >= self._period_ns:
             self._passed_ns -= self._period_ns
             held = [a + b for a, b in zip(u, w)] if w else u
-            x = [_dot(row, self._past) + _dot(force, held) for row, force in zip(self._rows, self._input)]
+            x = [dot(row, self._past) + dot(force, held) for row, force in zip(self._rows, self._input)]
             self._past = [*x, *self._past[: -self._n or None]] if len(self._past) > self._n else x
 
     def measure(self) -> tuple[float, ...]:

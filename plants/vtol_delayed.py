@@ -13,7 +13,7 @@ import numpy as np
 from plants.errors import FieldError
 from plants.parts.draws import TURN, sine
 from plants.parts.events import HeldNoise, JumpModel, JumpRates, Source, pass_time
-from plants.parts.exponential import Rows, drift, zero_order_hold
+from plants.parts.exponential import Rows, dot, drift, zero_order_hold
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpProcess, TransitionRates, check_mode
 from plants.parts.validation import (
@@ -130,13 +130,6 @@ class DelayedVTOL:
         return DelayedVTOLRun(self, rng)
 
 
-def _dot(row: Sequence[float], x: Sequence[float]) -> float:
-    total = 0.0
-    for a, b in zip(row, x):
-        total += a * b
-    return total
-
-
 class _DelayedFlow:
     """One mode over one sub-step: x' = A x + A_d z(t) + b, with z linear in time, solved exactly.
 
@@ -160,14 +153,14 @@ class _DelayedFlow:
         self._hold = tuple(row[n:] for row in transition[:n])
         G_1 = [[g / h for g in row] for row in ramp[:n]]
         columns = list(zip(*self._delayed))
-        late = [[_dot(row, column) for column in columns] for row in G_1]
-        early = [[_dot(row, column) - g for column, g in zip(columns, rest)] for row, rest in zip(self._hold, late)]
+        late = [[dot(row, column) for column in columns] for row in G_1]
+        early = [[dot(row, column) - g for column, g in zip(columns, rest)] for row, rest in zip(self._hold, late)]
         self._whole: Rows = tuple((*p, *e, *g) for p, e, g in zip(Phi, early, late))
 
     def force(self, v: Sequence[float]) -> tuple[list[float], list[float]]:
         """Return b = B v, and what it adds over a whole sub-step."""
-        b = [_dot(row, v) for row in self._B]
-        return b, [_dot(row, b) for row in self._hold]
+        b = [dot(row, v) for row in self._B]
+        return b, [dot(row, b) for row in self._hold]
 
     def step(
         self, x: list[float], z0: list[float], z1: list[float], b: list[float], pushed: list[float], span_ns: int
@@ -175,10 +168,10 @@ class _DelayedFlow:
         """Return x after span_ns, where the delayed state goes from z0 to z1."""
         if span_ns == self._step_ns:
             held = (*x, *z0, *z1)
-            return [_dot(row, held) + p for row, p in zip(self._whole, pushed)]
+            return [dot(row, held) + p for row, p in zip(self._whole, pushed)]
         h = span_ns / NS_PER_S
-        start = [_dot(row, z0) for row in self._delayed]
-        slope = [(_dot(row, z1) - f) / h for row, f in zip(self._delayed, start)]
+        start = [dot(row, z0) for row in self._delayed]
+        slope = [(dot(row, z1) - f) / h for row, f in zip(self._delayed, start)]
         return drift(self._A, self._norm, x, [f + g for f, g in zip(start, b)], h, slope)
 
 

@@ -33,28 +33,26 @@ DELAY = 6
 LAMBDA = ((0.4, 0.3, 0.3), (0.3, 0.4, 0.3), (0.15, 0.15, 0.7))
 
 
-def theorem_61_coupler(damping_n_s_per_m: float, period_s: float = PERIOD_S) -> Coupler:
+def theorem_61_coupler(damping_n_s_per_m: float) -> Coupler:
     """Return C(z) = T/(2 b), which meets (6.9) with equality; (6.9) has no delay in it.
 
     Args:
         damping_n_s_per_m: b in N s/m.
-        period_s: T in s.
     """
-    return wave_coupler(period_s, damping_n_s_per_m, 0)
+    return wave_coupler(PERIOD_S, damping_n_s_per_m, 0)
 
 
-def meets_printed_condition(coupler: Coupler, damping_n_s_per_m: float, period_s: float = PERIOD_S) -> bool:
+def meets_printed_condition(coupler: Coupler, damping_n_s_per_m: float) -> bool:
     """Return whether (6.9) holds, decided exactly; over a delay it says nothing of the loop.
 
     Args:
         coupler: C.
         damping_n_s_per_m: b in N s/m.
-        period_s: T in s.
     """
-    return is_passive_over(coupler, period_s, damping_n_s_per_m, 0)
+    return is_passive_over(coupler, PERIOD_S, damping_n_s_per_m, 0)
 
 
-def least_real_part(device: HeldDevice, delay: int, period_s: float = PERIOD_S, points: int = 20_000) -> float:
+def least_real_part(device: HeldDevice, delay: int) -> float:
     """Return the least real part on a grid of ((z-1)/(T z) F(z) + (z-1)/(2 b z)) z^-n, which (6.10) says is positive real.
 
     F is the zero-order hold of the position, without a hand: the printed 1/s^2 belongs to the velocity.
@@ -62,20 +60,18 @@ def least_real_part(device: HeldDevice, delay: int, period_s: float = PERIOD_S, 
     Args:
         device: m and b.
         delay: n in samples.
-        period_s: T in s.
-        points: angles in (0, pi].
     """
-    A, B = device.discretise(period_s)
-    z = np.exp(1j * np.pi * np.arange(1, points + 1) / points)
+    A, B = device.discretise(PERIOD_S)
+    z = np.exp(1j * np.pi * np.arange(1, 20_001) / 20_000)  # angles in (0, pi]
     # C (z I - A)^-1 B of a second-order A with A[1, 0] = 0
     held = B[0] / (z - A[0, 0]) + A[0, 1] * B[1] / ((z - A[0, 0]) * (z - A[1, 1]))
     b = device.damping_n_s_per_m
-    value: npt.NDArray[np.complex128] = ((z - 1) / (period_s * z) * held + (z - 1) / (2 * b * z)) * z**-delay
+    value: npt.NDArray[np.complex128] = ((z - 1) / (PERIOD_S * z) * held + (z - 1) / (2 * b * z)) * z**-delay
     return float(value.real.min())
 
 
 def printed_distortion(
-    materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float, delay: int = DELAY
+    materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float
 ) -> MJLS:
     """Return (6.14) as printed, for a strictly proper weight: nothing drives the weight's state, so that z stays 0.
 
@@ -86,25 +82,23 @@ def printed_distortion(
         transition: Lambda.
         coupler: C, without an integrator.
         cutoff_hz: of the weight W, a first-order low-pass, in Hz.
-        delay: nd in samples.
     """
-    meant = distortion(materials, transition, coupler, period_s=PERIOD_S, delay=delay, cutoff_hz=cutoff_hz)
+    meant = distortion(materials, transition, coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff_hz)
     A, B = np.array(meant.A, dtype=np.float64), np.array(meant.B, dtype=np.float64)
     A[:, -1, :-1], B[:, -1] = 0.0, 0.0
     return MJLS(A=A, B=B, C=meant.C, transition=transition)
 
 
-def energy_of_a_press(switching: str, depth_m: float = 0.1) -> float:
-    """Return what a wall absorbs in J that is pressed at K = 800 N/m and released at 1000 N/m; (6.11) says at least 0.
+def energy_of_a_press(switching: str) -> float:
+    """Return what a wall absorbs in J that is pressed 0.1 m at K = 800 N/m and released at 1000 N/m; (6.11) says at least 0.
 
     Args:
         switching: ``plain``, as printed, or ``energy``.
-        depth_m: depth of the press in m.
     """
     soft, hard = Material(stiffness_n_per_m=800.0), Material(stiffness_n_per_m=1000.0)
     wall = Wall(materials=(soft, hard), switching="plain" if switching == "plain" else "energy")
     contact, total = Contact(wall, PERIOD_S), 0.0
-    way = np.linspace(0.0, depth_m, 400).tolist()
+    way = np.linspace(0.0, 0.1, 400).tolist()
     for material, positions in ((0, way), (1, way[::-1])):
         contact.change(material)
         for position in positions:

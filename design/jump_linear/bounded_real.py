@@ -33,7 +33,7 @@ from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import DENSE_LIMIT, Array, Bordered, Resolvent, expect, to_matrix, to_vector
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 
-NEWTON_STEPS = 40
+NEWTON_STEPS, FOLD_STEPS = 40, 14
 TOLERANCE, ROUNDED = 1e-11, 1e-8
 """Relative Newton steps: one at which it ends, and one after which steps that no longer fall are rounding (radius near 1)."""
 Matrices = tuple[Array, Array, Array, Array, Array]
@@ -214,7 +214,7 @@ def predict_fold(matrices: Matrices, square: float, policy: Policy) -> Fold | No
     return Fold(square - away, policy._replace(P=policy.P - 2.0 * away * first), -first, identity)
 
 
-def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None:
+def refine_fold(matrices: Matrices, guess: Fold) -> Fold | None:
     """Newton's method on the fold equations from a guess; None unless it ends at the fold that is the norm."""
     A, B, _, _, transition = matrices
     n = A.shape[-1]
@@ -222,7 +222,7 @@ def refine_fold(matrices: Matrices, guess: Fold, steps: int = 14) -> Fold | None
     right, left = _unit(to_vector(guess.right).ravel()), _unit(to_vector(guess.left).ravel())
     shape = (A.shape[0], n * (n + 1) // 2)
     moved = np.inf
-    for step in range(steps):
+    for step in range(FOLD_STEPS):
         policy = policy_at(matrices, P, square)
         if policy is None:
             return None

@@ -21,7 +21,7 @@ f is a norm of x(0), so that {x(0): bound <= p} is convex and symmetric for ever
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,7 +131,7 @@ class Leaving:
 
 def leaving(
     A: Array, transition: Array, U: Array, S: Array, *, limits: Array, pushes: Array, adds: Array,
-    degrees: Sequence[int] = DEGREES, slots: int = SLOTS, later: int = 0,
+    slots: int = SLOTS, later: int = 0,
 ) -> Leaving:  # fmt: skip
     """Return what bounds the probability that u(k) = U_i x(k) leaves its limits.
 
@@ -143,7 +143,6 @@ def leaving(
         limits: (m,) above 0.
         pushes: (N, n, q), what signals of size 1 push in a slot; no column: nothing pushes.
         adds: (m,) what adds to u besides, at most.
-        degrees: even ones, the lowest 2.
         slots: looked at one by one, at most.
         later: slot up to which more may be added to the state, below `slots`.
 
@@ -169,7 +168,7 @@ def leaving(
                 slots = last + later
                 break
             rest = backward(A, transition, rest)
-    kept = tuple(d for d in degrees if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2)
+    kept = tuple(d for d in DEGREES if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2)
     found = [_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1)) for d in kept]
     ended = seen(rest) if still else 0.0 * seen(rest)
     return Leaving(

@@ -22,8 +22,8 @@ from design.signals_later import signals_later
 
 Array = npt.NDArray[np.float64]
 
-PRODUCTS = 240
-"""Most products of one solve. Loops of radius 0.99 with 12,000 unknowns take about 100."""
+BASIS, PRODUCTS = 120, 240
+"""Vectors kept before a restart, and most products of one solve. Loops of radius 0.99 with 12,000 unknowns take about 100."""
 
 ACCEPTABLE = 1e-9
 """Residual that will do where rounding lets it fall no further."""
@@ -34,8 +34,6 @@ def gmres(
     right: Array,
     *,
     tolerance: float = 1e-13,
-    acceptable: float = ACCEPTABLE,
-    basis: int = 120,
     start: Array | None = None,
 ) -> Array | None:
     """Return x with apply(x) = right, or None if it was not found within `PRODUCTS` products.
@@ -48,8 +46,6 @@ def gmres(
         apply: the matrix, (size,) -> (size,), such as I - L.
         right: (size,).
         tolerance: residual to reach, as a share of |right|.
-        acceptable: residual that will do where rounding lets it fall no further.
-        basis: vectors kept before a restart.
         start: (size,) a guess of x; default zero.
     """
     scale = float(np.linalg.norm(right))
@@ -61,7 +57,7 @@ def gmres(
         if float(np.linalg.norm(residual)) <= tolerance * scale:
             return x
     while True:
-        step, used = _cycle(apply, residual, tolerance * scale, min(basis, PRODUCTS - spent))
+        step, used = _cycle(apply, residual, tolerance * scale, min(BASIS, PRODUCTS - spent))
         x, spent = x + step, spent + used + 1
         new = right - apply(x)
         size, before = float(np.linalg.norm(new)), float(np.linalg.norm(residual))
@@ -71,7 +67,7 @@ def gmres(
         if size <= tolerance * scale:
             return x
         if spent >= PRODUCTS - 1 or size > 0.5 * before:  # rounding lets it fall no further, or it does not converge
-            return x if size <= max(acceptable, tolerance) * scale else None
+            return x if size <= max(ACCEPTABLE, tolerance) * scale else None
 
 
 def _cycle(apply: Callable[[Array], Array], residual: Array, goal: float, most: int) -> tuple[Array, int]:

@@ -159,24 +159,23 @@ def decide(program: LmiProgram, *, verify_with: VerifyWith = "cvxpy") -> LmiSolu
     )  # fmt: skip
 
 
-def prove_certificate(certificate: Rebuildable, bits: int = 24, *, verify_with: VerifyWith = "cvxpy") -> ExactProof:
+def prove_certificate(certificate: Rebuildable, *, verify_with: VerifyWith = "cvxpy") -> ExactProof:
     """Prove a certificate in fractions, at its own matrices, and where that fails at those of the second opinion.
 
     Args:
         certificate: what holds in floats.
-        bits: rounding of the matrices, multiples of 2^-bits.
         verify_with: who is asked where the proof fails.
 
     Raises:
         ValueError: the certificate has no inequalities (method ``exact``).
     """
-    proof = prove(certificate, bits)
+    proof = prove(certificate)
     if proof.proved or verify_with == "nothing" or certificate.rebuild is None:
         return proof
     in_floats = certificate.rebuild(lambda value: np.asarray(value, dtype=float))
     second = second_opinion(in_floats, certificate.matrices, time_limit_s=TIME_LIMIT_S)
     if not second.holds:
         return proof
-    known: dict[str, Any] = {name: rounded(value, bits) for name, value in second.matrices.items()}
-    again = prove_inequalities(certificate.rebuild(as_fraction), known, bits)
+    known: dict[str, Any] = {name: rounded(value, proof.bits) for name, value in second.matrices.items()}
+    again = prove_inequalities(certificate.rebuild(as_fraction), known, proof.bits)
     return replace(again, matrices_by="cvxpy") if again.proved else proof

@@ -171,7 +171,6 @@ def loop_structure(
     samples: int = 1,
     integral: float = 0.0,
     store: Literal["output", "state"] = "output",
-    weigh: Literal["row", "applied"] | None = None,
 ) -> LoopStructure:
     """Augment plant, network and information pattern to the jump-linear loop (7.14).
 
@@ -181,15 +180,14 @@ def loop_structure(
         selection: information pattern, see the module.
         Q: (l, n) weight of the state; default C.
         R: weight of u1(k-1), (l', m), a vector (one row), or a number (times the identity); default: the row
-            0.01 .. 0.01 of Section 7.4.
+            0.01 .. 0.01 of Section 7.4. It weighs the newest stored row, u1(k-1) as printed, where the controller knows
+            which will be applied. Where the actuator chooses it weighs the input applied in the last sample (m more
+            states): there only the rows for d > 0 are stored, and R would not see the others.
         output: "stacked" is z = [Q x; R u1], "sum" is z = Q x + R u1 as printed (the two may cancel).
         samples: in one packet: Y = [y(k - tau); y(k - tau - 1); ...].
         integral: > 0 adds the integral of the measured error, xi(k+1) = xi(k) + C x(k - tau_k), at the controller: Y
             gets xi(k) as its last p entries, and z gets `integral` * xi(k) (stacked).
         store: "output" delays C x, "state" delays x as printed: same loop, more states.
-        weigh: what R weighs: the newest stored "row", u1(k-1) as printed, or the input "applied" in the last sample
-            (m more states). Default: the row where the controller knows which will be applied; the applied input where
-            the actuator chooses, for there only the rows for d > 0 are stored and R would not see the others.
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
@@ -217,9 +215,9 @@ def loop_structure(
     xi = used + (samples * p if keeps_samples else 0)
     start = xi + (p if integral > 0 else 0)
     registers = packet_registers(selection, ca_chain, start, m)
-    weigh = weigh or ("applied" if selection in ("applied", "both") else "row")
+    weighs_applied = selection in ("applied", "both")
     last_input = start + sum(length for _, length in registers) * m
-    order = last_input + (m if weigh == "applied" or keeps_input else 0)
+    order = last_input + (m if weighs_applied or keeps_input else 0)
 
     shift = np.zeros((order, order))
     shift[:n, :n] = A_
@@ -287,7 +285,7 @@ def loop_structure(
             first = registers.first_of(label if per_row else 0) + (d - 1) * m
             input_base[i, :, first : first + m] = np.eye(m)
             base[i, :, first : first + m] += into_plant
-    input_at = registers[0][0] if weigh == "row" else last_input
+    input_at = last_input if weighs_applied else registers[0][0]
     weight = performance_output(C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi)
     drive = np.zeros((order, m))
     drive[:n] = B_

@@ -45,7 +45,6 @@ def certify_wall(
     ca: DelayChain | int | None,
     equalised: bool = False,
     material_chain: npt.ArrayLike | None = None,
-    unknown: Sequence[str] = (),
     saturates_n: float = math.inf,
 ) -> Verdict:
     """Say what is proved of a wall that is felt through a network.
@@ -59,7 +58,6 @@ def certify_wall(
         equalised: whether both ends wait until the largest delay has passed, so that the loop has that one delay.
         material_chain: Lambda over the materials that are touched, for the second moment of the loop in contact; None leaves
             that number out.
-        unknown: what else the loop has that this theory does not know, in words.
         saturates_n: largest force of the motor in N.
 
     Returns:
@@ -128,8 +126,6 @@ def certify_wall(
     cut = cut_off(wall, coupler, saturates_n)
     if cut:
         return _verdict("undecided", cut, beta, *decided)
-    if unknown:
-        return _verdict("undecided", f"the proof does not know {', '.join(unknown)}", beta, *decided)
     reason = (
         f"passive for every passive hand and wall at {_samples(delays)} of delay{', in any order' if varies else ''}: needs "
         f"{number:.6g} N s/m, "

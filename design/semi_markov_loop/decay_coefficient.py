@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from design.errors import FieldError
-from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import fastest_exit
@@ -33,13 +32,8 @@ class Decay(NamedTuple):
     coefficient: float
 
 
-def decay_of(
-    system: DelayedJumpSystem, process: SemiMarkov, certificate: JumpCertificate, nodes: Partition | None = None
-) -> Decay:
+def decay_of(system: DelayedJumpSystem, process: SemiMarkov, certificate: JumpCertificate) -> Decay:
     """Return rate and coefficient that a certificate of `analyse_delayed` (``pwc``) proves of the loop without disturbance.
-
-    Args:
-        nodes: sections of P, as `analyse_delayed` took them; by default those of the gains.
 
     Raises:
         ValueError: the certificate is not certified, or its P is not constant per section.
@@ -47,7 +41,7 @@ def decay_of(
     if not certificate.certified or certificate.method != "pwc" or certificate.gain is None:
         raise FieldError("certificate", f"{certificate.verdict} by {certificate.method!r}, expected certified by 'pwc'")
     gain, found = certificate.gain, certificate.matrices
-    sections = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
+    sections = tuple(tuple(row.tolist()) for row in gain.starts_s)
     eta, tau, q = fastest_exit(process, sections), system.delay_max_s, found["Q"]
     least, most, smallest = math.inf, 0.0, math.inf
     for cell in cells(process, sections):

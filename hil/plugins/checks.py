@@ -66,10 +66,10 @@ PACKET: Final = {
     "reordering": "whether a packet may overtake an earlier one",
     "queue": "the largest number of packets in flight",
 }
-PERIOD_S, DEADLINE_S = 0.01, 0.006
+PERIOD_S, DEADLINE_S, SLOTS = 0.01, 0.006, 400
 
 
-def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
+def check_law(law: NetworkLaw) -> list[str]:
     """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
 
     Returns:
@@ -91,7 +91,7 @@ def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
     def arrivals() -> list[list[int]]:
         impairment = impair(law, np.random.default_rng(5), PERIOD_S, DEADLINE_S)
         out, newest = [], -1
-        for k in range(slots):
+        for k in range(SLOTS):
             impairment.offer(k, k)
             draws, arrived = asked(f"draw() of slot {k}", impairment.collect, k)
             assert all(d.tick == k for d in draws), "a draw is booked in another slot"
@@ -109,7 +109,7 @@ def check_law(law: NetworkLaw, slots: int = 400) -> list[str]:
             said.append(f"{name} is a ChannelLaw: its losses are analysed exactly, and every record is tested against it")
         return [*said, f"{name} is neither a ChainLaw nor a SemiMarkovLaw: loops over it run with allow_uncertified only"]
     said = [f"{name} is an AgeLaw: it can run in a loop"]
-    modes = _check_drawn(cast(AgeLaw, law), slots)
+    modes = _check_drawn(cast(AgeLaw, law))
     if isinstance(law, RecordedLaw):
         said.append(f"{name} is a RecordedLaw: its ages are analysed exactly, and every record is tested against it")
     elif isinstance(law, SemiMarkovLaw):
@@ -170,11 +170,11 @@ def _whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _check_drawn(law: AgeLaw, slots: int) -> NDArray[np.int64]:
+def _check_drawn(law: AgeLaw) -> NDArray[np.int64]:
     """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
     draw = law.start(np.random.default_rng(5)).draw
     served = slots_served(law)
-    drawn = [draw() for _ in range(slots if served is None else min(slots, served))]
+    drawn = [draw() for _ in range(SLOTS if served is None else min(SLOTS, served))]
     bound = law.max_age
     if isinstance(law, ChainLaw | SemiMarkovLaw):
         ages = asked("mode_ages", lambda: list(law.mode_ages))

@@ -125,13 +125,13 @@ def drift(
     now = list(x)
     level = list(force)
     for _ in range(pieces):
-        term = [(_dot(row, now) + f) * h for row, f in zip(A, level)]
+        term = [(dot(row, now) + f) * h for row, f in zip(A, level)]
         total = [a + t for a, t in zip(now, term)]
         k = 1
         while k < 60:
             k += 1
             scale = h / k
-            term = [_dot(row, term) * scale for row in A]
+            term = [dot(row, term) * scale for row in A]
             if k == 2 and slope:
                 half = 0.5 * h * h
                 term = [t + s * half for t, s in zip(term, slope)]
@@ -145,8 +145,8 @@ def drift(
     return now
 
 
-def _dot(row: Sequence[float], x: Sequence[float]) -> float:
-    # Not the builtin sum: since Python 3.12 it compensates, and gives other bits.
+def dot(row: Sequence[float], x: Sequence[float]) -> float:
+    """Return 0 + a_1 b_1 + a_2 b_2 + ..., rounded after every step in this order (`sum` rounds otherwise from Python 3.12 on)."""
     total = 0.0
     for a, b in zip(row, x):
         total += a * b

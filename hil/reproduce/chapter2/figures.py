@@ -222,10 +222,10 @@ def deviation_error(values: FloatArray) -> float:
     return math.sqrt((fourth - spread**4) / (4.0 * values.size)) / spread
 
 
-def quantile_errors(values: FloatArray, resamples: int = 200) -> FloatArray:
+def quantile_errors(values: FloatArray) -> FloatArray:
     """Bootstrap standard errors of the quantiles of |T_s - mean|."""
     rng = np.random.default_rng(0)
-    drawn = values[rng.integers(0, values.size, (resamples, values.size))]
+    drawn = values[rng.integers(0, values.size, (200, values.size))]
     away = np.abs(drawn - drawn.mean(axis=1, keepdims=True))
     return np.asarray(np.quantile(away, SHARES, axis=1).std(axis=1))
 
