@@ -27,6 +27,7 @@ def predicted_of(loop, ticks, **options):
 
 
 def squared_errors(loop, seeds):
+    """Squared tracking error of every slot of every run, (runs, slots)."""
     found = []
     for seed in seeds:
         run = simulate(loop, seed, ("/plant/measurement", "/reference"))

@@ -54,6 +54,14 @@ def monitor(bus: str) -> Iterator[can.BusABC]:
         yield node
 
 
+def both_ways(ends: Ends, seq: int) -> None:
+    rig, controller = ends
+    rig.send(sensor(seq))
+    controller.send(control(seq))
+    expect(controller, sensor(seq))
+    expect(rig, control(seq))
+
+
 def frames(monitor: can.BusABC) -> list[can.Message]:
     found = []
     while (message := monitor.recv(0.05)) is not None:
@@ -90,10 +98,7 @@ def test_error_frames_are_counted_and_packets_go_on(ends: Ends, monitor: can.Bus
     rig, controller = ends
     for reason in (0x040, 0x004, 0x200):  # bus off, controller problem, and one that does not exist
         monitor.send(can.Message(arbitration_id=reason, is_error_frame=True, data=bytes(8)))
-    rig.send(sensor(1))
-    controller.send(control(1))
-    expect(controller, sensor(1))
-    expect(rig, control(1))
+    both_ways(ends, 1)
     assert rig.counters.errors == controller.counters.errors == 3
     assert rig.counters.malformed == controller.counters.malformed == 0
 
@@ -140,10 +145,7 @@ def test_interface_down_drops_and_counts_and_up_again_works(ends: Ends, bus: str
     ip("set", bus, "up")
     for _ in range(3):  # each end hears of the fall once, as a pending socket error
         controller.receive(0), rig.receive(0)
-    rig.send(sensor(2))
-    controller.send(control(2))
-    expect(controller, sensor(2))
-    expect(rig, control(2))
+    both_ways(ends, 2)
 
 
 def test_link_outlives_an_interface_that_vanishes_and_comes_back(ends: Ends, bus: str) -> None:
@@ -163,10 +165,7 @@ def test_link_outlives_an_interface_that_vanishes_and_comes_back(ends: Ends, bus
     until(reopened, "the link to come back")
     while controller.receive(0.02) is not None:
         pass
-    rig.send(sensor(10))
-    controller.send(control(10))
-    expect(controller, sensor(10))
-    expect(rig, control(10))
+    both_ways(ends, 10)
 
 
 def test_waiting_on_a_dead_interface_does_not_spin(ends: Ends, bus: str) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.vcan.test_kernel import processes_that_name
 from tests.waiting import LIMIT_S
 
 pytestmark = pytest.mark.usefixtures("boots_kernels")
@@ -48,15 +49,7 @@ def vcan(*args: str, timeout: float = 100, **kwargs: object) -> subprocess.Compl
 
 def left_behind(token: str) -> list[str]:
     """Processes whose command line holds the token, and mounts of the runner."""
-    found = []
-    for file in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            line = file.read_bytes().replace(b"\0", b" ").decode(errors="replace")
-        except OSError:
-            continue
-        if token in line:
-            found.append(line)
-    return found + [line for line in Path("/proc/mounts").read_text().splitlines() if "hil-vcan" in line]
+    return processes_that_name(token) + [line for line in Path("/proc/mounts").read_text().splitlines() if "hil-vcan" in line]
 
 
 @pytest.mark.parametrize(
@@ -163,9 +156,7 @@ def test_time_limit_ends_the_command() -> None:
 def test_signal_ends_all_and_nothing_stays(number: int, virtual: list[str]) -> None:
     token = uuid.uuid4().hex
     busy = f"echo begun; while :; do sleep 0.1; done & while :; do sleep 0.1; done; : {token}"
-    runner = subprocess.Popen(
-        [*RUNNER, *virtual, "--", "sh", "-c", busy], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
-    )
+    runner = subprocess.Popen([*RUNNER, *virtual, "--", "sh", "-c", busy], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     assert runner.stdout is not None
     assert runner.stdout.readline() == b"begun\n"
     runner.send_signal(number)
@@ -182,9 +173,7 @@ def test_signal_ends_all_and_nothing_stays(number: int, virtual: list[str]) -> N
 
 def test_closed_reader_ends_the_command() -> None:
     token = uuid.uuid4().hex
-    runner = subprocess.Popen(
-        [*RUNNER, "--", "sh", "-c", f"yes; : {token}"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
-    )
+    runner = subprocess.Popen([*RUNNER, "--", "sh", "-c", f"yes; : {token}"], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
     assert runner.stdout is not None
     runner.stdout.readline()
     runner.stdout.close()
@@ -199,9 +188,7 @@ def test_what_the_command_leaves_running_ends_with_it() -> None:
     assert not left_behind(token)
 
 
-@pytest.mark.skipif(
-    os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv to give up namespaces"
-)
+@pytest.mark.skipif(os.geteuid() != 0 or not shutil.which("setpriv"), reason="needs root and setpriv to give up namespaces")
 @pytest.mark.parametrize("number", [None, signal.SIGTERM])
 def test_without_namespaces_nothing_stays_either(number: int | None, tmp_path: Path) -> None:
     token = uuid.uuid4().hex

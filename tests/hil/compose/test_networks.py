@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.measure.network_paths import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
 from hil.runtime.simulated import simulate
-from tests.hil.test_prediction import predicted_of
+from tests.hil.test_prediction import predicted_of, squared_errors
 from transport.law_tests.analysis import analyse_law
 from transport.law_tests.statistics import is_testable
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
@@ -39,20 +39,11 @@ def over(sc=None, ca=None, controller=None, **changes):
     return msgspec.structs.replace(experiment, network=network, **changes)
 
 
-def squares(loop, seeds):
-    """Squared tracking error of every slot of every run, (runs, slots)."""
-    found = []
-    for seed in seeds:
-        run = simulate(loop, seed, ("/plant/measurement", "/reference"))
-        found.append((run.arrays["/plant/measurement"]["angle"] - run.arrays["/reference"]["angle"]) ** 2)
-    return np.array(found)
-
-
 def assert_mean_and_variance(loop, seeds, start):
     """Mean and variance of the summed error within 4.5 standard errors, 1e-5 each under a right prediction."""
     ticks = loop.experiment.slots
     predicted = predicted_of(loop, ticks, sums_from=(start,))
-    sums = squares(loop, seeds)[:, start:].sum(axis=1) * T
+    sums = squared_errors(loop, seeds)[:, start:].sum(axis=1) * T
     mean, sd = float(predicted.sum_mean[0]), float(predicted.sum_sd[0])
     assert abs(sums.mean() - mean) < 4.5 * sd / np.sqrt(len(sums)) + 1e-6
     spread = (sums - mean) ** 2

@@ -178,6 +178,16 @@ def test_a_recording_is_sent_again_in_its_order_and_at_its_times(tmp_path: Path)
     assert told == ["recorded 0x123", "recorded 0x200", "recorded 0x18ff0001"]
 
 
+def refusal_of_traffic(folder: Path, name: str, text: str) -> str:
+    """The message by which an experiment with such a `traffic_file` is refused."""
+    (folder / name).write_text(text)
+    experiment = Path("hil/experiments", f"{NAME}.toml").read_text()
+    (folder / "own.toml").write_text(experiment.replace("bitrate = 125_000", f"bitrate = 125_000\ntraffic_file = '{name}'"))
+    with pytest.raises(ExperimentError) as caught:
+        compose(load_experiment(folder / "own.toml"), certify=False)
+    return str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -187,12 +197,7 @@ def test_a_recording_is_sent_again_in_its_order_and_at_its_times(tmp_path: Path)
     ],
 )
 def test_a_recording_that_cannot_be_sent_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "car.log").write_text(text)
-    experiment = Path("hil/experiments", f"{NAME}.toml").read_text()
-    (tmp_path / "own.toml").write_text(experiment.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'car.log'"))
-    with pytest.raises(ExperimentError) as caught:
-        compose(load_experiment(tmp_path / "own.toml"), certify=False)
-    assert said in str(caught.value)
+    assert said in refusal_of_traffic(tmp_path, "car.log", text)
 
 
 CSV = "name,can_id,period,length,jitter,extended\nspeed,0x123,10 ms,4,1 ms,\nlamp,0x18FF0000,0.5,1,,yes\n"
@@ -232,9 +237,4 @@ def test_traffic_is_read_from_a_table_and_from_a_dbc_and_stands_in_the_resolved_
     ],
 )
 def test_a_faulty_table_of_traffic_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "bad.csv").write_text(text)
-    experiment = Path("hil/experiments", f"{NAME}.toml").read_text()
-    (tmp_path / "own.toml").write_text(experiment.replace("bitrate = 125_000", "bitrate = 125_000\ntraffic_file = 'bad.csv'"))
-    with pytest.raises(ExperimentError) as caught:
-        compose(load_experiment(tmp_path / "own.toml"))
-    assert f"network.media.bus.traffic_file: {tmp_path}/bad.csv: {said}" in str(caught.value)
+    assert f"network.media.bus.traffic_file: {tmp_path}/bad.csv: {said}" in refusal_of_traffic(tmp_path, "bad.csv", text)

@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from tests.transport.medium.test_independent import run
 from transport.draws import (
     ABSENT,
     DELIVERED,
@@ -30,7 +31,6 @@ from transport.draws import (
     NO_MODE,
     REASONS,
     SENT,
-    Draw,
 )
 from transport.errors import FieldError
 from transport.laws.latency import LatencySpec, described, latency, seconds
@@ -41,17 +41,6 @@ from transport.medium.independent import Impairment, impair
 T, DEADLINE = 0.010, 0.004
 GAMMA: LatencySpec = {"dist": "gamma", "a": 2.0, "scale": "3 ms"}
 CHANNEL = GilbertElliott(p_gb=0.05, p_bg=0.3, loss_good=0.02, loss_bad=0.7)
-
-
-def run(network: Impairment, slots: int) -> tuple[list[Draw], list[list[tuple[int, object]]]]:
-    draws: list[Draw] = []
-    arrivals = []
-    for k in range(slots):
-        network.offer(k, f"packet {k}")
-        decided, arrived = network.collect(k)
-        draws += decided
-        arrivals.append(arrived)
-    return draws, arrivals
 
 
 def start(law: PacketLaw, seed: int = 0, period_s: float = T) -> Impairment:
@@ -180,7 +169,7 @@ def test_a_trace_of_latencies_comes_from_a_file(tmp_path: Path) -> None:
 def test_a_prepared_law_draws_the_same_and_needs_no_scipy_stats() -> None:
     law = PacketLaw(latency=GAMMA, loss=CHANNEL, duplication=0.1)
     prepared = prepare(law)
-    assert repr(run(start(prepared), 300)) == repr(run(start(law), 300)), "by repr, since NaN is not NaN"
+    assert repr(run(start(prepared), [True] * 300)) == repr(run(start(law), [True] * 300)), "by repr, since NaN is not NaN"
     program = (
         "import sys, pickle, numpy\nfrom transport.medium.independent import impair\n"
         "law = pickle.load(sys.stdin.buffer)\nnetwork = impair(law, numpy.random.default_rng(0), 0.01, 0.004)\n"
@@ -198,14 +187,14 @@ def test_a_prepared_law_draws_the_same_and_needs_no_scipy_stats() -> None:
     [(0.0, 0), (DEADLINE, 0), (DEADLINE + 1e-6, 1), (DEADLINE + T, 1), (DEADLINE + T + 1e-6, 2), (DEADLINE + 7 * T, 7)],
 )
 def test_a_latency_leads_to_the_slot_whose_deadline_it_meets(latency_s: float, slots: int) -> None:
-    draws, arrivals = run(start(PacketLaw(latency=latency_s)), slots + 2)
+    draws, arrivals = run(start(PacketLaw(latency=latency_s)), [True] * (slots + 2))
     assert ticks(arrivals) == [[]] * slots + [[0], [1]]
-    assert run(start(PacketLaw(latency=latency_s, reordering=False)), slots + 2) == (draws, arrivals)
+    assert run(start(PacketLaw(latency=latency_s, reordering=False)), [True] * (slots + 2)) == (draws, arrivals)
 
 
 def test_packets_that_overtake_are_disordered_and_come_in_order_of_time() -> None:
     law = PacketLaw(latency={"trace": ["25 ms", "1 ms", "12 ms", "1 ms"]})
-    draws, arrivals = run(start(law), 4)
+    draws, arrivals = run(start(law), [True] * 4)
     # packet 0 arrives at 25 ms, 2 at 32 ms, both after slot 2 closed at 24 ms; 3 at 31 ms
     assert ticks(arrivals) == [[], [1], [], [0, 3, 2]]
     fates = {d.packet_tick: REASONS[d.reason] for d in draws if d.mode == NO_MODE}
@@ -214,7 +203,7 @@ def test_packets_that_overtake_are_disordered_and_come_in_order_of_time() -> Non
 
 def test_without_reordering_a_packet_waits_for_the_earlier_ones() -> None:
     law = PacketLaw(latency={"trace": ["25 ms", "1 ms", "12 ms", "1 ms"]}, reordering=False)
-    draws, arrivals = run(start(law), 4)
+    draws, arrivals = run(start(law), [True] * 4)
     assert ticks(arrivals) == [[], [], [], [0, 1, 2, 3]]
     waited = {d.packet_tick: d.latency_s for d in draws if d.reason == DELIVERED}
     assert waited == pytest.approx({0: 0.025, 1: 0.015, 2: 0.012, 3: 0.002})
@@ -222,7 +211,7 @@ def test_without_reordering_a_packet_waits_for_the_earlier_ones() -> None:
 
 
 def test_a_copy_that_arrives_second_is_the_duplicate() -> None:
-    draws, arrivals = run(start(PacketLaw(latency=GAMMA, duplication=1.0)), 500)
+    draws, arrivals = run(start(PacketLaw(latency=GAMMA, duplication=1.0)), [True] * 500)
     assert all(count <= 2 for count in Counter(g for arrived in ticks(arrivals) for g in arrived).values())
     seen: set[int] = set()
     for draw in draws:
@@ -233,13 +222,13 @@ def test_a_copy_that_arrives_second_is_the_duplicate() -> None:
 
 def test_a_full_queue_drops_and_counts() -> None:
     network = start(PacketLaw(latency=1.0, queue=3))
-    draws, _ = run(network, 10)
+    draws, _ = run(network, [True] * 10)
     assert [REASONS[d.reason] for d in draws] == ["sent"] * 3 + ["overflow"] * 7
     assert network.pending == 3
 
 
 def test_a_slot_without_a_packet_is_drawn_and_absent() -> None:
-    whole, _ = run(start(PacketLaw(latency=0.0, loss=CHANNEL)), 200)
+    whole, _ = run(start(PacketLaw(latency=0.0, loss=CHANNEL)), [True] * 200)
     network = start(PacketLaw(latency=0.0, loss=CHANNEL))
     draws = []
     for k in range(200):
@@ -252,7 +241,7 @@ def test_a_slot_without_a_packet_is_drawn_and_absent() -> None:
 
 def test_a_change_of_loss_leaves_the_latencies_as_they_were() -> None:
     def latencies(law: PacketLaw) -> dict[int, float]:
-        return {d.tick: d.latency_s for d in run(start(law), 500)[0] if d.reason == SENT}
+        return {d.tick: d.latency_s for d in run(start(law), [True] * 500)[0] if d.reason == SENT}
 
     few, all_of_them = latencies(PacketLaw(latency=GAMMA, loss=0.3)), latencies(PacketLaw(latency=GAMMA))
     assert 250 < len(few) < 450
@@ -260,12 +249,12 @@ def test_a_change_of_loss_leaves_the_latencies_as_they_were() -> None:
 
 
 def test_heavy_tails_stay_within_the_log_s_ages() -> None:
-    draws, _ = run(start(PacketLaw(latency={"dist": "pareto", "b": 0.05, "scale": "1 s"}, queue=100_000)), 2000)
+    draws, _ = run(start(PacketLaw(latency={"dist": "pareto", "b": 0.05, "scale": "1 s"}, queue=100_000)), [True] * 2000)
     assert max(d.age for d in draws) <= 2**31 - 1
 
 
 def test_the_gilbert_elliott_channel_loses_in_bursts() -> None:
-    draws, _ = run(start(PacketLaw(latency=0.0, loss=CHANNEL)), 60_000)
+    draws, _ = run(start(PacketLaw(latency=0.0, loss=CHANNEL)), [True] * 60_000)
     fate = [d for d in draws if d.mode >= 0]
     modes, lost = np.array([d.mode for d in fate]), np.array([d.reason == LOST for d in fate])
     for mode, loss in ((0, 0.02), (1, 0.7)):
