@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -20,15 +21,6 @@ FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.group()
 def command() -> None:
     """Measure what commands, designs, logs and sweeps take, each beside its peer."""
-
-
-def _show(as_json: bool, parts: dict[str, tuple[str, list[dict[str, Any]]]]) -> None:
-    """Print tables, each by its title; or as JSON, each by its key."""
-    if as_json:
-        print(json.dumps({key: rows for key, (_, rows) in parts.items()}, indent=2))
-        return
-    for title, rows in parts.values():
-        show_table(title, rows)
 
 
 @command.command(name="all")
@@ -50,9 +42,7 @@ def everything(only: tuple[str, ...], quick: bool, compiled: Path | None, before
         check_compiled(compiled)
     if before is not None:
         check_before(before)
-    found, interrupt = run_parts(
-        parts, lambda text: click.echo(text, err=True), quick=quick, compiled=compiled, before=before
-    )
+    found, interrupt = run_parts(parts, lambda text: click.echo(text, err=True), quick=quick, compiled=compiled, before=before)
     if as_json:
         print(json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False))
     else:
@@ -109,79 +99,50 @@ def page(figures: tuple[Path, ...], output: Path | None) -> None:
         write_output(output, text)
 
 
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def design(as_json: bool) -> None:
-    """Every synthesis with its time and its certificate, beside the route of the thesis."""
-    from tests.bench.design import bench_design, bench_scheduled
-
-    tracking, scheduled = bench_design(progress=status_line), bench_scheduled(progress=status_line)
-    _show(as_json, {
-        "tracking": ("tracking over a network (Chapter 7), beside the iterated LMIs (ccl)", tracking),
-        "scheduled": ("scheduled state feedback (Chapters 2 to 4)", scheduled),
-    })  # fmt: skip
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def montecarlo(as_json: bool) -> None:
-    """The batch engine beside a numpy loop and scipy's solve_ivp."""
-    from tests.bench.montecarlo import bench_montecarlo
-
-    rows = bench_montecarlo(progress=status_line)
-    print(json.dumps(rows, indent=2)) if as_json else show_table("Monte Carlo", rows)
-
-
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def auth(as_json: bool) -> None:
-    """A code in every frame: microseconds and bytes beside the same frames without."""
-    from tests.bench.auth import bench_auth
-
-    rows = bench_auth()
-    print(json.dumps(rows, indent=2)) if as_json else show_table("one packet sent and heard, with a code and without", rows)
+SUBJECTS: dict[str, tuple[str, tuple[tuple[str, str], ...]]] = {
+    "design": ("Every synthesis with its time and its certificate, beside the route of the thesis.", (
+        ("tracking over a network (Chapter 7), beside the iterated LMIs (ccl)", "design.bench_design"),
+        ("scheduled state feedback (Chapters 2 to 4)", "design.bench_scheduled"),
+    )),
+    "montecarlo": ("The batch engine beside a numpy loop and scipy's solve_ivp.", (
+        ("Monte Carlo", "montecarlo.bench_montecarlo"),
+    )),
+    "auth": ("A code in every frame: microseconds and bytes beside the same frames without.", (
+        ("one packet sent and received, with a code and without", "auth.bench_auth"),
+    )),
+    "engines": ("A sweep beside run by run, a log beside mcap's own writer: CPU time.", (
+        ("a sweep in lockstep, beside run by run", "engines.bench_sweep"),
+        ("one slot in virtual time, with a log, beside mcap's own writer", "engines.bench_log"),
+        ("memory that every further slot holds, beside mcap's own writer", "engines.bench_memory"),
+    )),
+    "modes": ("Designs and certificates over many modes, beside the plain way, ARPACK and python-control: CPU time.", (
+        ("designs over many modes (the gain knows both delays, one start)", "modes.bench_modes"),
+        ("certificates over many modes, norms of one", "modes.bench_certificates"),
+    )),
+}  # fmt: skip
+"""Single subjects: what each measures, and of its tables the title and the function of this folder that measures it."""
 
 
-@command.command()
-@click.option("--json", "as_json", is_flag=True)
-def engines(as_json: bool) -> None:
-    """A sweep beside run by run, a log beside mcap's own writer: CPU time."""
-    from tests.bench.engines import bench_log, bench_memory, bench_sweep
+def _subject(name: str) -> None:
+    """Add the command of a subject: its tables, or in JSON their rows by the function's name."""
+    about, tables = SUBJECTS[name]
 
-    sweeps, logs, memory = bench_sweep(status_line), bench_log(status_line), bench_memory(status_line)
-    _show(as_json, {
-        "sweep": ("a sweep in lockstep, beside run by run", sweeps),
-        "log": ("one slot in virtual time, with a log, beside mcap's own writer", logs),
-        "memory": ("memory that every further slot holds, beside mcap's own writer", memory),
-    })  # fmt: skip
-
-
-@command.command()
-@click.option("--h2", multiple=True, type=click.IntRange(1, 8), default=(1, 2, 3, 4, 8), show_default=True, metavar="DELAY",
-              help="Largest delay of both directions; several allowed.")  # fmt: skip
-@click.option("--hinf", multiple=True, type=click.IntRange(1, 8), default=(1, 2, 3, 4), show_default=True, metavar="DELAY",
-              help="The same for H-infinity.")  # fmt: skip
-@click.option("--json", "as_json", is_flag=True)
-def modes(h2: tuple[int, ...], hinf: tuple[int, ...], as_json: bool) -> None:
-    """Designs and certificates over many modes, beside the plain way, ARPACK and python-control: CPU time."""
-    from tests.bench.modes import bench_certificates, bench_modes
-
-    designs, certificates = bench_modes(status_line, h2=h2, hinf=hinf), bench_certificates(status_line)
-    _show(as_json, {
-        "designs": ("designs over many modes (the gain knows both delays, one start)", designs),
-        "certificates": ("certificates over many modes, norms of one", certificates),
-    })  # fmt: skip
+    @command.command(name=name, help=about)
+    @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+    def measure(as_json: bool) -> None:
+        found = {}
+        for title, place in tables:
+            module, function = place.split(".")
+            found[function.removeprefix("bench_")] = title, getattr(import_module(f"tests.bench.{module}"), function)(status_line)
+        if as_json:
+            print(json.dumps({key: rows for key, (_, rows) in found.items()}, indent=2))
+        else:
+            for title, rows in found.values():
+                show_table(title, rows)
 
 
-@command.command()
-@click.option("--runs", type=click.IntRange(1, 1_000_000), default=1000, show_default=True, help="Runs of each sweep.")
-@click.option("--json", "as_json", is_flag=True)
-def commands(runs: int, as_json: bool) -> None:
-    """Whole commands, each in a process of its own: run, report, sweeps, a session in real time; CPU and wall time."""
-    from tests.bench.commands import bench_commands
-
-    rows = bench_commands(status_line, runs=runs)
-    print(json.dumps(rows, indent=2)) if as_json else show_table('commands, beside python -c "import numpy"', rows)
+for _name in SUBJECTS:
+    _subject(_name)
 
 
 def main(arguments: list[str] | None = None) -> None:

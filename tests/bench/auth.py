@@ -21,19 +21,21 @@ PACKETS: dict[str, Callable[[int], bytes]] = {
 }
 
 
-def bench_auth(number: int = 2000, turns: int = 10) -> list[Row]:
+def bench_auth(progress: Callable[[str], None] = lambda text: None, *, number: int = 2000, turns: int = 10) -> list[Row]:
     """Send packets through memory with a code and without, in turns, and compare.
 
     Args:
+        progress: called with the name of each packet.
         number: packets in one turn.
         turns: how often both ways take their turn.
 
     Returns:
         One row per packet: `packet`, `bytes` and `bytes_keyed` on the wire, `plain_us` and `keyed_us` (median over the turns of
-        one packet sent and heard), `code_us` their difference: the code is computed twice, once at each end.
+        one packet sent and received), `code_us` their difference: the code is computed twice, once at each end.
     """
     rows = []
     for name, make in PACKETS.items():
+        progress(name)
         packets = [make(k) for k in range(1, number + 1)]
         taken: dict[str, list[float]] = {"plain": [], "keyed": []}
         for _ in range(turns):

@@ -107,7 +107,7 @@ def _iterated(problem: TrackingProblem, direct_s: float, programmes: int) -> dic
     return {"ccl_norm": result.level, "ccl_s": round(spent, 3), "ccl_ratio": round(spent / direct_s, 1)}
 
 
-def bench_scheduled(*, progress: Callable[[str], None] = lambda text: None) -> list[dict[str, Any]]:
+def bench_scheduled(progress: Callable[[str], None] = lambda text: None) -> list[dict[str, Any]]:
     """The syntheses of Chapters 2 to 4: what each reached, what it must reach, and how long it took.
 
     Args:

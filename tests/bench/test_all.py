@@ -9,12 +9,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.bench.__main__ import main
+from tests.bench.__main__ import SUBJECTS, main
 from tests.bench.catalogue import PARTS
 
 Bench = Callable[..., tuple[int, str, str]]
@@ -97,6 +98,15 @@ def test_what_is_to_be_reached_is_a_ratio_to_a_peer_of_the_same_run() -> None:
     assert len(goals) > 10 and all(goal.ours is None and goal.ratio is not None for goal in goals)
     timed = [figure for figure in figures if figure.unit in ("s", "us", "ms") and figure.condition is not None]
     assert timed and all(figure.condition is not None and figure.condition.ours is None for figure in timed)
+
+
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_every_subject_names_what_measures_it(name: str, bench: Bench) -> None:
+    for _, place in SUBJECTS[name][1]:
+        module, function = place.split(".")
+        assert callable(getattr(import_module(f"tests.bench.{module}"), function))
+    status, out, _ = bench(name, "--help")
+    assert status == 0 and SUBJECTS[name][0].split()[0] in out
 
 
 @pytest.mark.slow

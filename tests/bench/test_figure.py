@@ -11,6 +11,7 @@ from hil.errors import HilError
 from tests.bench.catalogue import PARTS, take
 from tests.bench.figure import NOT_JUDGED, AtMost, Figure, Found, Measure, Part, Row, in_both_forms, row_of
 from tests.bench.page import page_of
+from tests.bench.processes import HIL, spent
 from tests.bench.run_parts import together
 from tests.bench.shares import of_shares, ratio_interval
 
@@ -134,3 +135,8 @@ def test_no_line_of_a_page_is_wide_whatever_was_found() -> None:
     text = page_of([_about(worst)])
     assert max(map(len, text.splitlines())) <= 130
     assert "| hil --help, CPU time | - | - | - | - | not measured |" in text
+
+
+def test_a_command_that_fails_is_not_measured() -> None:
+    with pytest.raises(HilError, match="exit status 2"):
+        spent([*HIL, "run", "no-such-experiment"])
