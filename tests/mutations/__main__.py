@@ -52,7 +52,7 @@ def known_faults(words: list[str]) -> int:
     if not chosen:
         raise SystemExit(f"no fault is called like {' or '.join(words)}")
     with tempfile.TemporaryDirectory() as name:
-        folder = copy_of_the_checkout(Path(name))
+        folder = copy_of_the_checkout(Path(name, "checkout"))
         sound = tuple(dict.fromkeys(test for fault in chosen for test in fault.tests))
         if not passes(folder, sound):
             raise SystemExit("the tests fail without any fault: mend them first")

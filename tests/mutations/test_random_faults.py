@@ -183,6 +183,20 @@ def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pyt
     assert (folder / "m.py").read_text() == CODE
 
 
+def test_a_fault_that_removes_temporary_folders_finds_those_of_its_own_tests_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    (folder / "m.py").write_text(CODE)
+    (folder / "tests").symlink_to(ROOT / "tests")
+    (folder / "test_m.py").write_text(
+        "import tempfile, pathlib\n"
+        "def test_where(tmp_path):\n"
+        "    own = pathlib.Path(tempfile.gettempdir())\n"
+        f"    assert own in tmp_path.parents and own.parent == pathlib.Path({str(tmp_path)!r})\n"
+    )
+    assert Judge(folder).killer(places("m.py", CODE)[0], ["test_m.py::test_where"]) is None
+
+
 def test_the_table_counts_by_room() -> None:
     one, *others = places("hil/a/m.py", CODE)
     lines = table([(one, "t.py::far"), *((other, None) for other in others[:3])])
