@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from hil.runtime.real.child import PYTHON
@@ -26,20 +26,20 @@ SESSION = Figure(
 )
 
 
-def _least(command: list[str] | tuple[str, ...], times: int) -> Spent:
-    """What a command takes where nothing disturbs it: the least of some times."""
-    return min(spent(command) for _ in range(times))
+def _least(times: int, *commands: Sequence[str]) -> list[Spent]:
+    """What each command takes where nothing disturbs it: the least of some times, one after the other in turns."""
+    return [min(found) for found in zip(*([spent(command) for command in commands] for _ in range(times)))]
 
 
 def _start(tell: Tell, quick: bool) -> Iterator[Found]:
-    times = 1 if quick else 3
+    times = 1 if quick else 15
     with tempfile.TemporaryDirectory(prefix="hilrig-bench-") as folder:
         tell("python -c 'import numpy', hil --help, hil run of one slot, composing")
-        numpy = _least(NUMPY, times)
-        yield Found(HELP.name, _least([*HIL, "--help"], times).cpu_s, numpy.cpu_s)
         one = [*HIL, "run", MOTOR, "--duration", "50 ms", "-o", str(Path(folder) / "slot.mcap"), "--force", "--quiet"]
-        yield Found(SLOT.name, _least(one, times).cpu_s, numpy.cpu_s)
-        ours, peer = (_least([*PYTHON, "-c", text + COMPOSE], times) for text in ("", SCIPY))
+        numpy, help_, slot = _least(times, NUMPY, [*HIL, "--help"], one)
+        yield Found(HELP.name, help_.cpu_s, numpy.cpu_s)
+        yield Found(SLOT.name, slot.cpu_s, numpy.cpu_s)
+        ours, peer = _least(times, *([*PYTHON, "-c", text + COMPOSE] for text in ("", SCIPY)))
         yield Found(COMPOSING.name, ours.cpu_s, peer.cpu_s, "start of Python included")
 
 
@@ -60,7 +60,8 @@ def _session(tell: Tell, quick: bool) -> Iterator[Found]:
         run = [*HIL, "run", MOTOR, "--clock", "real", "--link", f"can:hil:bench{os.getpid()}", "--duration", f"{length_s:g}"]
         run += ["-o", str(Path(folder) / "real.mcap"), "--force", "--quiet"]
         wall_s = sorted(spent(run).wall_s for _ in range(times))[times // 2]
-        yield Found(SESSION.name, wall_s - length_s, 3 * _least(NUMPY, times).wall_s, f"a run of {length_s:g} s over can:hil")
+        [numpy] = _least(times, NUMPY)
+        yield Found(SESSION.name, wall_s - length_s, 3 * numpy.wall_s, f"a run of {length_s:g} s over can:hil")
 
 
 PART = Part("start", "start and stop of commands and sessions", 60.0, (
