@@ -11,7 +11,7 @@ WORKERS := $(shell n=$$(env -u OMP_NUM_THREADS nproc 2>/dev/null || echo 2); ech
 # Images that forbid bytecode make every process of ours start in seconds instead of tenths.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: pins help run test .types .rules .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures compiled pictures docs clean
+.PHONY: pins help run test .types .rules .tests check .changed test-slow test-hostile sbom wheel mutations test-vcan .vcan-virtual .vcan-real bench figures compiled test-compiled pictures docs clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -126,6 +126,15 @@ compiled: $(INSTALLED) ## the wheel with the loop compiled, unpacked in runs/com
 	@HILRIG_COMPILE=1 $(BIN)/hatchling build -t wheel -d runs/compiled-wheel >runs/compiled.log 2>&1 || { cat runs/compiled.log; exit 1; }
 	@$(BIN)/python -m zipfile -e runs/compiled-wheel/*.whl runs/compiled && $(BIN)/python -m compileall -q runs/compiled
 	@rm -rf runs/compiled-wheel && echo "loop compiled  $(CURDIR)/runs/compiled"
+
+test-compiled: export OMP_NUM_THREADS = 1
+test-compiled: compiled ## the tests in virtual time with the loop compiled, in runs/compiled
+	@cp -r tests README.md README.png CONTRIBUTING.md CHANGELOG.md Makefile pyproject.toml constraints.txt LICENSE hatch_build.py \
+	    .ci runs/compiled && cp hil/guide/*.png runs/compiled/hil/guide
+	@cd runs/compiled && PYTHONPATH=$$PWD $(CURDIR)/$(BIN)/python -c 'from hil.log.write.provenance import loop_form as form; \
+	    assert form() == "compiled", form()'
+	cd runs/compiled && PYTHONPATH=$$PWD $(CURDIR)/$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider \
+	    -m "not realtime" $(PYTEST_ARGS) $(or $(TESTS),tests)
 
 pictures: $(INSTALLED) ## the pictures of the live page in README and guide, by Chromium
 	$(BIN)/python -m tests.pictures hil/guide
