@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from design.controllers.send_all import SendAll
 from design.controllers.wall import MATERIALS, Wall
 from design.controllers.wall_pattern import Patch, Pattern
 from design.errors import FieldError
+from design.passivity.loop import HeldDevice
 from design.processes.delay_chain import DelayChain
+from design.processes.lifetimes import ColdStandbyRate
 from design.requests.historical import HistoricalDesigned
 from design.requests.walls import CouplerRequest
 
@@ -29,6 +32,9 @@ def tiled(material: int) -> Pattern:
 
 
 FAIR = ((1.0 / 3.0,) * 3,) * 3
+PLACE = {"y_m": 0.0, "z_m": 0.0, "width_m": 1.0, "height_m": 1.0, "material": 0}
+ZERO = ("damping_n_s_per_m", "hand_mass_kg", "hand_damping_n_s_per_m", "hand_stiffness_n_per_m")
+DEVICE = {"mass_kg": 1e-9} | dict.fromkeys(ZERO, 0.0)
 POSITIVE = [("damping_n_s_per_m", value) for value in (0.0, -1.0, math.inf, math.nan)]
 
 
@@ -54,6 +60,15 @@ POSITIVE = [("damping_n_s_per_m", value) for value in (0.0, -1.0, math.inf, math
         (Wall, {"chain": (FAIR[0], FAIR[0], (1.5, -0.5, 0.0))}, "chain[2]"),
         (Wall, {"chain": (FAIR[0], FAIR[0], (0.5, 0.5, 1e-6))}, "chain[2]"),
         (Wall, {"chain_seed": -1}, "chain_seed"),
+        *((Patch, PLACE | {name: value}, name) for name, value in (("y_m", math.nan), ("z_m", math.inf), ("height_m", 0.0))),
+        (Pattern, {"width_m": 1.0, "height_m": 0.0, "patches": ()}, "height_m"),
+        *((HeldDevice, {"mass_kg": value, "damping_n_s_per_m": 0.0}, "mass_kg") for value in (0.0, math.inf, math.nan)),
+        *((HeldDevice, DEVICE | {name: -1e-9}, name) for name in DEVICE if name != "mass_kg"),
+        (HeldDevice, DEVICE | {"hand_mass_kg": math.inf}, "hand_mass_kg"),
+        (SendAll, {"gains": (((1.0,),),), "samples": 0}, "samples"),
+        (SendAll, {"gains": (((1.0,),),), "ages": (1,), "sojourns": (1,)}, "sojourns"),
+        (ColdStandbyRate, {"installed": 0, "rate": 1.0}, "installed"),
+        (DelayChain, {"transition": [[1.0, 0.0], [math.nan, 1.0]]}, "transition[1]"),
         (HistoricalDesigned, {"memory": -1}, "memory"),
         (HistoricalDesigned, {"memory": 101}, "memory"),
         (HistoricalDesigned, {"window": 0}, "window"),
@@ -106,6 +121,8 @@ def test_a_value_out_of_range_is_refused_with_its_field(make: Make, values: dict
         (Wall, {"material": 2, "chain_seed": 0, "chain": FAIR}),
         (Wall, {"chain": (FAIR[0], (0.0, 1.0, 0.0), (0.5, 0.5, 1e-10))}),
         (Wall, {"pattern": tiled(2), "materials": MATERIALS}),
+        (HeldDevice, DEVICE),
+        (ColdStandbyRate, {"installed": 1, "rate": 1.0}),
         (HistoricalDesigned, {"memory": 0, "window": 1, "input_weight": 0.0}),
         (HistoricalDesigned, {"memory": 100, "window": 10, "start": "given", "peak_input": 1e-9}),
         (chain, {"delays": [1, 1], "labels": [0, 0]}),
