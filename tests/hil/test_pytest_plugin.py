@@ -83,22 +83,22 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
     assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in told)
 
 
-def test_a_wrong_key_is_one_line_for_each_fault(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile("def test_typo(hil):\n    hil.run('dc-motor-hinf', **{'plant.gian': 3, 'limits.inpt': 1})")
-    result = pytest_of(pytester, "--no-header")
+@pytest.mark.parametrize(
+    ("arguments", "options", "wrong", "right"),
+    [
+        ("**{'plant.gian': 3, 'limits.inpt': 1}", (), "gian", "gain"),
+        # of a package below `hil`, whose errors are not of its root
+        ("duration=1", ("--hil-clock=real", "--hil-link=cna:hil:x"), "cna:hil:x", "can:hil:x"),
+    ],
+)
+def test_a_wrong_key_or_link_is_one_line_for_each_fault(
+    pytester: pytest.Pytester, arguments: str, options: tuple[str, ...], wrong: str, right: str
+) -> None:
+    pytester.makepyfile(f"def test_typo(hil):\n    hil.run('dc-motor-hinf', {arguments})")
+    result = pytest_of(pytester, "--no-header", *options)
     result.assert_outcomes(failed=1)
-    told = [line for line in result.outlines if "gian" in line and "FAILED" not in line]
-    assert len(told) == 1 and "test_a_wrong_key" in told[0] and ".py:2: " in told[0] and "did you mean 'gain'" in told[0]
-    assert len(result.outlines) < 15, "no traceback of ours"
-
-
-def test_a_link_that_there_is_not_is_one_line(pytester: pytest.Pytester) -> None:
-    """Of a package below `hil`, whose errors are not of its root."""
-    pytester.makepyfile("def test_link(hil):\n    hil.run('dc-motor-hinf', duration=1)")
-    result = pytest_of(pytester, "--no-header", "--hil-clock=real", "--hil-link=cna:hil:x")
-    result.assert_outcomes(failed=1)
-    told = [line for line in result.outlines if "cna:hil:x" in line and "FAILED" not in line]
-    assert len(told) == 1 and ".py:2: " in told[0] and "did you mean 'can:hil:x'?" in told[0]
+    (line,) = (line for line in result.outlines if wrong in line and "FAILED" not in line)
+    assert "test_a_wrong_key" in line and ".py:2: " in line and f"did you mean '{right}'" in line
     assert len(result.outlines) < 15, "no traceback of ours"
 
 

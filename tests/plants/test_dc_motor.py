@@ -213,15 +213,12 @@ def tracking_error(motor, seed):
     return total, late
 
 
-def test_the_experimental_motor_gives_the_errors_of_the_laboratory():
-    """10,000 runs: 15.3 (sd 0.4) and 0.026 (sd 0.012); Table 7.2 prints 15.14 and 0.0295; four standard errors of 40 runs."""
-    runs = np.array([tracking_error(DCMotor.experimental(), seed) for seed in range(40)])
-    assert abs(runs[:, 0].mean() - 15.3) < 4 * 0.4 / math.sqrt(40)
-    assert abs(runs[:, 1].mean() - 0.026) < 4 * 0.012 / math.sqrt(40)
-
-
-def test_the_ideal_motor_gives_the_errors_of_the_simulation():
-    """10,000 runs: 12.03 (sd 0.41) and 0.0305 (sd 0.0058); four standard errors of 40 runs."""
-    runs = np.array([tracking_error(DCMotor(), seed) for seed in range(40)])
-    assert abs(runs[:, 0].mean() - 12.03) < 4 * 0.41 / math.sqrt(40)
-    assert abs(runs[:, 1].mean() - 0.0305) < 4 * 0.0058 / math.sqrt(40)
+@pytest.mark.parametrize(
+    ("motor", "means", "sds"),
+    [(DCMotor.experimental(), (15.3, 0.026), (0.4, 0.012)), (DCMotor(), (12.03, 0.0305), (0.41, 0.0058))],
+    ids=["experimental", "ideal"],
+)
+def test_a_motor_gives_the_errors_of_10000_runs(motor, means, sds):
+    """Four standard errors of 40 runs; Table 7.2 prints 15.14 and 0.0295 of the laboratory, whose motor is experimental."""
+    runs = np.array([tracking_error(motor, seed) for seed in range(40)])
+    assert np.all(np.abs(runs.mean(axis=0) - means) < 4 * np.array(sds) / math.sqrt(40))

@@ -199,25 +199,23 @@ def test_wrong_arguments_are_refused_by_name():
         predict_tracking(np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]], LAMBDA, PI, PRINTED_H2, "generated", r, **good)
 
 
-def test_before_the_first_sample_has_come_the_input_is_zero_and_not_the_held_one() -> None:
-    """x(k+1) = x(k)/2 + u(k), K = 0, r = 1: u* = 1/2, but for the slots in which nothing has come yet, where u = 0."""
-    two_late = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]])
-    zero = np.zeros((3, 1, 1, 1))
+@pytest.mark.parametrize(
+    ("gain", "integral", "errors"),
+    [
+        ([0.0], False, [-1.0, -1.0, -1.0, -0.5, -0.25]),  # u* = 1/2, but for the slots in which nothing has come yet
+        ([0.0, -0.1], True, [-1.0, -1.0, -1.0, -0.5, -0.15, 0.125]),  # u = u* - xi/10: the first known error adds in slot 2
+    ],
+)
+def test_before_the_first_sample_has_come_the_input_is_zero_and_nothing_is_added(
+    gain: list[float], integral: bool, errors: list[float]
+) -> None:
+    """x(k+1) = x(k)/2 + u(k), r = 1."""
+    two_late, gains = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]]), np.tile(gain, (3, 1, 1, 1))
     found = predict_tracking(
-        [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], zero, "constant", np.ones(5), period_s=0.1, initial=([0, 0, 1], [1])
-    )
-    assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.25])
-
-
-def test_before_the_first_sample_has_come_nothing_is_added_to_the_integral() -> None:
-    """x(k+1) = x(k)/2 + u(k), u = u* - xi/10, r = 1: of the errors -1 the first that is known adds to xi in slot 2."""
-    two_late = DelayChain(transition=[[0, 1, 0], [0, 0, 1], [0, 0, 1]])
-    gains = np.tile([0.0, -0.1], (3, 1, 1, 1))
-    found = predict_tracking(
-        [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], gains, "constant", np.ones(6), period_s=0.1, integral=True,
+        [[0.5]], [[1.0]], [[1.0]], two_late, [[1.0]], gains, "constant", np.ones(len(errors)), period_s=0.1, integral=integral,
         initial=([0, 0, 1], [1]),
     )  # fmt: skip
-    assert found.error_mean[:, 0] == pytest.approx([-1.0, -1.0, -1.0, -0.5, -0.15, 0.125])
+    assert found.error_mean[:, 0] == pytest.approx(errors)
 
 
 @pytest.mark.parametrize("share", [0.0, 2.0])

@@ -211,27 +211,25 @@ def test_adding_a_disturbance_does_not_shift_the_delays() -> None:
     np.testing.assert_array_equal(a["mode"], b["mode"])
 
 
-def test_rig_and_controller_processes_import_nothing_heavy(tmp_path: Path) -> None:
-    code = (
-        "import sys, pickle; import hil.runtime.real.rig_process, hil.runtime.real.controller_process;"
-        "from hil.experiment import load_experiment; from hil.compose.loop import compose;"
-        "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
-        "assert not heavy, heavy;"
-        "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"
-        "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal'} & set(sys.modules); assert not heavy, heavy"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+PROCESSES = (
+    "import sys, pickle; import hil.runtime.real.rig_process, hil.runtime.real.controller_process;"
+    "from hil.experiment import load_experiment; from hil.compose.loop import compose;"
+    "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
+    "assert not heavy, heavy;"
+    "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"
+    "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal'} & set(sys.modules); assert not heavy, heavy"
+)
+HELP = (
+    "import sys, hil.cli\n"
+    "try: hil.cli.main(['--help'])\n"
+    "except SystemExit: pass\n"
+    "heavy = {'numpy', 'can', 'zenoh', 'mcap', 'rich', 'msgspec', 'control', 'cvxpy', 'scipy'} & set(sys.modules)\n"
+    "assert not heavy, heavy"
+)
 
 
-def test_help_is_light() -> None:
-    code = (
-        "import sys, hil.cli\n"
-        "try: hil.cli.main(['--help'])\n"
-        "except SystemExit: pass\n"
-        "heavy = {'numpy', 'can', 'zenoh', 'mcap', 'rich', 'msgspec', 'control', 'cvxpy', 'scipy'} & set(sys.modules)\n"
-        "assert not heavy, heavy"
-    )
+@pytest.mark.parametrize("code", [PROCESSES, HELP], ids=["rig and controller", "help"])
+def test_nothing_heavy_is_imported(code: str) -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
 

@@ -98,11 +98,18 @@ def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> Non
     same_bits(loop, range(2))
 
 
-@pytest.mark.parametrize("law", STRANGE_LAWS)
-def test_every_age_law_draws_the_same_ages(law: str) -> None:
-    loop = loop_of("dc-motor-hinf", "duration=6", law, "controller={kind='local',gain=[[-0.03]]}")
+def served_alike(loop: Loop) -> None:
     assert supports_batch(loop)
     same_bits(loop, range(4))
+
+
+@pytest.mark.parametrize("law", STRANGE_LAWS)
+def test_every_age_law_draws_the_same_ages(law: str) -> None:
+    served_alike(loop_of("dc-motor-hinf", "duration=6", law, "controller={kind='local',gain=[[-0.03]]}"))
+
+
+def test_one_named_node_moves_the_same() -> None:
+    served_alike(loop_of("vtol-h2", "duration=2", "network.nodes={velocity={outputs=['vertical_velocity'],buffer=2}}"))
 
 
 BURSTS = "loss={p_gb=0.2,p_bg=0.4,loss_good=0.1,loss_bad=0.9}"
@@ -169,9 +176,7 @@ def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
     ids=["driver", "through and encoder", "load", "viscous", "stribeck"],
 )
 def test_a_motor_moves_the_same(plant: str) -> None:
-    loop = loop_of("dc-motor-hinf", "duration=6", plant)
-    assert supports_batch(loop)
-    same_bits(loop, range(4))
+    served_alike(loop_of("dc-motor-hinf", "duration=6", plant))
 
 
 def test_a_linear_plant_with_two_tracked_outputs_is_measured_the_same() -> None:
@@ -192,12 +197,6 @@ def test_a_run_that_overflows_is_the_plain_engine_s() -> None:
     loop = loop_of("dc-motor-hinf", "controller={kind='local',gain=[[-50.0]]}", "limits={}", "duration=50")
     assert not run_batch(loop, range(3)).known.any()
     same_bits(loop, range(3))
-
-
-def test_one_named_node_moves_the_same() -> None:
-    loop = loop_of("vtol-h2", "duration=2", "network.nodes={velocity={outputs=['vertical_velocity'],buffer=2}}")
-    assert supports_batch(loop)
-    same_bits(loop, range(2))
 
 
 NODES = ("duration=6", "network.ca.law={kind='markov',matrix=[[0.5,0.5],[0.7,0.3]]}")
