@@ -34,7 +34,7 @@ def traffic(**values: Any) -> Periodic:
 
 
 def record(n: int = LEAST, late: int = LEAST, until: int | None = None, sent: tuple[int, float] = (0, 0.0)) -> PacketRecord:
-    at: NDArray[np.float64] = np.arange(n) * 0.1
+    at: NDArray[np.float64] = np.linspace(0.0, 0.1 * (n - 1), n)
     at[sent[0]] += sent[1]
     return PacketRecord(sent_s=at, latency_s=np.zeros(late), until_s=None if until is None else np.full(until, math.inf))
 
