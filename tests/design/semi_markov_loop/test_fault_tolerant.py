@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -14,12 +16,12 @@ from design.as_printed.examples import (
 )
 from design.as_printed.fault_tolerant import printed_section
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
-from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, loop_inequalities
+from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, check_loop, loop_inequalities
 from design.semi_markov_loop.period_moments import mean_square_abscissa, worst_growth
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.system import JumpSystem
@@ -221,3 +223,25 @@ def test_decay_of_a_certificate_is_one_that_the_process_keeps() -> None:
         held = worst_growth(system, gain, process)
         assert certificate.certified and certificate.decay_rate is not None and held is not None
         assert 0.0 < certificate.decay_rate < exact < -held[0]
+
+
+SEEN = chapter4_seen_gain(partitioned=False)
+WIDE = JumpSystem(a=np.zeros((3, 1, 1)), b=np.ones((3, 1, 1)), c=np.ones((3, 1, 1)), e=np.ones((3, 1, 1)))
+
+
+@pytest.mark.parametrize(
+    ("system", "gain", "field"),
+    [
+        (replace(SYSTEM, c=None), None, "c"),
+        (replace(SYSTEM, e=None), None, "e"),
+        (WIDE, None, "process"),
+        (SYSTEM, replace(SEEN, measured=("eta",)), "measured"),
+        (SYSTEM, replace(SEEN, measured=()), "gain"),
+        (SYSTEM, replace(SEEN, schedule="linear"), "gain"),
+    ],
+)
+def test_parts_that_do_not_fit_each_other_are_refused(system: JumpSystem, gain: ScheduledGain | None, field: str) -> None:
+    check_loop(SYSTEM, PROCESS, SEEN)
+    with pytest.raises(FieldError) as refused:
+        check_loop(system, PROCESS, gain)
+    assert refused.value.field == field

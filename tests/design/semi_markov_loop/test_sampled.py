@@ -17,6 +17,7 @@ from design.as_printed.examples import (
 )
 from design.controllers import LoopModel
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
+from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -258,3 +259,26 @@ def test_one_failure_mode_is_judged_as_one_process():
         single = sampled_verdict(twice, process, gain, period_s=0.05)
         assert single.state == ("certified" if factor > 0 else "refused")
         assert sampled_verdict(one, both, gain, period_s=0.05).state in states
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"period_s": 0.0}, "period_s"), ({"period_s": math.inf}, "period_s"), ({"period_s": math.nan}, "period_s"),
+        ({"tau": -1}, "tau"), ({"d": -1}, "d"),
+        ({"gain": constant_gain(np.zeros((2, 1, 2)))}, "gain"), ({"gain": constant_gain(np.zeros((1, 1, 1)))}, "gain"),
+        ({"process": _constant_process([[0.0, 1.0, 1.0], [2.0, 0.0, 1.0], [1.0, 1.0, 0.0]])}, "process"),
+        ({"initial": -1}, "initial"), ({"initial": 2}, "initial"),
+    ],
+)  # fmt: skip
+def test_parts_that_do_not_fit_each_other_are_refused(changes, field):
+    parts = {
+        "system": JumpSystem(a=np.full((2, 1, 1), -1.0), b=np.ones((2, 1, 1))),
+        "process": _constant_process([[0.0, 1.0], [2.0, 0.0]]),
+        "gain": constant_gain(np.zeros((2, 1, 1))),
+        "period_s": 0.1,
+    }
+    assert all(sampled_verdict(**parts, initial=mode).certified for mode in (None, 0, 1))
+    with pytest.raises(FieldError) as refused:
+        sampled_verdict(**parts | changes)
+    assert refused.value.field == field

@@ -12,6 +12,7 @@ import pytest
 import hil
 from design.monte_carlo.confidence import mean_interval
 from hil.api.questions import Laws
+from hil.notebook import SIDE, Result
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot, Reproduction
 
@@ -233,3 +234,13 @@ def test_laws_and_designs_are_asked_without_a_run(design: hil.DesignResult, tmp_
 def test_a_chapter_that_is_none_is_answered_with_those_that_are() -> None:
     with pytest.raises(hil.HilError, match=r"no chapter is called 'ch9'.*ch7"):
         hil.reproduce_chapter("ch9")
+
+
+def test_words_of_a_cell_stand_at_the_left_and_numbers_at_the_right() -> None:
+    cell = Result(line="a < b", columns=("name", "count", "mean"), rows=[("x", 3, None), ("<y>", 4, 1.0 / 3.0)]).html()
+    table = cell[cell.index("<table>") :]
+    styles = {side: SIDE.format(side=side) for side in ("left", "right")}
+    heads = [f"<th {styles[side]}>{head}</th>" for side, head in (("left", "name"), ("right", "count"), ("right", "mean"))]
+    last = [f"<td {styles[side]}>{text}</td>" for side, text in (("left", "&lt;y&gt;"), ("right", "4"), ("right", "0.33333"))]
+    assert "".join(heads) in table and "".join(last) in table and f"<td {styles['right']}>-</td>" in table
+    assert "<p>a &lt; b</p>" in cell and "<table>" not in Result(line="a").html()
