@@ -10,14 +10,15 @@ from plants.omni import Omni as Omni
 from plants.parts.actuators import Driver as Driver
 from plants.parts.actuators import Encoder as Encoder
 from plants.parts.check import check_plant as check_plant
-from plants.parts.events import JumpModel as JumpModel
-from plants.parts.events import JumpRates as JumpRates
+from plants.parts.delayed_run import DelayedVTOLRun as DelayedVTOLRun
 from plants.parts.friction import Friction as Friction
-from plants.parts.friction import RubbingAxis as RubbingAxis
+from plants.parts.jump_model import JumpModel as JumpModel
+from plants.parts.jump_model import JumpRates as JumpRates
+from plants.parts.jump_process import JumpProcess as JumpProcess
 from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
-from plants.parts.linear import LinearRun as LinearRun
 from plants.parts.linear import Signal as Signal
 from plants.parts.linear import StateSpace as StateSpace
+from plants.parts.linear_run import LinearRun as LinearRun
 from plants.parts.motor_run import DCMotorRun as DCMotorRun
 from plants.parts.protocols import BeyondModel as BeyondModel
 from plants.parts.protocols import Departure as Departure
@@ -35,7 +36,7 @@ from plants.parts.protocols import PassiveElement as PassiveElement
 from plants.parts.protocols import Plant as Plant
 from plants.parts.protocols import PlantRun as PlantRun
 from plants.parts.protocols import ReferencesFiles as ReferencesFiles
-from plants.parts.semi_markov import JumpProcess as JumpProcess
+from plants.parts.rubbing_axis import RubbingAxis as RubbingAxis
 from plants.parts.semi_markov import TransitionRates as TransitionRates
 from plants.state_space import LinearPlant as LinearPlant
 from plants.state_space import TransferFunction as TransferFunction
@@ -46,6 +47,5 @@ from plants.switched_example import SwitchedExampleRun as SwitchedExampleRun
 from plants.vtol import VTOL as VTOL
 from plants.vtol import vtol_matrices as vtol_matrices
 from plants.vtol_delayed import DelayedVTOL as DelayedVTOL
-from plants.vtol_delayed import DelayedVTOLRun as DelayedVTOLRun
 from plants.vtol_fault import FaultyVTOL as FaultyVTOL
 from plants.vtol_fault import FaultyVTOLRun as FaultyVTOLRun

@@ -10,10 +10,11 @@ import numpy as np
 
 from plants.errors import FieldError, PlantError
 from plants.parts.actuators import Axes, Driver, Encoder, FreeAxes, MotorRuns
-from plants.parts.friction import Friction, RubbingAxes
+from plants.parts.friction import Friction
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.motor_run import DCMotorRun
 from plants.parts.protocols import Departure, PlantRun
+from plants.parts.rubbing_axes import RubbingAxes
 from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62

@@ -9,7 +9,8 @@ import numpy as np
 
 from plants.errors import FieldError
 from plants.parts.exponential import Rows
-from plants.parts.linear import LinearRun, LinearRuns, Signal, StateSpace
+from plants.parts.linear import Signal, StateSpace
+from plants.parts.linear_run import LinearRun, LinearRuns
 from plants.parts.validation import require_vector
 
 VTOL_STATES = (

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from plants.parts.draws import Normals
-from plants.parts.linear import NS_PER_S, LinearRun, StateSpace
+from plants.parts.linear import NS_PER_S, StateSpace
+from plants.parts.linear_run import LinearRun
 from plants.parts.protocols import PlantRun
 
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 from plants.errors import PlantError
 from plants.parts.exponential import zero_order_hold
-from plants.parts.friction import RubbingAxis
 from plants.parts.linear import NS_PER_S
+from plants.parts.rubbing_axis import RubbingAxis
 
 if TYPE_CHECKING:
     from plants.dc_motor import DCMotor

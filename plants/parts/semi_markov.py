@@ -1,4 +1,4 @@
-"""Semi-Markov mode processes: transition rates that depend on the time since the last jump, sampled without time steps."""
+"""Transition rates of a semi-Markov mode process: they depend on the time since the last jump."""
 
 from __future__ import annotations
 
@@ -9,11 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-import numpy as np
-
 from plants.errors import FieldError
-from plants.parts.draws import exponential
-from plants.parts.linear import NS_PER_S
 from plants.parts.validation import SHORTEST_STEP_S, require_finite, require_not_negative, require_positive
 
 NEVER_NS = 1 << 62
@@ -101,99 +97,6 @@ def _check_generator(path: str, matrix: Sequence[Sequence[float]], modes: int) -
         total = math.fsum(row)
         if abs(total) > 1e-9 * max(1.0, abs(row[i])):
             raise FieldError(f"{path}[{i}]", f"row sums to {total:.6g}, expected 0")
-
-
-class _Hazard:
-    """The rate of leaving one mode, its integral and the inverse of that."""
-
-    __slots__ = ("_areas", "_nodes", "_rates", "_slopes")
-
-    def __init__(self, rates: TransitionRates, mode: int) -> None:
-        self._nodes = rates.nodes_s
-        self._rates = [math.fsum(rates.at(mode, h)) for h in rates.nodes_s]
-        self._slopes, self._areas = [], [0.0]
-        for (h0, h1), (r0, r1) in zip(pairwise(self._nodes), pairwise(self._rates)):
-            self._slopes.append((r1 - r0) / (h1 - h0))
-            self._areas.append(self._areas[-1] + 0.5 * (r0 + r1) * (h1 - h0))
-        self._slopes.append(0.0)
-
-    def integral(self, h: float) -> float:
-        k = bisect_right(self._nodes, h) - 1
-        d = h - self._nodes[k]
-        return self._areas[k] + d * (self._rates[k] + 0.5 * self._slopes[k] * d)
-
-    def inverse(self, area: float) -> float:
-        k = bisect_right(self._areas, area) - 1
-        rest, rate, slope = area - self._areas[k], self._rates[k], self._slopes[k]
-        root = rate + math.sqrt(max(0.0, rate * rate + 2.0 * slope * rest))
-        return self._nodes[k] + 2.0 * rest / root if root > 0.0 else self._nodes[k] if rest == 0.0 else math.inf
-
-
-class JumpProcess:
-    """A running semi-Markov process: the mode now, and the exact instant of the next jump.
-
-    The integrated rate out of a mode, H(h), is a standard exponential variable at the jump. So one draw E gives the
-    sojourn time H^-1(E), to the nanosecond, and the target is drawn with probability lambda_ij(h) / sum_j lambda_ij(h).
-
-    Args:
-        rates: the transition rates.
-        mode: mode at the start, counted from 1.
-        rng: all randomness.
-        now_ns: instant of the start; the sojourn clock is 0 there.
-    """
-
-    __slots__ = ("_hazards", "_rates", "_rng", "_target", "mode", "next_ns", "since_ns")
-
-    def __init__(self, rates: TransitionRates, mode: int, rng: np.random.Generator, now_ns: int = 0) -> None:
-        self._rng = rng
-        self.mode = mode
-        self.since_ns = now_ns
-        self._target = 0.0
-        self._load(rates)
-        self._draw()
-
-    def fire(self) -> None:
-        """Jump at ``next_ns``, and draw when the next one comes."""
-        h = (self.next_ns - self.since_ns) / NS_PER_S
-        rates = self._rates.at(self.mode, h)
-        pick = self._rng.random() * math.fsum(rates)
-        for j, rate in enumerate(rates, start=1):
-            if rate > 0.0:
-                self.mode = j
-                pick -= rate
-                if pick < 0.0:
-                    break
-        self.since_ns = self.next_ns
-        self._draw()
-
-    def change_rates(self, rates: TransitionRates, now_ns: int, *, restart: bool) -> None:
-        """Let other rates govern the jump that is under way; what of E is used up stays used up.
-
-        Args:
-            rates: the new rates, of as many modes.
-            now_ns: the present instant.
-            restart: whether the sojourn clock starts again.
-        """
-        left = max(0.0, self._target - self._hazards[self.mode].integral((now_ns - self.since_ns) / NS_PER_S))
-        self._load(rates)
-        if restart:
-            self.since_ns = now_ns
-        self._target = left + self._hazards[self.mode].integral((now_ns - self.since_ns) / NS_PER_S)
-        self._schedule(now_ns)
-
-    def _load(self, rates: TransitionRates) -> None:
-        self._rates = rates
-        self._hazards = {mode: _Hazard(rates, mode) for mode in range(1, rates.modes + 1)}
-
-    def _draw(self) -> None:
-        self._target = exponential(self._rng)
-        self._schedule(self.since_ns)
-
-    def _schedule(self, now_ns: int) -> None:
-        h = self._hazards[self.mode].inverse(self._target)
-        # A jump takes place on the nanosecond grid of the rig, and always after now.
-        instant = self.since_ns + round(h * NS_PER_S) if h < 1e9 else NEVER_NS
-        self.next_ns = max(instant, now_ns + 1)
 
 
 def check_mode(path: str, mode: int, modes: int) -> None:

@@ -18,7 +18,7 @@ import plants
 import transport
 from design import controllers
 from plants import LinearPlant
-from plants.parts.linear import LinearRun
+from plants.parts.linear_run import LinearRun
 from plants.parts.protocols import PlantRun
 
 ROOT = Path(__file__).parents[3]

@@ -12,7 +12,8 @@ import pytest
 
 import plants
 from plants import DCMotor, DelayedStates, DelayedVTOL, FaultyVTOL, Omni, PlantError, SwitchedExample, check_plant
-from plants.parts.linear import LinearRun, Signal
+from plants.parts.linear import Signal
+from plants.parts.linear_run import LinearRun
 
 OURS = {
     "dc-motor": DCMotor(),

@@ -9,7 +9,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from plants.parts.friction import Friction, RubbingAxis
+from plants.parts.friction import Friction
+from plants.parts.rubbing_axis import RubbingAxis
 
 GAIN, POLE = 172.38, 3.5287
 SIMPLE = Friction(coulomb_v=0.0017, static_v=0.0026)

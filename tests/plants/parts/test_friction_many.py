@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from plants.parts.exponential import log1p, log1p_many, phi, phi_many
-from plants.parts.friction import Friction, RubbingAxes, RubbingAxis
+from plants.parts.friction import Friction
+from plants.parts.rubbing_axes import RubbingAxes
+from plants.parts.rubbing_axis import RubbingAxis
 
 GAIN, POLE, RUNS = 172.38, 3.5287, 1500
 FRICTIONS = {

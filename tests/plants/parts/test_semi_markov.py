@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from plants.parts.events import HeldNoise, pass_time
-from plants.parts.semi_markov import JumpProcess, TransitionRates, _Hazard
+from plants.parts.jump_process import JumpProcess, _Hazard
+from plants.parts.semi_markov import TransitionRates
 
 LEVEL = 0.001
 CLIPPED = TransitionRates.clipped(low=0.1, high=4.6)
