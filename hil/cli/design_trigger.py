@@ -38,13 +38,14 @@ def show_trigger(
     from hil.design_questions.trigger_gains import candidates, planned, trigger_question
     from hil.files.outputs import check_page, write_output
     from hil.plugins.registry import names
-    from hil.sweeps.trigger_cost import front, run_candidate, undecided
+    from hil.sweeps.trigger_cost import check_chains, front, run_candidate, undecided
 
     if path is not None:
         check_page(path, force=force)
     if subject in names("hil.plants"):
         raise HilError(f"{subject}: --trigger: name an experiment, whose runs say cost and packets, such as dc-motor-ours-h2")
     asked = trigger_question(subject)
+    check_chains(asked)
     if input_weight is not None:
         options = options | {"R": np.full(asked.target.B.shape[1], input_weight)}
     plan, status = planned(asked), 0

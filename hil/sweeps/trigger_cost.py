@@ -16,6 +16,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.measure.signals import signals_of
 from hil.measure.tracking import without_sense
+from hil.rig.loop_chains import loop_chains
 from hil.sweeps.seeds import run_sweep
 from hil.sweeps.shown import interval_of
 
@@ -93,6 +94,24 @@ def experiment_with(asked: TriggerQuestion, candidate: Candidate) -> Experiment:
     if "sse" in without_sense(signals_of(found.plant)):
         raise HilError(f"{asked.name}: --trigger: its outputs have several units, so that their squared errors have no sum")
     return found
+
+
+def check_chains(asked: TriggerQuestion) -> None:
+    """Refuse a question to which every answer is undecided: the loop with a trigger has no chain of ages.
+
+    Args:
+        asked: the question, of which nothing is solved yet.
+
+    Raises:
+        HilError: no chain, with its reason; or as of `experiment_with`.
+    """
+    gain = np.zeros((asked.target.B.shape[1], len(asked.target.C)))
+    loop = compose(experiment_with(asked, Candidate(asked.thresholds[0], 0.0, gain, None)), certify=False)
+    if why := loop_chains(loop.rig, loop.chains, loop.controller, loop.model).chainless:
+        raise HilError(
+            f"{asked.name}: --trigger: every threshold would be undecided, as with a trigger no certificate covers this network: "
+            f"{why}. Expected: a law of ages on network.sc, no bus and no loss"
+        )
 
 
 def run_candidate(asked: TriggerQuestion, candidate: Candidate, runs: int = RUNS) -> TriggerPoint:

@@ -31,7 +31,7 @@ from hil.experiment import load_experiment
 from hil.runtime.simulated import simulate
 from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of
-from hil.sweeps.trigger_cost import TriggerPoint, experiment_with, front, run_candidate, undecided
+from hil.sweeps.trigger_cost import TriggerPoint, check_chains, experiment_with, front, run_candidate, undecided
 
 LARGE = 0.4
 
@@ -157,6 +157,29 @@ def test_a_dead_band_is_tried_in_multiples_of_its_own_and_ends_within_as_many(tm
 def test_what_has_no_answer_is_refused(said: list[str], why: str) -> None:
     with pytest.raises(HilError, match=why):
         CliRunner().invoke(command, [*said, "--trigger"], catch_exceptions=False)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("dc-motor-packets", r"sensor\.law: a packet law whose ages change"),
+        ("dc-motor-ours-busy-can", r"motor\.trigger \(relative\) lets a node keep silent"),
+        ("vtol-sensor-fault", "its outputs have several units"),
+    ],
+)
+def test_a_loop_that_no_certificate_covers_with_a_trigger_is_refused_before_any_gain_is_sought(
+    name: str, why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sought: list[object] = []
+    monkeypatch.setattr(trigger_gains, "candidates", lambda *said, **_: sought.append(said) or iter(()))
+    with pytest.raises(HilError, match=f"^{name}: --trigger: .*{why}"):
+        CliRunner().invoke(command, [name, "--trigger"], catch_exceptions=False)
+    assert not sought
+
+
+@pytest.mark.parametrize("name", ["dc-motor-ours-h2", "dc-motor-bursty", "dc-motor-1khz"])
+def test_a_loop_that_has_a_chain_with_a_trigger_is_asked(name: str) -> None:
+    check_chains(trigger_question(name))
 
 
 @pytest.mark.parametrize(
