@@ -6,10 +6,11 @@ import control
 import numpy as np
 import pytest
 
-from design.controllers import LinearFeedback, LinearLaw, LoopModel, OutputFeedback
+from design.controllers import LinearFeedback, LinearLaw, LoopModel, OutputFeedback, RowsLaw
 from design.errors import FieldError
 from design.jump_linear.certificate import certify_system
 from design.local import game_feedback, local_design, lqr_feedback
+from design.networked_loop.certify import certify_loop
 from design.networked_loop.dynamic_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import DesignTask, LocalDesigned
@@ -86,3 +87,14 @@ def test_matrices_that_do_not_fit_are_refused_by_name(change: dict[str, object],
     assert OutputFeedback(**good).linear_law(model()).A.shape == (2, 2)  # type: ignore[arg-type]
     with pytest.raises(FieldError, match=f"^{field}:"):
         OutputFeedback(**{**good, **change}).linear_law(model())  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("selection", ["constant", "generated", "applied"])
+def test_rows_without_a_state_are_the_table_of_their_gains_however_late_they_act(selection: str) -> None:
+    """The loops of `dynamic_loop` and of a table are two programs for one loop; packets are up to two slots under way."""
+    sc = DelayChain(transition=((0.6, 0.4), (0.7, 0.3)))
+    ca = DelayChain(transition=((0.5, 0.3, 0.2), (0.4, 0.3, 0.3), (0.2, 0.4, 0.4)))
+    gains = -0.01 * np.arange(1.0, 7.0).reshape(2, 3, 1, 1)[:, : 1 if selection == "constant" else 3]
+    rows = [RowsLaw(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((len(D), 1, 0)), D=D) for D in gains]
+    own = certify_system(dynamic_loop(A, B, C, sc, ca, rows, selection).system, hinf=False)
+    assert own.mean_square_radius == pytest.approx(certify_loop(A, B, C, sc, ca, gains, selection).mean_square_radius, rel=1e-8)
