@@ -1,4 +1,4 @@
-"""A real-time session whose controller is a program of somebody else, which must be running already."""
+"""A real-time session whose controller is an external program, which must be running already."""
 
 from __future__ import annotations
 

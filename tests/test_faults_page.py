@@ -127,7 +127,7 @@ TESTS: dict[str, tuple[str, ...]] = {
                   "test_a_controller_off_the_bus_receives_nothing"),
     "`controller-restart`": ("test_a_restart_forgets_the_newest_sample",
                              "test_a_restart_on_the_time_line_ends_the_controller_process_and_starts_another"),
-    # Files of strangers
+    # Foreign files
     "experiment": ("test_text_that_costs_too_much_is_refused", "test_fault_is_named_by_its_path",
                    "test_what_is_not_finite_is_said_once", "test_what_has_no_end_or_no_beginning_is_refused_at_once"),
     "names, keys": ("test_an_experiment_cannot_write_to_the_terminal", "test_nothing_that_moves_a_cursor_gets_through",

@@ -108,7 +108,7 @@ def _become(asked: dict[str, Any]) -> None:
         status = main() if asked["program"] == "hil" else pytest.main()
     except SystemExit as end:
         status = end.code
-    except BaseException:  # as Python says it of what nobody caught
+    except BaseException:  # as Python says it of what no handler caught
         sys.excepthook(*sys.exc_info())
     finally:
         threading._shutdown()  # type: ignore[attr-defined]

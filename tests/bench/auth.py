@@ -63,10 +63,10 @@ def _pair(keyed: bool) -> tuple[Link, Link]:
     return first, second
 
 
-def _trip_us(says: Link, hears: Link, packets: list[bytes]) -> float:
+def _trip_us(sender: Link, receiver: Link, packets: list[bytes]) -> float:
     begin = monotonic_ns()
     for packet in packets:
-        says.send(packet)
-        if hears.receive(0) is None:
+        sender.send(packet)
+        if receiver.receive(0) is None:
             raise RuntimeError("a packet was lost in memory")
     return (monotonic_ns() - begin) / 1e3 / len(packets)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from design.tracking.synthesis import TrackingProblem
 
 CCL_PROGRAMMES = 40
-"""Semidefinite programmes that the iterated route gets; it is far from its end by then, and its time is told."""
+"""Semidefinite programmes that the iterated route gets; it is far from its end by then, and its time is reported."""
 
 
 class Goal(NamedTuple):
@@ -51,7 +51,7 @@ def bench_design(
     """Solve every goal directly and, where that route exists, by cone complementarity; one row each.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         goals: designs to solve.
         programmes: budget of the iterated route, in semidefinite programmes; 0 leaves it out.
     """
@@ -111,7 +111,7 @@ def bench_scheduled(progress: Callable[[str], None] = lambda text: None) -> list
     """The syntheses of Chapters 2 to 4: what each reached, what it must reach, and how long it took.
 
     Args:
-        progress: told what is running.
+        progress: called with what is running.
     """
     from tests.bench.semi_markov import LIMIT_S, bench_cases
 

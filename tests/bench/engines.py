@@ -35,7 +35,7 @@ def bench_sweep(progress: Callable[[str], None] = lambda text: None, *, runs: in
     """Return CPU time per run of a sweep in lockstep, and run by run, one row per experiment.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         runs: in lockstep.
         alone: run by run.
     """
@@ -61,7 +61,7 @@ def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int
     """Return CPU time per virtual slot with our log, with mcap's own writer and without a log: medians of turns.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         slots: of one run.
         turns: how often all three are run.
     """
@@ -97,7 +97,7 @@ def bench_memory(
     """Return how many bytes every further slot holds in memory while its log is open, ours and mcap's own writer.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         slots: lengths of the two runs that are compared.
     """
     progress("memory of a log")

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 Row = dict[str, Any]
 Tell = Callable[[str], None]
-"""Is told what is being measured."""
+"""Is called with what is being measured."""
 
 NOT_JUDGED: Final = "not judged: --quick measures smaller things"
 
@@ -43,10 +43,10 @@ class AtMost:
         >>> AtMost(ours=1.5).text("s"), AtMost(ratio=3.0, plus=0.5).text("%")
         ('1.5 s', '3 times the peer + 0.5 %')
         """
-        told = [] if self.ours is None else [f"{self.ours:g} {unit}".strip()]
+        reported = [] if self.ours is None else [f"{self.ours:g} {unit}".strip()]
         if self.ratio is not None:
-            told.append(f"{self.ratio:.3g} times the peer" + (f" + {self.plus:g} {unit}" if self.plus else ""))
-        return ", ".join(told)
+            reported.append(f"{self.ratio:.3g} times the peer" + (f" + {self.plus:g} {unit}" if self.plus else ""))
+        return ", ".join(reported)
 
 
 FLAT: Final = AtMost(ratio=1.5)
@@ -61,7 +61,7 @@ class Figure:
         name: says it in a few words; no two figures share one.
         unit: of both numbers.
         peer: what stands beside ours.
-        goal: what ours should be; a miss is told.
+        goal: what ours should be; a miss is reported.
         condition: what ours has to be on any machine.
     """
 

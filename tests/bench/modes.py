@@ -36,7 +36,7 @@ def bench_modes(
     """Return the CPU time of designs over ever more modes, one start each, and of one evaluation beside the plain one.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         h2, hinf: values of tau_max = d_max that designs of this norm are made for, with the gains of the motor.
         large: states of the plant of the last two designs, with 6 modes.
     """
@@ -94,7 +94,7 @@ def design_row(name: str, problem: TrackingProblem, goal: float | None, progress
         name: of the loop.
         problem: what is asked.
         goal: CPU time that it may take, s.
-        progress: told what is being done.
+        progress: called with what is being done.
     """
     from design.tracking.synthesis import solve
 
@@ -151,7 +151,7 @@ def bench_certificates(
     """Return the CPU time of a certificate over many modes beside ARPACK alone, and of one mode's norms beside python-control.
 
     Args:
-        progress: told what is being done.
+        progress: called with what is being done.
         side: delays of either direction; their square is the number of modes.
         orders: states of the loops of one mode.
     """

@@ -109,14 +109,14 @@ def _number(value: float | None, unit: str) -> str:
 
 def _sum(rows: Sequence[Row]) -> str:
     """Say how many goals and conditions were reached."""
-    told = []
+    counts = []
     for key in ("goal", "condition"):
         verdicts = [judged(row)[f"{key}_verdict"] for row in rows if row[key] is not None]
         reached, missed = verdicts.count("reached"), verdicts.count("missed")
         open_ = sum(verdict.startswith("undecided") for verdict in verdicts)
         rest = len(verdicts) - reached - missed - open_
-        told.append(f"Of {len(verdicts)} {key}s {reached} are reached, {missed} missed, {open_} undecided, {rest} not judged.")
-    return " ".join(told)
+        counts.append(f"Of {len(verdicts)} {key}s {reached} are reached, {missed} missed, {open_} undecided, {rest} not judged.")
+    return " ".join(counts)
 
 
 def _line(values: Sequence[str]) -> str:

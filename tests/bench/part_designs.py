@@ -67,8 +67,8 @@ def _h2_row(tell: Tell, most: int, quick: bool) -> Row:
 def _h2(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:
     row = _h2_row(tell, most, quick)
     peer = row["CPU s"] + row["evaluations"] * (row["alone ms"] - row["H2 evaluation ms"]) / 1e3
-    told = f"norm {row['norm']:.6g}, {row['evaluations']} evaluations; peer projected from 5"
-    yield Found(figure.name, row["CPU s"], peer, told)
+    reported = f"norm {row['norm']:.6g}, {row['evaluations']} evaluations; peer projected from 5"
+    yield Found(figure.name, row["CPU s"], peer, reported)
 
 
 def _hinf(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]:

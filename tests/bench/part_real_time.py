@@ -97,11 +97,11 @@ def _affinities(tell: Tell, quick: bool) -> Iterator[Found]:
                 tell(f"turn {turn + 1} of {turns}: 1 kHz for {length_s:g} s over {uri} ({how})")
                 taken[uri, how].append(_session(uri, length_s, folder, [f"timing.affinity={how}"]))
     ours, free, shared, can = (_late(taken[way]) for way in ways)
-    told = f"{turns} sessions of {length_s:g} s each"
-    yield of_shares(AUTO_FREE.name, ours, free, told)
-    yield of_shares(SHARED_FREE.name, shared, free, told)
-    yield of_shares(AUTO_CAN.name, ours, can, told)
-    yield Found(TRIP.name, _p50(taken[auto]), _p50(taken[zenoh, "free"]), told)
+    reported = f"{turns} sessions of {length_s:g} s each"
+    yield of_shares(AUTO_FREE.name, ours, free, reported)
+    yield of_shares(SHARED_FREE.name, shared, free, reported)
+    yield of_shares(AUTO_CAN.name, ours, can, reported)
+    yield Found(TRIP.name, _p50(taken[auto]), _p50(taken[zenoh, "free"]), reported)
 
 
 def _session(uri: str, length_s: float, folder: str, sets: Sequence[str], *, beside: bool = False) -> Turn:
@@ -130,8 +130,8 @@ def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
         ours = 100 * float(np.mean(np.concatenate([turn.ticks["overrun"] for turn in found])))
         woken = sum(len(turn.cyclictest_us) for turn in found)
         peer = 100 * sum(turn.missed for turn in found) / woken if woken else None
-        told = f"{turns} sessions of {length_s:g} s" if beside else "cyclictest is not installed: apt-get install rt-tests"
-        yield Found(figure.name, ours, peer, told)
+        reported = f"{turns} sessions of {length_s:g} s" if beside else "cyclictest is not installed: apt-get install rt-tests"
+        yield Found(figure.name, ours, peer, reported)
 
 
 PART = Part("real-time", "round trips, late answers by affinity, the log in the loop, rates beside cyclictest", 400.0, (

@@ -56,15 +56,15 @@ def _sweep(runs: int) -> Spent:
 
 
 def _commands(tell: Tell, quick: bool) -> Iterator[Found]:
-    cores, told = len(os.sched_getaffinity(0)), "peer projected from 8 runs"
+    cores, reported = len(os.sched_getaffinity(0)), "peer projected from 8 runs"
     few, some, many = (20, 20, 20) if quick else (1000, 10_000, 100_000)
     tell(f"hil sweep --runs {few}")
     first = _sweep(few)
-    yield Found(THOUSAND.name, first.wall_s, _alone_s(quick) * few / cores, told)
+    yield Found(THOUSAND.name, first.wall_s, _alone_s(quick) * few / cores, reported)
     tell(f"hil sweep --runs {some}, then {many}")
     ten_times_fewer = first if quick else _sweep(some)
     last = first if quick else _sweep(many)
-    yield Found(MANY.name, last.wall_s, _alone_s(quick) * many / cores, told)
+    yield Found(MANY.name, last.wall_s, _alone_s(quick) * many / cores, reported)
     yield Found(MANY_MB.name, last.peak_mb, ten_times_fewer.peak_mb, "the largest of its processes")
 
 

@@ -47,7 +47,7 @@ def run_parts(
 
     Args:
         parts: what is measured.
-        tell: told which part runs, and about how long.
+        tell: called with which part runs, and about how long.
         quick: whether something smaller is measured, a few seconds a part.
         compiled: the wheel with the compiled loop, unpacked.
         before: sources of the version that a slot is set beside.

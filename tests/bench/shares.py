@@ -22,8 +22,8 @@ def of_shares(name: str, ours: tuple[int, int], peer: tuple[int, int], note: str
     '2 of 16000 against 3 of 16000, ratio between 0.056 and 5.8'
     """
     low, high = ratio_interval(ours, peer)
-    told = f"{ours[0]} of {ours[1]} against {peer[0]} of {peer[1]}, ratio between {low:.2g} and {high:.2g}"
-    note = "; ".join(filter(None, (note, told)))
+    reported = f"{ours[0]} of {ours[1]} against {peer[0]} of {peer[1]}, ratio between {low:.2g} and {high:.2g}"
+    note = "; ".join(filter(None, (note, reported)))
     return Found(name, 100 * ours[0] / ours[1], 100 * peer[0] / peer[1], note, between=(low, high))
 
 

@@ -1,4 +1,4 @@
-"""The four faces: what a type checker is told of a package is what it brings at run time."""
+"""The four faces: what a type checker reads of a package is what it brings at run time."""
 
 from __future__ import annotations
 

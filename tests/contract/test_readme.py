@@ -168,17 +168,17 @@ def test_key_expressions_of_the_guide_are_those_of_the_link() -> None:
     import zenoh
 
     uri = f"zenoh:unixsock-stream/{tempfile.mkdtemp()}/rig"
-    heard: list[str] = []
+    received: list[str] = []
     config = zenoh.Config()
     for key, value in (("mode", '"peer"'), ("scouting/multicast/enabled", "false"), ("listen/endpoints", "[]"),
                        ("connect/endpoints", json.dumps([uri.partition(":")[2]]))):  # fmt: skip
         config.insert_json5(key, value)
     with open_link(uri, "rig") as rig, zenoh.open(config) as session:
-        session.declare_subscriber("**", lambda sample: heard.append(str(sample.key_expr)))
+        session.declare_subscriber("**", lambda sample: received.append(str(sample.key_expr)))
 
         def anything() -> bool:
             rig.send(b"hello")
-            return bool(heard)
+            return bool(received)
 
         until(anything, "a sample of the link")
-    assert heard and f"`{heard[0]}`" in TEXT["wire-format"]
+    assert received and f"`{received[0]}`" in TEXT["wire-format"]

@@ -68,9 +68,9 @@ def test_a_law_that_lies_late_loses_the_certificate(lie: str, direction: str) ->
     loop = loop_of(Plant(), Table(), **changes)
     assert loop.verdict is not None
     assert any(f"network.{direction}.law draws as the chain that it states" in said for said in loop.verdict.assumptions)
-    told = said(simulated_session(loop, 3))
-    assert told.startswith("certificate withdrawn: the network law Law left its chain at slot ") or (lie == "none" and not told)
-    assert lie == "none" or 450 <= int(told.split(" slot ")[1].split()[0]) < 560
+    why = said(simulated_session(loop, 3))
+    assert why.startswith("certificate withdrawn: the network law Law left its chain at slot ") or (lie == "none" and not why)
+    assert lie == "none" or 450 <= int(why.split(" slot ")[1].split()[0]) < 560
 
 
 def test_a_law_that_begins_elsewhere_than_it_says_is_found_in_slot_0() -> None:

@@ -31,33 +31,33 @@ from tests.hil.late_lies import LATE, WHEN, LateTable
 
 
 def loop_of(plant: object, table: object, **changes: Any) -> Loop:
-    told = {"plant": plant, "controller": table, "duration": "20 s", "limits.state": {}} | changes
-    found = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **told))
+    given = {"plant": plant, "controller": table, "duration": "20 s", "limits.state": {}} | changes
+    found = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **given))
     assert found.verdict is not None and found.verdict.certified, found.verdict
     return found
 
 
 def said(session: Session) -> str:
-    told = session.summary["problems"].get("certificate_withdrawn", "")
+    why = session.summary["problems"].get("certificate_withdrawn", "")
     claim = session.summary["certificate"]
-    assert (claim["state"], claim["reason"]) == ("undecided", told) if told else claim["state"] == "certified"
-    assert session.status == (7 if told else 0)
-    return str(told)
+    assert (claim["state"], claim["reason"]) == ("undecided", why) if why else claim["state"] == "certified"
+    assert session.status == (7 if why else 0)
+    return str(why)
 
 
 @pytest.mark.parametrize("lie", LATE)
 def test_a_plant_that_lies_late_loses_its_certificate(lie: str) -> None:
-    told = said(simulated_session(loop_of(Plant(lie), Table()), 3))
-    assert told.startswith("certificate withdrawn: the plant left its model at slot 3"), told
+    why = said(simulated_session(loop_of(Plant(lie), Table()), 3))
+    assert why.startswith("certificate withdrawn: the plant left its model at slot 3"), why
 
 
 @pytest.mark.parametrize("lie", ["very late", "noise, and very late"])
 def test_a_plant_that_lies_behind_what_is_run_again_loses_its_certificate(lie: str) -> None:
     """Slot 2500 of 3000: without noise every slot is compared; with noise what the model does not explain grows."""
-    told = said(simulated_session(loop_of(Plant(lie), Table(), duration="150 s"), 3))
-    assert told.startswith("certificate withdrawn: the plant left its model at slot ")
+    why = said(simulated_session(loop_of(Plant(lie), Table(), duration="150 s"), 3))
+    assert why.startswith("certificate withdrawn: the plant left its model at slot ")
     if lie == "very late":
-        assert told.split(" slot ")[1].split()[0] == "2501"
+        assert why.split(" slot ")[1].split()[0] == "2501"
 
 
 @pytest.mark.parametrize("honest", ["a load, and late noise", "noise, and a late load"])
@@ -67,9 +67,9 @@ def test_noise_and_loads_that_set_in_behind_what_is_run_again_are_no_lie(honest:
 
 @pytest.mark.parametrize("late", WHEN)
 def test_a_controller_that_lies_late_loses_its_certificate(late: str) -> None:
-    told = said(simulated_session(loop_of(Plant(), LateTable(late=late)), 3))
-    assert told.startswith("certificate withdrawn: the controller left its table at slot "), told
-    assert 285 < int(told.split(" slot ")[1].split()[0]) < 305
+    why = said(simulated_session(loop_of(Plant(), LateTable(late=late)), 3))
+    assert why.startswith("certificate withdrawn: the controller left its table at slot "), why
+    assert 285 < int(why.split(" slot ")[1].split()[0]) < 305
 
 
 @dataclass(frozen=True)
@@ -174,11 +174,11 @@ def test_what_a_device_says_that_it_puts_out_is_compared(late: int, times: float
         assert loop.verdict.state == "refused" and "move its applied " in loop.verdict.reason, loop.verdict.reason
         return
     assert loop.verdict.certified
-    told = said(simulated_session(loop, 3))
+    why = said(simulated_session(loop, 3))
     if late:
-        assert "the plant left its model at slot 401 by what it says that it puts out" in told
+        assert "the plant left its model at slot 401 by what it says that it puts out" in why
     else:
-        assert not told
+        assert not why
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -195,15 +195,15 @@ def test_a_disturbance_of_the_input_is_part_of_the_model() -> None:
 def test_log_page_and_json_say_that_the_certificate_is_withdrawn(tmp_path: Path) -> None:
     loop = loop_of(Plant("unstable after slot 300"), Table())
     session = run_session(loop.experiment, path=tmp_path / "late.mcap")
-    told = said(session)
+    why = said(session)
     run = read_run(tmp_path / "late.mcap")
     event = next(event for event in run.events if event["kind"] == "certificate withdrawn")
-    assert event["message"] == told and event["tick"] == int(told.split(" slot ")[1].split()[0]) and event["severity"] == "error"
+    assert event["message"] == why and event["tick"] == int(why.split(" slot ")[1].split()[0]) and event["severity"] == "error"
     assert run.certificate["state"] == "certified"  # what was claimed before stands in the log
-    assert told in json.dumps(session.summary)
-    badge = next(badge for badge in verdicts(run, session.summary) if badge.detail == told)
+    assert why in json.dumps(session.summary)
+    badge = next(badge for badge in verdicts(run, session.summary) if badge.detail == why)
     assert badge.label == "undecided: mean-square stability" and badge.state == "warning"
-    assert explained(session).count(told) == 1 and "status 7" in explained(session) and "verdict: undecided" in explained(session)
+    assert explained(session).count(why) == 1 and "status 7" in explained(session) and "verdict: undecided" in explained(session)
 
 
 def test_the_same_seed_says_the_same() -> None:

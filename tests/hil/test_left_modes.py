@@ -78,9 +78,9 @@ def test_a_plant_that_leaves_its_modes_late_loses_the_certificate(
     loop = composed(cls, name, 1500 * period, 0)
     monkeypatch.setitem(NOW, "lie", LIES[lie])
     assert loop.verdict is not None and loop.verdict.certified and NOT_COMPARED not in loop.verdict.assumptions
-    told = said(simulated_session(loop, 2))
-    assert told.startswith("certificate withdrawn: the plant left its model at slot "), told
-    assert FROM <= int(told.split(" slot ")[1].split()[0]) < 1500
+    reported = said(simulated_session(loop, 2))
+    assert reported.startswith("certificate withdrawn: the plant left its model at slot "), reported
+    assert FROM <= int(reported.split(" slot ")[1].split()[0]) < 1500
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -128,8 +128,8 @@ def test_a_plant_with_noise_that_leaves_its_modes_after_a_long_time_loses_the_ce
     monkeypatch.setitem(globals(), "FROM", 3500)
     loop = composed(FaultyVTOL, "vtol-fault", 4.0, 0)
     monkeypatch.setitem(NOW, "lie", LIES["the input"])
-    told = said(simulated_session(loop, 2))
-    assert told.startswith("certificate withdrawn: the plant left its model at slot 35"), told
+    reported = said(simulated_session(loop, 2))
+    assert reported.startswith("certificate withdrawn: the plant left its model at slot 35"), reported
 
 
 @pytest.mark.parametrize(("scale", "kept"), [(1.0, True), (3.0, False)])

@@ -63,8 +63,8 @@ BOUNDED = list(ADDED)[:9]
 
 
 def loop_of(how: str) -> Loop:
-    told: dict[str, Any] = {"plant": Plant(), "controller": Adding(how=how), "limits.state": {}, "limits.input": [1e6]}
-    return compose(load_experiment("dc-motor-h2", allow_uncertified=True, duration="50 s", **told))
+    reported: dict[str, Any] = {"plant": Plant(), "controller": Adding(how=how), "limits.state": {}, "limits.input": [1e6]}
+    return compose(load_experiment("dc-motor-h2", allow_uncertified=True, duration="50 s", **reported))
 
 
 @pytest.mark.parametrize("how", GROWING)
@@ -73,8 +73,8 @@ def test_what_grows_in_the_run_loses_the_certificate(how: str) -> None:
     assert loop.verdict is not None and loop.verdict.certified
     assert any("adds of its own" in each and "bounded" in each for each in loop.verdict.assumptions)
     session = simulated_session(loop, 3)
-    told = session.summary["problems"]["certificate_withdrawn"]
-    assert session.status == 7 and "what it adds on samples of zero, which grows to" in told, told
+    reported = session.summary["problems"]["certificate_withdrawn"]
+    assert session.status == 7 and "what it adds on samples of zero, which grows to" in reported, reported
     assert session.summary["certificate"]["state"] == "undecided"
 
 

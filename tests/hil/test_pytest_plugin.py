@@ -78,9 +78,9 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
     assert kept["hil_seed"] == "7" and kept["hil_verdict"] == "certified" and kept["hil_timing"] == "valid"
     assert kept["hil_metric_sse"] == sse and str(kept["hil_log"]).endswith(".mcap")
     result.stdout.fnmatch_lines(["verdict: certified", f"metric_sse: {sse}"])
-    told = [line.partition("   # ")[0].split() for line in result.outlines if "   # " in line]
-    assert [command[1] for command in told] == ["report", "replay", "export"]
-    assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in told)
+    reported = [line.partition("   # ")[0].split() for line in result.outlines if "   # " in line]
+    assert [command[1] for command in reported] == ["report", "replay", "export"]
+    assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in reported)
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_the_assertions_of_the_face_show_the_line_of_the_test_and_none_of_ours(p
     )
     result = pytest_of(pytester, "--no-header")
     result.assert_outcomes(failed=3)
-    assert all(told in result.stdout.str() for told in ("failed seeds: 0, 1", "at_least: 1.5", "side 'cs'"))
+    assert all(reported in result.stdout.str() for reported in ("failed seeds: 0, 1", "at_least: 1.5", "side 'cs'"))
     assert not any("assertions.py" in line or "Returns:" in line for line in result.outlines), "a traceback of ours"
 
 

@@ -1,4 +1,4 @@
-"""Every kind of file, frame and option that hil takes from a stranger: real ones to damage, and what reads them."""
+"""Every kind of file, frame and option that hil takes from outside: real ones to damage, and what reads them."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Refusals = tuple[type[Exception], ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Boundary:
-    """One door at which a stranger's bytes come in.
+    """One boundary at which foreign bytes come in.
 
     Args:
         real: bytes that are read.
@@ -383,7 +383,7 @@ def _table() -> dict[str, Boundary]:
         "key": file(40_000, "k", lambda: KEYS, lambda path: read_key(str(path)), (TransportError,)),
         "passwords": file(40_000, "u", lambda: [b"controller:secret\nother:word\n"], _login, (TransportError,)),
         "frame": raw(120_000, _frames, _frame, ()),
-        "told": raw(40_000, lambda: [TOLD], lambda _place, data: _json_object(data) is not None, ()),
+        "reported": raw(40_000, lambda: [TOLD], lambda _place, data: _json_object(data) is not None, ()),
     }
 
 

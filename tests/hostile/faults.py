@@ -1,4 +1,4 @@
-"""One fault at a random instant of a session: a signal, frames of somebody else, a second controller, or a log that is gone."""
+"""One fault at a random instant of a session: a signal, frames of another program, a second controller, or a log that is gone."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def by_signal(aim: Aim) -> str:
 
 
 @contextmanager
-def on_the_link(uri: str, heard: list[bytes]) -> Iterator[Put]:
-    """Speak on a link as nobody of ours: bytes, and whether as the controller; keep what the rig says."""
+def on_the_link(uri: str, received: list[bytes]) -> Iterator[Put]:
+    """Send on a link as another program: bytes, and whether as the controller; keep what the rig says."""
     if uri.startswith("can:hil:"):
         with HilBus(uri.rpartition(":")[2]) as bus:
 
@@ -75,13 +75,13 @@ def on_the_link(uri: str, heard: list[bytes]) -> Iterator[Put]:
                 with suppress(can.CanError, OSError):
                     bus.frames.send_frame(0x140 if as_controller else 0x100, data)
                     while (frame := bus.frames.recv_frame(0.0)) is not None:
-                        heard.append(frame[2])
+                        received.append(frame[2])
 
             yield put
     else:
         endpoint = f"unixsock-stream/{zenoh_directory()}/{uri.rpartition('=')[2]}"
         with zenoh.open(config("controller", endpoint, {})) as session:
-            took = zenoh.handlers.Callback(lambda sample: heard.append(sample.payload.to_bytes()), indirect=False)
+            took = zenoh.handlers.Callback(lambda sample: received.append(sample.payload.to_bytes()), indirect=False)
             session.declare_subscriber("hil/*/sensor", took)
             name = uri.rpartition("=")[2]
             yield lambda data, as_controller: session.put(f"hil/{name}/{'control' if as_controller else 'sensor'}", data)
@@ -89,11 +89,11 @@ def on_the_link(uri: str, heard: list[bytes]) -> Iterator[Put]:
 
 def by_frames(aim: Aim) -> str:
     """Half a second of frames: garbage, answers to nothing, the rig's own frames again, and old questions."""
-    heard: list[bytes] = []
-    with on_the_link(aim.uri, heard) as put:
+    received: list[bytes] = []
+    with on_the_link(aim.uri, received) as put:
         end = time.monotonic() + 0.5
         while time.monotonic() < end:
-            own = aim.draw.choice(heard) if heard else b""
+            own = aim.draw.choice(received) if received else b""
             kind = aim.draw.randrange(4)
             if kind == 0:
                 put(aim.draw.randbytes(aim.draw.choice([0, 1, 8, 32, 48, 64])), bool(aim.draw.getrandbits(1)))
@@ -102,7 +102,7 @@ def by_frames(aim: Aim) -> str:
             else:
                 put(own, kind == 2)
             time.sleep(0.002)
-    return "frames of somebody else"
+    return "frames of another program"
 
 
 def by_a_second_controller(aim: Aim) -> str:

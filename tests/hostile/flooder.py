@@ -87,7 +87,7 @@ def question(seq: int, *, counter: int, echo: int = 1, sample_ns: int = 0) -> by
 
 
 class ZenohPeer:
-    """A program of somebody else's that the rig lets in at its endpoint: it says no session, and claims no role."""
+    """A foreign program that the rig lets in at its endpoint: it says no session, and claims no role."""
 
     def __init__(self, endpoint: str, name: str) -> None:
         import zenoh
@@ -133,9 +133,9 @@ def main() -> None:
         print("up", flush=True)
         end = time.monotonic() + float(seconds) if sys.stdin.readline() else 0.0
         while isinstance(bus, ZenohPeer) and time.monotonic() < end:  # zenoh connects when it tries again, in a second or two
-            heard = bus.recv_frame(0.0)
-            if heard is not None:
-                flood.hear(heard[0], heard[2])
+            received = bus.recv_frame(0.0)
+            if received is not None:
+                flood.hear(received[0], received[2])
                 break
             time.sleep(0.001)
         for turn in count(1):
@@ -144,10 +144,10 @@ def main() -> None:
             for _ in range(100):
                 bus.send_frame(*flood.next())  # the rig's queue is full soon; the rest is dropped there
             for _ in range(20):
-                heard = bus.recv_frame(0.0)
-                if heard is None:
+                received = bus.recv_frame(0.0)
+                if received is None:
                     break
-                flood.hear(heard[0], heard[2])
+                flood.hear(received[0], received[2])
             if turn == 10:
                 print("sent", flush=True)
 

@@ -1,4 +1,4 @@
-"""A stranger on the rig's link who answers in the controller's place: -4 V, whatever the reference is.
+"""An intruder on the rig's link, which answers in the controller's place: -4 V, whatever the reference is.
 
 Usage: intruder.py URI (ahead | race | fill | role)
 
@@ -51,14 +51,14 @@ def on_can(channel: str, way: str) -> None:
 
 
 def on_zenoh(uri: str, way: str) -> None:
-    heard: SimpleQueue[bytes] = SimpleQueue()
+    received: SimpleQueue[bytes] = SimpleQueue()
     with zenoh.open(config("controller", uri.removeprefix("zenoh:"), {})) as session:  # no token says that it is one of ours
         put = session.declare_publisher("hil/rig0/control", congestion_control=zenoh.CongestionControl.DROP).put
-        took = zenoh.handlers.Callback(lambda sample: heard.put(sample.payload.to_bytes()), indirect=False)
+        took = zenoh.handlers.Callback(lambda sample: received.put(sample.payload.to_bytes()), indirect=False)
         session.declare_subscriber("hil/rig0/sensor", took)
         print("up", flush=True)
         while True:
-            data = heard.get()
+            data = received.get()
             packet = decode(data)
             if isinstance(packet, SensorPacket):
                 for each in answers(packet, data, way):

@@ -1,4 +1,4 @@
-"""Logs of a stranger: ours, damaged or with other words in it, and somebody else's."""
+"""Foreign logs: ours, damaged or with other words in it, and a foreign program's."""
 
 from __future__ import annotations
 
@@ -86,10 +86,10 @@ def our_log() -> bytes:
 
 @cache
 def foreign_log(chunked: bool) -> bytes:
-    """The same by somebody else's writer, neither packed nor under a checksum: damage reaches what stands in it."""
+    """The same by a foreign writer, neither packed nor under a checksum: damage reaches what stands in it."""
     out = io.BytesIO()
     writer = Writer(out, compression=CompressionType.NONE, enable_crcs=False, use_chunking=chunked, index_types=IndexType.ALL)
-    writer.start(profile="ros2", library="somebody")
+    writer.start(profile="ros2", library="foreign")
     reader = make_reader(io.BytesIO(our_log()))
     for said in reader.iter_metadata():
         writer.add_metadata(said.name, said.metadata)

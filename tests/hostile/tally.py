@@ -49,14 +49,14 @@ class Tally:
         except (Exception, Hangs) as error:
             at = traceback.extract_tb(error.__traceback__)
             own = [frame for frame in at if "/tests/" not in frame.filename] or at
-            told = f"{error!r:.300}\nfor {data!r:.1500}\n{''.join(traceback.format_list(own[-3:]))}"
-            self._fail(type(error).__name__, f"{own[-1].filename}:{own[-1].lineno}", told)
+            reported = f"{error!r:.300}\nfor {data!r:.1500}\n{''.join(traceback.format_list(own[-3:]))}"
+            self._fail(type(error).__name__, f"{own[-1].filename}:{own[-1].lineno}", reported)
         else:
             self.read += read is not False
             self.refused += read is False
 
-    def _fail(self, kind: str, where: str, told: str) -> None:
-        self._failures.setdefault((kind, where), f"{self.boundary}: {told}")
+    def _fail(self, kind: str, where: str, reported: str) -> None:
+        self._failures.setdefault((kind, where), f"{self.boundary}: {reported}")
 
     def end(self, note: Note) -> None:
         """Note the counts, and fail if anything did."""

@@ -1,4 +1,4 @@
-"""Every boundary at which a stranger's text or bytes come in: one message, no traceback, no hang.
+"""Every boundary at which foreign text or bytes come in: one message, no traceback, no hang.
 
 Two kinds of inputs: what hypothesis draws, of the right form with the wrong contents; and real files with a few places damaged,
 hundreds of them from each seed that it draws. The same attacks run twice: a few with the other tests, a million with

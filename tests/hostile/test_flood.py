@@ -161,9 +161,9 @@ def test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(
                 process.wait()
     assert "Traceback" not in err and out, err
     summary, run = json.loads(out), read_run(log)
-    told = {name: summary[name] for name in ("problems", "safety", "link_counters")}
+    reported = {name: summary[name] for name in ("problems", "safety", "link_counters")}
     # It tripped; what was flooded is said beside it, and with status 5 where it answers slots.
-    assert session.returncode in (3, 5) and summary["safety"], (session.returncode, told)
+    assert session.returncode in (3, 5) and summary["safety"], (session.returncode, reported)
     # Where a busy machine kept the controller from a CPU for 200 ms, the run was over before the flood came.
     counted = summary["link_counters"]
     flooded = sum(counted.get(each, 0) for each in ("received", "dropped", "malformed", "foreign")) > counted["sent"] + 50

@@ -117,19 +117,19 @@ def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
         time.sleep(0.005)
     time.sleep(draw.uniform(0.0, 4.5))  # from before its children are there to behind its end
     pids = children(session.pid)
-    told = fault(Aim(folder=folder, uri=uri, session=session.pid, draw=draw))
+    reported = fault(Aim(folder=folder, uri=uri, session=session.pid, draw=draw))
     try:
         _, said = session.communicate(timeout=60)
     except subprocess.TimeoutExpired:
         session.kill()
-        return f"{told}: did not end"
+        return f"{reported}: did not end"
     wrong = [] if session.returncode in ENDED else [f"status {session.returncode}"]
     wrong += ["a traceback"] if "Traceback" in said else []
     end = time.monotonic() + 10
     while time.monotonic() < end and not all(map(gone, pids)):
         time.sleep(0.05)
     wrong += [f"process {pid} is left" for pid in pids if not gone(pid)]
-    if not told.startswith(GONE) and log.exists() and log.stat().st_size:
+    if not reported.startswith(GONE) and log.exists() and log.stat().st_size:
         try:
             try:
                 read_run(log)
@@ -137,7 +137,7 @@ def _fault(folder: Path, uri: str, draw: random.Random) -> str | None:
                 recover(log, folder / "r.mcap")
         except HilError as error:
             wrong += [str(error)]
-    return f"{told}: {', '.join(wrong)}\n{said[-1500:]}" if wrong else None
+    return f"{reported}: {', '.join(wrong)}\n{said[-1500:]}" if wrong else None
 
 
 @pytest.mark.timeout(3600)

@@ -1,4 +1,4 @@
-"""Every number of the shipped experiments, replaced by one that nobody expects: the run goes on, or is refused with one message.
+"""Every number of the shipped experiments, replaced by an unexpected one: the run goes on, or is refused with one message.
 
 Nothing else is said: a warning of numpy's or scipy's on the terminal is a failure, too.
 """

@@ -1,4 +1,4 @@
-"""Every option of the commands that compute, with words that nobody expects: a status of ours, one message, no traceback.
+"""Every option of the commands that compute, with unexpected words: a status of ours, one message, no traceback.
 
 The words go through a shell's door, ``hil`` itself in a process of its own, so that warnings and stray output count as well.
 """

@@ -79,13 +79,13 @@ def command(folder: Path, does: str, *options: str, name: str = "run") -> list[s
 
 @pytest.mark.parametrize("what", ENDS)
 def test_a_module_that_leaves_or_changes_its_process_is_one_message(what: str, tmp_path: Path) -> None:
-    does, status, told = ENDS[what]
+    does, status, line = ENDS[what]
     asked = command(tmp_path, does, "-o", "a.mcap")
     if what.startswith("closes"):  # the end of Python itself meets no descriptors
         done = subprocess.run(asked, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     else:
         done = hil_command(*asked[1:], cwd=tmp_path, timeout=120)
-    assert done.returncode == status and told in done.stderr and done.stderr.count("hil: ") == 1, (done.returncode, done.stderr)
+    assert done.returncode == status and line in done.stderr and done.stderr.count("hil: ") == 1, (done.returncode, done.stderr)
     assert "Traceback" not in done.stderr and not (status == 2 and (tmp_path / "a.mcap").exists())
 
 
@@ -104,9 +104,9 @@ def test_a_module_that_hangs_ends_by_a_signal(what: str, number: int, tmp_path: 
     with ended(subprocess.Popen(asked, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)) as made:
         until((tmp_path / "there").exists, "the module")
         made.send_signal(number)
-        _, told = made.communicate(timeout=60)
+        _, line = made.communicate(timeout=60)
     assert made.returncode in (128 + number, 1 if what == "at its end" else 0) and made.returncode != 0
-    assert told.count("hil: ") == 1 and "Traceback" not in told, told
+    assert line.count("hil: ") == 1 and "Traceback" not in line, line
 
 
 def test_a_worker_of_a_sweep_that_is_ended_is_one_message(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""A stranger who answers in the controller's place: what is sent ahead never commands, what races is said, exit status 5."""
+"""An intruder that answers in the controller's place: what is sent ahead never commands, what races is said, exit status 5."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ import zenoh
 from hil.experiment import shipped
 from hil.files.keys import make_keys
 from hil.log.read.run import Run, read_run
-from tests.links.test_zenoh_access import stranger, tls_entries
+from tests.links.test_zenoh_access import tls_entries, zenoh_intruder
 from tests.ports import free_port
 from tests.warm_hil import hil_command
 from transport.links.contract import control
@@ -73,7 +73,7 @@ def test_answers_sent_ahead_never_command_and_are_said(tmp_path: Path, link: str
 
 
 def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None:
-    """Who hears the question can echo its nonce: without a key that is a command, but never one that nobody is told of."""
+    """Who receives the question can echo its nonce: without a key that is a command, but always a reported one."""
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with intruder(uri, "race"):
         status, summary, _ = raided(tmp_path, uri)
@@ -104,7 +104,7 @@ def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_pat
     uri = f"can:hil:keyed{os.getpid()}"
     with intruder(uri, "race"):
         status, summary, run = session(tmp_path, uri, experiment="mine.toml")
-    assert status in (0, 3)  # 3: a machine so busy that the watchdog trips; nobody else commanded
+    assert status in (0, 3)  # 3: a machine so busy that the watchdog trips; no other program commanded
     assert summary["link_counters"]["refused"] > 10 and "refused" in summary["problems"]
     assert summary["accepted_from"] == "holders of the key keys/frames.key"
     assert not (applied(run) == THEIRS).any() and not any(event["kind"] == "second controller" for event in run.events)
@@ -129,7 +129,7 @@ def test_over_tls_each_write_of_another_name_is_refused_counted_and_said(tmp_pat
         while not over.wait(0.05):
             publisher.put(control(1, rows=4))
 
-    with stranger(port, tls_entries(tmp_path / "keys", "rig")) as (zenoh_session, _), ThreadPoolExecutor(1) as pool:
+    with zenoh_intruder(port, tls_entries(tmp_path / "keys", "rig")) as (zenoh_session, _), ThreadPoolExecutor(1) as pool:
         writing = pool.submit(write, zenoh_session)
         try:
             status, summary, run = session(tmp_path, f"zenoh:tls/127.0.0.1:{port}?keys=keys")

@@ -93,10 +93,10 @@ def test_packets_arrive_whole_with_their_fields_and_a_code() -> None:
 
 
 def test_a_forger_without_the_key_is_refused_and_counted() -> None:
-    wire, stranger = Wire(), Wire(KEY, b"another key of16")
+    wire, intruder = Wire(), Wire(KEY, b"another key of16")
     wire.begin()
-    stranger.controller._session = (7).to_bytes(8, "little")  # it hears everything
-    forged = [answer(3), stranger.say(stranger.controller, answer(3, u=-4.0)), b"junk", bytes(64)]
+    intruder.controller._session = (7).to_bytes(8, "little")  # it receives everything
+    forged = [answer(3), intruder.say(intruder.controller, answer(3, u=-4.0)), b"junk", bytes(64)]
     honest = wire.say(wire.controller, answer(3))
     for i in range(8 * len(honest)):  # every flip of one bit, its CRC repaired
         flipped = bytearray(honest)
@@ -164,7 +164,7 @@ def test_a_flood_of_forgeries_does_not_hold_a_call() -> None:
 def test_what_has_no_room_for_a_code_is_not_sent() -> None:
     wire = Wire()
     wire.rig.send(encode_sensor(SensorPacket(1, 0, 0, (1.0,))))  # before the question that begins the session
-    wire.controller.send(answer(0))  # nobody has asked yet
+    wire.controller.send(answer(0))  # no question was sent yet
     assert wire.rig_side.receive(0) is None and wire.controller_side.receive(0) is None
     assert wire.rig.counters.refused == wire.controller.counters.refused == 1
 

@@ -1,4 +1,4 @@
-"""The file of a bus that takes time: a process that is stopped or killed with it in hand stops nobody else."""
+"""The file of a bus that takes time: a process that is stopped or killed with it in hand stops no other."""
 
 from __future__ import annotations
 

@@ -257,7 +257,7 @@ for number in range(8):
         while len(heard) < 7:
             heard.add(bus.recv(120).arbitration_id)
         os.write(done[1], b"d")
-        os.read(go[0], 1)  # nobody leaves before all have heard all
+        os.read(go[0], 1)  # no process leaves before all have received all
         os._exit(0)
 for count, (pipe, word) in enumerate(((ready, b"g"), (done, b"g"))):
     for _ in range(8):

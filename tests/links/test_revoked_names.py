@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from hil.cli import doctor, keys
 from hil.errors import HilError
 from hil.files.keys import issue_certificate, make_keys, renew_certificates, revoke_names
-from tests.links.test_zenoh_access import both_directions_work, speak, stranger, tls_entries
+from tests.links.test_zenoh_access import both_directions_work, speak, tls_entries, zenoh_intruder
 from tests.links.test_zenoh_refusals import rig_of
 from tests.ports import free_port
 from tests.waiting import until
@@ -53,11 +53,11 @@ def test_the_old_key_of_a_revoked_name_connects_and_is_kept_silent_counted_and_s
     uri = f"zenoh:tls/127.0.0.1:{port}?keys={folder}&controller=bench2"
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         meet(rig, controller)
-        with stranger(port, tls_entries(folder, "controller")) as (session, heard):
+        with zenoh_intruder(port, tls_entries(folder, "controller")) as (session, received):
             until(lambda: rig.counters.refused > 0, "the old key")
-            assert speak(session, rig, controller) == [] and heard == []
+            assert speak(session, rig, controller) == [] and received == []
     reasons: list[str] = []
-    with rig_of(uri, reasons) as refused, stranger(port, tls_entries(folder, "controller")):
+    with rig_of(uri, reasons) as refused, zenoh_intruder(port, tls_entries(folder, "controller")):
         until(lambda: refused() > 0 and bool(reasons), "the old key")
     assert reasons[0] == "hil: zenoh refused a connection: the certificate is called 'controller', a name that is revoked\n"
 

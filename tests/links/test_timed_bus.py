@@ -91,11 +91,11 @@ def test_a_lone_sender_becomes_passive_and_its_frame_goes_when_another_joins() -
         assert lone.state is can.BusState.ACTIVE
         lone.send(message(0x100))
         until(lambda: lone.state is can.BusState.PASSIVE, "error passive")
-        told = received(lone, 1)[0]
-        while not told.data[1] & 0x20:
-            assert told.is_error_frame and told.arbitration_id == 0x004
-            told = received(lone, 1)[0]
-        assert told.data[6] == 128
+        reported = received(lone, 1)[0]
+        while not reported.data[1] & 0x20:
+            assert reported.is_error_frame and reported.arbitration_id == 0x004
+            reported = received(lone, 1)[0]
+        assert reported.data[6] == 128
         with bus(bitrate=500_000) as listener:
             assert received(listener, 1)[0].arbitration_id == 0x100
 
@@ -105,10 +105,10 @@ def test_participants_with_other_rates_disturb_each_other_until_one_is_off_the_b
         first.send(message(0x100))
         until(lambda: first.state is can.BusState.ERROR, "bus-off")
         assert second.recv(0.0) is None
-        told: list[can.Message] = []
+        reported: list[can.Message] = []
         while (each := first.recv(0.0)) is not None:
-            told.append(each)
-        assert [each.arbitration_id for each in told if each.is_error_frame][-1] == 0x040  # CAN_ERR_BUSOFF
+            reported.append(each)
+        assert [each.arbitration_id for each in reported if each.is_error_frame][-1] == 0x040  # CAN_ERR_BUSOFF
 
 
 def test_a_participant_that_was_killed_acknowledges_nothing_any_more() -> None:
@@ -129,7 +129,7 @@ def test_a_participant_that_was_killed_acknowledges_nothing_any_more() -> None:
             ours.send(message(0x101))
             return ours.state is can.BusState.PASSIVE
 
-        until(unanswered, "nobody to acknowledge")
+        until(unanswered, "an unacknowledged frame")
 
 
 def test_a_rate_without_time_is_warned_of_and_impossible_ones_are_refused() -> None:

@@ -56,7 +56,7 @@ def test_disturbed_bits_of_chosen_frames_take_their_sender_off_the_bus_and_other
         assert len(broken) == 32 and {bytes(each.data[2:4]) for each in broken} == {bytes((seen_as, 0x0A))}
         heard = error_frames(second, lambda found: kinds(found).count(BUS_ERROR) == 32)
         assert {each.data[2] for each in heard} == {0}
-        second.send(message(0x200))  # nobody acknowledges it: the only other participant is off
+        second.send(message(0x200))  # no participant acknowledges it: the only other participant is off
         until(lambda: second.state is can.BusState.PASSIVE, "error passive")
 
 
@@ -154,12 +154,12 @@ def test_the_very_same_frame_of_two_is_received_once_and_both_have_sent_it() -> 
 
 
 def test_a_rate_that_times_nothing_is_said_once() -> None:
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as reported:
         warnings.simplefilter("default")
         for _ in range(3):
             can.Bus("t", interface="hil", bitrate=500_000).shutdown()
     said = "hil: bitrate times nothing on this bus; add timed=True for a bus that takes time"
-    assert [str(each.message) for each in told] == [said]
+    assert [str(each.message) for each in reported] == [said]
 
 
 def test_a_bus_without_time_has_no_faults_and_an_impossible_restart_is_refused() -> None:

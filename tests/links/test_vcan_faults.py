@@ -143,7 +143,7 @@ def test_interface_down_drops_and_counts_and_up_again_works(ends: Ends, bus: str
     assert rig.counters.errors >= 1
     assert controller.receive(0.02) is None
     ip("set", bus, "up")
-    for _ in range(3):  # each end hears of the fall once, as a pending socket error
+    for _ in range(3):  # each end reads of the fall once, as a pending socket error
         controller.receive(0), rig.receive(0)
     both_ways(ends, 2)
 

@@ -1,4 +1,4 @@
-"""Who may speak over zenoh: the certificate called controller, the user called controller, and nobody else."""
+"""Who may speak over zenoh: the certificate called controller, the user called controller, and no other."""
 
 from __future__ import annotations
 
@@ -63,15 +63,15 @@ def test_each_end_may_have_only_its_own_key(keys: Path, tmp_path: Path) -> None:
 
 
 @contextmanager
-def stranger(port: int, entries: dict[str, Any], protocol: str = "tls") -> Iterator[tuple[zenoh.Session, list[bytes]]]:
+def zenoh_intruder(port: int, entries: dict[str, Any], protocol: str = "tls") -> Iterator[tuple[zenoh.Session, list[bytes]]]:
     """A zenoh program without any list of its own, that writes both keys and reads both."""
     entries.pop("access_control", None)
-    heard: list[bytes] = []
+    received: list[bytes] = []
     with zenoh.open(config("controller", f"{protocol}/127.0.0.1:{port}", entries)) as session:
         for key in ("hil/**", "hil/rig0/sensor"):
-            took = zenoh.handlers.Callback(lambda sample: heard.append(sample.payload.to_bytes()), indirect=False)
+            took = zenoh.handlers.Callback(lambda sample: received.append(sample.payload.to_bytes()), indirect=False)
             session.declare_subscriber(key, took, allowed_origin=zenoh.Locality.REMOTE)  # not what it says itself
-        yield session, heard
+        yield session, received
 
 
 def tls_entries(keys: Path, name: str) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def tls_entries(keys: Path, name: str) -> dict[str, Any]:
 
 
 def speak(session: zenoh.Session, rig: Link, controller: Link, times: int = 20) -> list[bytes]:
-    """Write both keys as the stranger; return what the rig and the controller heard that is not theirs."""
+    """Write both keys as the intruder; return what the rig and the controller received that is not theirs."""
     strange = []
     for seq in range(1, times + 1):
         session.put("hil/rig0/control", control(1000 + seq))
@@ -102,9 +102,9 @@ def test_another_name_of_the_same_authority_is_refused_and_counted(keys: Path) -
     uri = f"zenoh:tls/127.0.0.1:{port}?keys={keys}"
     with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
         meet(rig, controller)
-        with stranger(port, tls_entries(keys, "rig")) as (session, heard):  # a good certificate, but not the controller's
-            until(lambda: rig.counters.refused > 0, "the stranger")
-            assert speak(session, rig, controller) == [] and heard == []
+        with zenoh_intruder(port, tls_entries(keys, "rig")) as (session, received):  # a good certificate, not the controller's
+            until(lambda: rig.counters.refused > 0, "the intruder")
+            assert speak(session, rig, controller) == [] and received == []
         assert rig.counters.refused == 1
 
 
@@ -116,8 +116,8 @@ def test_another_authority_and_no_certificate_never_connect(keys: Path, tmp_path
         meet(rig, controller)
         bare = {"transport/link/tls/root_ca_certificate": str(keys / "ca.pem")}
         for entries in (tls_entries(tmp_path / "others", "controller"), bare):
-            with stranger(port, entries) as (session, heard):
-                assert speak(session, rig, controller) == [] and heard == []
+            with zenoh_intruder(port, entries) as (session, received):
+                assert speak(session, rig, controller) == [] and received == []
                 assert not [*session.info.peers_zid()]
 
 
@@ -128,8 +128,8 @@ def test_a_password_lets_the_controller_in_and_no_other(users: Path) -> None:
         both_directions_work(rig, controller)
         for login in (None, {"user": "controller", "password": "guess"}, {"user": "observer", "password": "look"}):
             entries = {} if login is None else {"transport/auth/usrpwd": login}
-            with stranger(port, entries, "tcp") as (session, heard):
-                assert speak(session, rig, controller, 10) == [] and heard == []
+            with zenoh_intruder(port, entries, "tcp") as (session, received):
+                assert speak(session, rig, controller, 10) == [] and received == []
 
 
 def test_a_secret_that_others_may_read_is_refused(keys: Path, users: Path) -> None:

@@ -75,7 +75,7 @@ def test_a_second_controller_from_another_machine_is_refused_and_a_death_frees_t
         with elsewhere(tmp_path / "b", uri) as second:
             out, said = second.communicate(timeout=LIMIT_S)
             assert second.returncode == 1 and f"the rig has another controller already, process {first.pid} on " in said, said
-            assert "heard" not in out  # it took no packet, so it answered none
+            assert "received" not in out  # it took no packet, so it answered none
         until(lambda: answered(rig, 2), "the first controller still")
         first.kill()
         first.wait()
@@ -91,10 +91,10 @@ def test_what_a_refused_controller_says_before_it_knows_reaches_no_process(tmp_p
             pass
         with elsewhere(tmp_path / "b", uri, "77") as second:
             second.communicate(timeout=LIMIT_S)
-        heard = []
+        received = []
         while (packet := rig.receive(0.1)) is not None:
-            heard.append(packet)
-        assert control(77) not in heard and rig.counters.refused > 3
+            received.append(packet)
+        assert control(77) not in received and rig.counters.refused > 3
 
 
 def test_of_controllers_that_wait_for_one_rig_one_is_received(tmp_path: Path) -> None:
@@ -104,10 +104,10 @@ def test_of_controllers_that_wait_for_one_rig_one_is_received(tmp_path: Path) ->
         rig = stack.enter_context(open_link(uri, "rig"))
         until(lambda: answered(rig, 1), "one of them")
         until(lambda: sum(each.poll() is not None for each in waiting) == 2, "two to be refused")
-        [heard] = [each for each in waiting if each.poll() is None]
+        [received] = [each for each in waiting if each.poll() is None]
         for each in waiting:
-            if each is not heard:
-                assert each.returncode == 1 and f"process {heard.pid} on " in each.communicate()[1]
+            if each is not received:
+                assert each.returncode == 1 and f"process {received.pid} on " in each.communicate()[1]
         until(lambda: answered(rig, 2), "the one that is left")
 
 

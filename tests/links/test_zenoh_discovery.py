@@ -1,4 +1,4 @@
-"""Zenoh: who joins sees both directions, and learns who is there and what runs; where names are asked for nobody does."""
+"""Zenoh: who joins sees both directions, and learns who is there and what runs; where names are asked for none does."""
 
 from __future__ import annotations
 

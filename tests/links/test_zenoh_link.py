@@ -53,7 +53,7 @@ with open_link(sys.argv[1], "rig") as rig, open_link(sys.argv[1], "controller") 
 
 @contextmanager
 def other_end(uri: str, role: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A process that sends back whatever it hears."""
+    """A process that sends back whatever it receives."""
     with subprocess.Popen([sys.executable, "-c", ECHO, uri, role], stdout=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None and process.stdout.readline() == b"up\n"

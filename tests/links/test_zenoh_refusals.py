@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from hil.files.keys import make_keys
-from tests.links.test_zenoh_access import stranger, tls_entries
+from tests.links.test_zenoh_access import tls_entries, zenoh_intruder
 from tests.ports import free_port
 from tests.waiting import until
 from transport import Link, open_link
@@ -51,11 +51,11 @@ def rig_of(uri: str, reasons: list[str] | None = None) -> Iterator[Callable[[], 
         assert refused() == 0  # it is up
         yield refused
         asked.close()
-        assert process.stdout.read() == ""  # zenoh's log reaches nobody
+        assert process.stdout.read() == ""  # zenoh's log reaches no stream
 
 
-def hears(controller: Link, ask: Callable[[], int]) -> bool:
-    """Whether the controller hears the rig, which speaks whenever it is asked."""
+def receives(controller: Link, ask: Callable[[], int]) -> bool:
+    """Whether the controller receives from the rig, which sends whenever it is asked."""
     ask()
     return controller.receive(0.05) == sensor(1)
 
@@ -63,11 +63,11 @@ def hears(controller: Link, ask: Callable[[], int]) -> bool:
 def test_the_controller_alone_is_never_counted(tmp_path: Path) -> None:
     for uri in uris(tmp_path).values():
         with rig_of(uri) as refused, open_link(uri, "controller") as controller:
-            until(partial(hears, controller, refused), "the rig")
+            until(partial(receives, controller, refused), "the rig")
             for seq in range(1, 6):
                 controller.send(control(seq))
             assert refused() == 0
-            until(partial(hears, controller, refused), "the rig again")
+            until(partial(receives, controller, refused), "the rig again")
 
 
 def uris(folder: Path) -> dict[str, str]:
@@ -90,7 +90,7 @@ def test_each_write_of_one_whom_the_list_does_not_name_is_counted(tmp_path: Path
     uri = uris(tmp_path)[protocol]
     login = {"transport/auth/usrpwd": {"user": "observer", "password": "look"}}
     entries = tls_entries(tmp_path / "keys", "rig") if protocol == "tls" else login
-    with rig_of(uri) as refused, stranger(port_of(uri), entries, protocol) as (session, heard):
+    with rig_of(uri) as refused, zenoh_intruder(port_of(uri), entries, protocol) as (session, received):
         publisher = session.declare_publisher("hil/rig0/control")
         until(lambda: publisher.matching_status.matching, "word that the rig listens")
         at_first = 3 if protocol == "tls" else 2  # its two subscriptions, and over tls its connection
@@ -99,7 +99,7 @@ def test_each_write_of_one_whom_the_list_does_not_name_is_counted(tmp_path: Path
         for seq in range(WRITES):
             publisher.put(control(seq + 1))
         until(lambda: refused() >= before + WRITES, "its writes to be counted")
-        assert refused() == before + WRITES and heard == []
+        assert refused() == before + WRITES and received == []
 
 
 @pytest.mark.parametrize("kind", ["another authority", "no certificate", "no password", "a wrong password"])
@@ -115,21 +115,21 @@ def test_who_does_not_get_in_is_counted(tmp_path: Path, kind: str) -> None:
     reasons: list[str] = []
     said = {"another authority": kind, "no certificate": "showed no certificate"}.get(kind, "a password is missing or wrong")
     uri = both[protocol]
-    with rig_of(uri, reasons) as refused, stranger(port_of(uri), dict(entries), protocol) as (session, heard):
+    with rig_of(uri, reasons) as refused, zenoh_intruder(port_of(uri), dict(entries), protocol) as (session, received):
         until(lambda: refused() >= 2, "two tries to be counted")
         session.put("hil/rig0/control", control(1))
-        assert heard == []
+        assert received == []
     assert len(reasons) == 1 and said in reasons[0], reasons
 
 
 def test_a_flood_of_denied_writes_does_not_keep_the_controller_from_the_rig(tmp_path: Path) -> None:
     """More lines than the pipe holds: what the controller says afterwards still comes, and every write is counted."""
     uri, writes = uris(tmp_path)["tls"], 20_000
-    with rig_of(uri) as refused, stranger(port_of(uri), tls_entries(tmp_path / "keys", "rig")) as (session, _):
+    with rig_of(uri) as refused, zenoh_intruder(port_of(uri), tls_entries(tmp_path / "keys", "rig")) as (session, _):
         publisher = session.declare_publisher("hil/rig0/control", congestion_control=zenoh.CongestionControl.BLOCK)
         until(lambda: publisher.matching_status.matching, "word that the rig listens")
         for seq in range(writes):
             publisher.put(control(seq + 1))
         until(lambda: refused() >= writes, "its writes to be counted")
         with open_link(uri, "controller") as controller:
-            until(partial(hears, controller, refused), "the rig")
+            until(partial(receives, controller, refused), "the rig")

@@ -77,7 +77,7 @@ class Judge:
         self._faults += 1
         try:
             file.write_text(place.put_into(sound))
-            os.utime(file, ns=(was, was + self._faults * 10**9))  # bytecode is told apart by whole seconds and size
+            os.utime(file, ns=(was, was + self._faults * 10**9))  # bytecode is distinguished by whole seconds and size
             yield
         finally:
             file.write_text(sound)

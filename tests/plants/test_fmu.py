@@ -123,7 +123,7 @@ def test_parameters_reach_the_unit(units: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "reported"),
     [
         ({"file": "gone.fmu"}, r"plant\.file: .*gone\.fmu: is no file"),
         ({"file": "cart.c"}, r"plant\.file: .*cart\.c: is no FMU"),
@@ -135,8 +135,8 @@ def test_parameters_reach_the_unit(units: Path) -> None:
         ({"A": []}, r"plant\.A: expected rows of one length"),
     ],
 )
-def test_what_a_unit_has_not_is_reported_with_its_key(units: Path, change: dict[str, Any], told: str) -> None:
-    with pytest.raises(hil.HilError, match=told):
+def test_what_a_unit_has_not_is_reported_with_its_key(units: Path, change: dict[str, Any], reported: str) -> None:
+    with pytest.raises(hil.HilError, match=reported):
         hil.load_experiment(units / "exp.toml", plant={"kind": "fmu", "file": "cart2.fmu", **LINEAR, **change})
 
 

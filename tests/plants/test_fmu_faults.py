@@ -92,7 +92,7 @@ def left(temporary: Path, patience_s: float = 20.0, *, by_the_next: bool = False
 
 
 @pytest.mark.parametrize(
-    ("late", "told"),
+    ("late", "reported"),
     [
         ("return 3;", "the unit failed in the step to 0.65 s: FMICallException: fmi2DoStep failed with status 3 (error)"),
         ("return 4;", "failed with status 4 (fatal)"),
@@ -106,12 +106,12 @@ def left(temporary: Path, patience_s: float = 20.0, *, by_the_next: bool = False
     ],
 )
 def test_a_unit_that_fails_in_a_step_is_one_message_and_a_whole_log(
-    tmp_path: Path, temporary: Path, late: str, told: str
+    tmp_path: Path, temporary: Path, late: str, reported: str
 ) -> None:
     unit(tmp_path, late=late)
     done = hil_command(*command(tmp_path), cwd=tmp_path)
     summary = json.loads(done.stdout)
-    assert done.returncode == 1 and told in summary["problems"]["plant_failed"] and "Traceback" not in done.stderr
+    assert done.returncode == 1 and reported in summary["problems"]["plant_failed"] and "Traceback" not in done.stderr
     run = read_run(tmp_path / "a.mcap")  # whole: closed, with its index
     assert len(run.arrays["/plant/state"]) == summary["slots"] >= 12
     assert [event["message"] for event in run.events if event["kind"] == "plant failed"] == [summary["problems"]["plant_failed"]]
@@ -158,7 +158,7 @@ def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: P
 
 
 @pytest.mark.parametrize(
-    ("bad", "told"),
+    ("bad", "reported"),
     [
         ({"loaded": SEGFAULT}, "cannot be started: the unit was killed by SIGSEGV while it started"),
         ({"loaded": "_exit(0);"}, "cannot be started: the unit ended its process with status 0"),
@@ -169,9 +169,9 @@ def test_a_unit_without_an_end_is_ended_by_a_signal(tmp_path: Path, temporary: P
     ],
 )
 def test_a_unit_that_is_none_is_refused_before_anything_runs(
-    tmp_path: Path, temporary: Path, bad: dict[str, Any], told: str
+    tmp_path: Path, temporary: Path, bad: dict[str, Any], reported: str
 ) -> None:
-    with pytest.raises(hil.HilError, match=re.escape(told)):
+    with pytest.raises(hil.HilError, match=re.escape(reported)):
         hil.load_experiment(unit(tmp_path, **bad))
 
 

@@ -50,7 +50,7 @@ def test_noise_comes_from_the_seed_of_the_run_and_leaves_the_loop_certified() ->
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "reported"),
     [
         ("saturation", (0.0,), r"saturation\[0\]: 0\.0, expected a finite number > 0"),
         ("saturation", (1.0, 1.0), "saturation: 2 entries, expected 1 or none"),
@@ -59,6 +59,6 @@ def test_noise_comes_from_the_seed_of_the_run_and_leaves_the_loop_certified() ->
         ("noise_step_s", 1e-7, "noise_step_s: 1e-07 s, expected at least 1e-05 s"),
     ],
 )
-def test_a_faulty_parameter_is_named(field: str, value: object, told: str) -> None:
-    with pytest.raises(ValueError, match=told):
+def test_a_faulty_parameter_is_named(field: str, value: object, reported: str) -> None:
+    with pytest.raises(ValueError, match=reported):
         LinearPlant(**MATRICES, **{field: value})

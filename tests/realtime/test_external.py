@@ -1,4 +1,4 @@
-"""Of a run whose controller is somebody else's program nothing is claimed: in the verdict, the log, the page and a test's report.
+"""Of a run whose controller is an external program nothing is claimed: in the verdict, the log, the page and a test's report.
 
 The program is the guide's own with another gain: the plant leaves its limits.
 """

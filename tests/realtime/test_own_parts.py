@@ -110,10 +110,10 @@ def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any]
 def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, part: str, lie: str, link: str) -> None:
     status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: lie})
     what = {"plant": "the plant left its model at slot ", "controller": "the controller left its table at slot "}[part]
-    told = problems["certificate_withdrawn"]
-    assert told.startswith(f"certificate withdrawn: {what}") and "Traceback" not in errors
+    reported = problems["certificate_withdrawn"]
+    assert reported.startswith(f"certificate withdrawn: {what}") and "Traceback" not in errors
     assert status == 7
-    assert [e["message"] for e in read_run(tmp_path / "a.mcap").events if e["kind"] == "certificate withdrawn"] == [told]
+    assert [e["message"] for e in read_run(tmp_path / "a.mcap").events if e["kind"] == "certificate withdrawn"] == [reported]
 
 
 @pytest.mark.parametrize(("part", "raises", "link"), [
@@ -122,11 +122,11 @@ def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, pa
 def test_who_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, part: str, raises: str, link: str) -> None:
     status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: raises})
     assert status == 1 and "Traceback" not in errors and "tank.py" not in errors
-    told = problems.pop("plug_in_failed")
-    assert told.startswith(raises[6:].partition("(")[0]) and f"{tmp_path}/tank.py, line " in told
+    reported = problems.pop("plug_in_failed")
+    assert reported.startswith(raises[6:].partition("(")[0]) and f"{tmp_path}/tank.py, line " in reported
     assert not {"rig_lost", "controller_lost"} & problems.keys()
     run = read_run(tmp_path / "a.mcap")
-    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [told]
+    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [reported]
     assert len(run.arrays["/plant/state"]) > 200 and any(e["kind"] == "outcome" for e in run.events)
 
 

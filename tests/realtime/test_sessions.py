@@ -66,8 +66,8 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
         with open(tmp_path / "real.mcap", "rb") as file:
             published = {(c.topic, m.log_time): m.publish_time for _, c, m in make_reader(file).iter_messages()}
         for t_ns, round_trip_us in real.run.arrays["/timing/tick"][["t_ns", "round_trip_us"]].tolist():
-            sent, heard = (published[topic, real.run.start_ns + t_ns] for topic in ("/link/sensor", "/link/control"))
-            assert abs((heard - sent) / 1e3 - round_trip_us) < 0.01
+            sent, received = (published[topic, real.run.start_ns + t_ns] for topic in ("/link/sensor", "/link/control"))
+            assert abs((received - sent) / 1e3 - round_trip_us) < 0.01
 
 
 @pytest.mark.parametrize("which", [0, 1], ids=["can-hil", "zenoh"])
@@ -228,7 +228,7 @@ def test_full_disk_costs_the_log_and_not_the_run(tmp_path: Path) -> None:
         ("real.controller_process.Job = lambda **job: 7", False, "the controller process"),
         ("real.rig_process.Job = lambda **job: Spoilt()", False, "the rig process"),
     ],
-    ids=["nobody", "controller dies", "rig dies"],
+    ids=["no process dies", "controller dies", "rig dies"],
 )
 def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bool, message: str) -> None:
     code = (

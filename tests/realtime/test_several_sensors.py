@@ -68,11 +68,11 @@ def test_each_node_is_received_on_the_bus_under_the_identifier_that_the_experime
     channel = f"ids{os.getpid()}"
     with can.Bus(interface="hil", channel=channel, fd=True) as bus:
         real = run_session(experiment, clock="real", link=f"can:hil:{channel}", path=tmp_path / "real.mcap")
-        heard: dict[int, set[int]] = {}
+        received: dict[int, set[int]] = {}
         while (frame := bus.recv(0.2)) is not None:
-            heard.setdefault(frame.arbitration_id, set()).add(frame.data[24])
-    assert {**heard, 0x300: {0}} == {number: {node} for node, number in enumerate(ids.values())} | {0x300: {0}}
-    assert real.summary["slots"] == 8 and 0x300 in heard
+            received.setdefault(frame.arbitration_id, set()).add(frame.data[24])
+    assert {**received, 0x300: {0}} == {number: {node} for node, number in enumerate(ids.values())} | {0x300: {0}}
+    assert real.summary["slots"] == 8 and 0x300 in received
     late = real.summary["timing"]["first_late_slot"]
     end = 8 if late is None else late
     u = simulate(compose(experiment), 0).arrays["/actuator/applied"]["u1"][:end]

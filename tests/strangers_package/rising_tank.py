@@ -1,4 +1,4 @@
-"""A stranger's package but for its plant: a law, a controller of two samples, a measure and a link, over public faces alone."""
+"""A foreign package but for its plant: a law, a controller of two samples, a measure and a link, over public faces alone."""
 
 from __future__ import annotations
 

@@ -130,15 +130,15 @@ def test_every_shipped_check_passes_and_says_what_the_class_earns(site: Path) ->
 
 
 def test_the_loop_of_its_plant_is_certified_and_runs(site: Path) -> None:
-    status, told = summary(site, "tank")
-    assert status == 0 and told["certificate"]["state"] == "certified"  # type: ignore[index]
-    assert told["metrics"]["wear"] > 0  # type: ignore[index]
+    status, reported = summary(site, "tank")
+    assert status == 0 and reported["certificate"]["state"] == "certified"  # type: ignore[index]
+    assert reported["metrics"]["wear"] > 0  # type: ignore[index]
 
 
 def test_the_loop_of_its_law_and_controller_is_certified_runs_and_is_refused_where_it_diverges(site: Path) -> None:
-    status, told = summary(site, "two-samples")
-    assert status == 0 and told["certificate"]["state"] == "certified"  # type: ignore[index]
-    assert told["metrics"]["wear"] > 0  # type: ignore[index]
+    status, reported = summary(site, "two-samples")
+    assert status == 0 and reported["certificate"]["state"] == "certified"  # type: ignore[index]
+    assert reported["metrics"]["wear"] > 0  # type: ignore[index]
     done = python(site, "-m", "hil", "run", "two-samples.toml", "--set", "controller.gain=-20")
     assert done.returncode == 2 and "no certificate of mean-square stability, refused" in done.stderr
 

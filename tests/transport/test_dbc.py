@@ -80,14 +80,14 @@ def frames(packet: SensorPacket | ControlPacket, fd: bool) -> Iterator[list[can.
     """The frames that the link makes of a packet."""
     channel, role = uuid4().hex, "rig" if isinstance(packet, SensorPacket) else "controller"
     protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
-    heard: list[can.Message] = []
+    received: list[can.Message] = []
     with can.Bus(channel, interface="virtual", protocol=protocol) as listener:
         sender: Role = "rig" if role == "rig" else "controller"
         with open_can(f"can:virtual:{channel}?fd={fd:d}", sender) as link:
             link.send(encode(packet))
         while (message := listener.recv(0)) is not None:
-            heard.append(message)
-    yield heard
+            received.append(message)
+    yield received
 
 
 @pytest.mark.parametrize("fd", [True, False], ids=["fd", "classic"])
@@ -97,8 +97,8 @@ def test_every_frame_on_the_bus_reads_by_the_dbc_as_what_was_packed(
 ) -> None:
     data = encode(packet)
     read: dict[str, Any] = {}
-    with frames(packet, fd) as heard:
-        for message in heard:
+    with frames(packet, fd) as received:
+        for message in received:
             frame = database.get_message_by_frame_id(message.arbitration_id)
             assert frame.is_fd == message.is_fd == fd and not message.is_extended_id and message.dlc <= frame.length
             signals = database.decode_message(message.arbitration_id, bytes(message.data), allow_truncated=True)

@@ -30,8 +30,8 @@ def test_every_package_has_the_version_and_entry_points_that_importlib_says() ->
         first.setdefault(each.name.lower().replace("_", "-").replace(".", "-"), each.version)
     assert len(first) > 20 and versions_of(first) == first
     said = {(e.group, e.name, e.value) for e in points("hil.")}
-    told = {(e.group, e.name, e.value) for each in distributions() for e in each.entry_points if e.group.startswith("hil.")}
-    assert said == told and {group for group, _, _ in said} >= {"hil.plants", "hil.controllers", "hil.laws", "hil.links"}
+    reported = {(e.group, e.name, e.value) for each in distributions() for e in each.entry_points if e.group.startswith("hil.")}
+    assert said == reported and {group for group, _, _ in said} >= {"hil.plants", "hil.controllers", "hil.laws", "hil.links"}
 
 
 @pytest.mark.parametrize("folder", ["rising_tank-1.5.dist-info", "rising_tank.egg-info", "Rising.Tank-1.5.dist-info"])

@@ -138,7 +138,7 @@ def test_link_down_for_a_second_trips_the_watchdog_whose_safe_state_stays(tmp_pa
 
 @pytest.mark.usefixtures("virtual_time")
 def test_foreign_traffic_on_the_bus_changes_nothing(tmp_path: Path) -> None:
-    """Other identifiers and formats, 200 frames a second: nobody takes them for packets."""
+    """Other identifiers and formats, 200 frames a second: no node takes them for packets."""
     with can.Bus("vcan0", interface="socketcan", fd=True) as bus:
         foreign = [
             can.Message(arbitration_id=0x7FF, is_extended_id=False, data=bytes(8)),

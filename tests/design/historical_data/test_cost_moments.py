@@ -31,8 +31,8 @@ def by_enumeration(loop: LiftedLoop, depth: int) -> tuple[float, float]:
 
 def test_they_are_those_of_all_paths() -> None:
     loop = LiftedLoop(L=0.7 * L, Q=Q, transition=P)
-    found, told = cost_moments(loop, X0, FIRST), by_enumeration(loop, 12)
-    assert found == pytest.approx(told, rel=1e-6) and found.variance > 0.01 * found.mean**2
+    found, reported = cost_moments(loop, X0, FIRST), by_enumeration(loop, 12)
+    assert found == pytest.approx(reported, rel=1e-6) and found.variance > 0.01 * found.mean**2
 
 
 def test_a_cycle_from_one_phase_has_no_variance_and_from_two_that_of_the_draw() -> None:

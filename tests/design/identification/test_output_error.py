@@ -1,4 +1,4 @@
-"""Identification of Section 6.2.1: exact without noise, within 1 % with it, intervals that cover, faults that are told."""
+"""Identification of Section 6.2.1: exact without noise, within 1 % with it, intervals that cover, faults that are reported."""
 
 import numpy as np
 import pytest

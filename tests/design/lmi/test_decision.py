@@ -70,10 +70,10 @@ def test_a_margin_as_small_as_rounding_is_asked_again(monkeypatch: pytest.Monkey
 
 
 def test_without_doubt_nothing_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nobody(*_: object, **__: object) -> None:
+    def no_opinion(*_: object, **__: object) -> None:
         raise AssertionError("asked without a doubt")
 
-    monkeypatch.setattr(decision, "second_opinion", nobody)
+    monkeypatch.setattr(decision, "second_opinion", no_opinion)
     assert decide(lyapunov()).solver == "clarabel"  # holds
     hopeless = lyapunov(A + np.eye(2))
     hopeless.reach = 50.0

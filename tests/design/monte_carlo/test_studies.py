@@ -265,6 +265,6 @@ def test_a_study_that_cannot_be_is_refused() -> None:
 
 
 def test_progress_counts_runs() -> None:
-    told: list[int] = []
-    settling_times(loop(), 2000, duration_s=1.0, first=5, progress=told.append)
-    assert told == [monte_carlo.CHUNK - 5, 2000]
+    reported: list[int] = []
+    settling_times(loop(), 2000, duration_s=1.0, first=5, progress=reported.append)
+    assert reported == [monte_carlo.CHUNK - 5, 2000]

@@ -169,7 +169,7 @@ def test_a_wrong_solution_of_the_inequality_proves_nothing(monkeypatch):
 
 
 def split(parts):
-    """The chain of LAMBDA, its last mode as `parts` modes that nobody tells apart."""
+    """The chain of LAMBDA, its last mode as `parts` modes that no measurement distinguishes."""
     matrix = np.zeros((2 + parts, 2 + parts))
     matrix[:, :2] = np.array(LAMBDA)[[0, 1] + [2] * parts, :2]
     matrix[:, 2] = np.array(LAMBDA)[[0, 1] + [2] * parts, 2]

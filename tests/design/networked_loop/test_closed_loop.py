@@ -133,7 +133,7 @@ def test_gains_of_the_wrong_shape_are_refused_with_both_shapes():
 
 @pytest.mark.parametrize("selection", SELECTIONS)
 def test_the_curvature_is_the_derivative_of_the_gradient(selection):
-    """Of sum_i tr(A_i' S_i A_i X_i) / 2: its gradient S A X is affine in the gains, so that one step tells all."""
+    """Of sum_i tr(A_i' S_i A_i X_i) / 2: its gradient S A X is affine in the gains, so that one step finds all."""
     structure = loop_structure(*VTOL, LAMBDA, LONG_PI, selection)
     rng = np.random.default_rng(3)
     cost, moments = (root @ root.swapaxes(1, 2) for root in rng.normal(size=(2, *structure.base.shape)))

@@ -155,7 +155,7 @@ def unstable(coupler, delays, count, seed):
 def test_the_polynomials_are_those_of_the_loop_and_the_test_of_roots_separates_stable_from_unstable():
     """Every loop of some hands against the eigenvalues of its matrix, for a coupler that is safe and one that is not."""
     safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=DAMPING).coupler
-    told = []
+    reported = []
     for coupler in (safe, THEOREM_61):
         devices = hands(np.random.default_rng(5), 3)
         polynomials = characteristic_polynomials(devices, coupler, range(9))
@@ -164,8 +164,8 @@ def test_the_polynomials_are_those_of_the_loop_and_the_test_of_roots_separates_s
             radius = HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=delay, ca_max=0).radius(wall, delay, 0)
             assert largest_root(polynomial) == pytest.approx(radius, abs=1e-6)
             assert stable == (radius < 1.0) or abs(radius - 1.0) < 1e-4
-            told.append(stable)
-    assert 0.2 < np.mean(told) < 0.9
+            reported.append(stable)
+    assert 0.2 < np.mean(reported) < 0.9
 
 
 def test_the_designed_coupler_is_stable_for_200_hands_on_every_wall_at_every_delay():

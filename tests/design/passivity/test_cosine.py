@@ -50,7 +50,7 @@ def test_a_square_is_nonnegative_and_the_least_below_it_is_not(seed):
 
 @pytest.mark.parametrize("order", [1, 2, 5, 8])
 def test_fejers_kernel_touches_zero_and_is_decided_without_rounding(order):
-    """Double zeros inside: no eigenvalue and no grid tells 0 from -1e-30; whole numbers do."""
+    """Double zeros inside: no eigenvalue and no grid distinguishes 0 from -1e-30; whole numbers do."""
     kernel = [Fraction(order), *(Fraction(2 * (order - j)) for j in range(1, order))]
     assert is_nonnegative(kernel)
     assert is_nonnegative([-c for c in kernel]) is False

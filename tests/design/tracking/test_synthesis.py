@@ -323,6 +323,6 @@ def test_a_design_holds_every_blas_to_one_thread_scipys_own_too():
     )
     environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     python = [sys.executable, "-c", code]
-    told = subprocess.run(python, env=environment, capture_output=True, text=True, check=True, timeout=LIMIT_S)
-    counts = set(told.stdout.split())
-    assert counts and all(line.strip("[],") == "1" for line in counts), told.stdout
+    reported = subprocess.run(python, env=environment, capture_output=True, text=True, check=True, timeout=LIMIT_S)
+    counts = set(reported.stdout.split())
+    assert counts and all(line.strip("[],") == "1" for line in counts), reported.stdout

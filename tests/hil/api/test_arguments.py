@@ -26,9 +26,9 @@ def session() -> Session:
 @pytest.mark.parametrize("name", CALLS)
 def test_a_source_of_another_kind_is_one_error(name: str) -> None:
     for wrong in WRONG:
-        with pytest.raises(hil.HilError, match=rf"{name}: (source|sources|log|path): .*; expected ") as told:
+        with pytest.raises(hil.HilError, match=rf"{name}: (source|sources|log|path): .*; expected ") as reported:
             CALLS[name](wrong)
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(reported.value)
 
 
 def test_a_chapter_of_another_kind_is_one_error() -> None:
@@ -38,9 +38,9 @@ def test_a_chapter_of_another_kind_is_one_error() -> None:
 
 
 def test_experiments_of_a_comparison_stand_for_themselves() -> None:
-    with pytest.raises(hil.HilError) as told:
+    with pytest.raises(hil.HilError) as reported:
         hil.compare({"a": "dc-motor-h2", "b": "dc-motor-hinf"})  # type: ignore[arg-type]
-    assert str(told.value) == (
+    assert str(reported.value) == (
         "hil.compare: sources: a dict; expected the name of an experiment, the path of its file or what load_experiment "
         "returned; hand over each as an argument of its own"
     )
@@ -59,9 +59,9 @@ def test_experiments_of_a_comparison_stand_for_themselves() -> None:
     ],
 )
 def test_an_option_of_another_kind_is_one_error(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(hil.HilError) as told:
+    with pytest.raises(hil.HilError) as reported:
         hil.run("dc-motor-h2", **changes)
-    assert str(told.value).startswith(said)
+    assert str(reported.value).startswith(said)
 
 
 def test_numbers_that_cannot_run_are_refused() -> None:

@@ -14,8 +14,8 @@ from transport import MarkovAge
 
 
 def test_a_condition_that_always_holds_passes_in_the_fewest_runs() -> None:
-    told = hil.assert_probability("dc-motor-hinf", lambda s: s.status == 0, at_least=0.5, margin=0.4, alpha=1e-2, duration=2)
-    assert told == (
+    reported = hil.assert_probability("dc-motor-hinf", lambda s: s.status == 0, at_least=0.5, margin=0.4, alpha=1e-2, duration=2)
+    assert reported == (
         "dc-motor-hinf: required 0.5, observed 8 of 8 runs; "
         "a true probability of 0.5 or less would give this with probability at most 0.01"
     )

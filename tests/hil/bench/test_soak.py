@@ -63,7 +63,7 @@ GROWS = {"memory": [{"process": "rig", "grows": True}]}
 
 
 @pytest.mark.parametrize(
-    ("change", "verdict", "told"),
+    ("change", "verdict", "reported"),
     [
         ({}, "holds", []),
         (BUSY, "holds", []),  # it kept its times all the same
@@ -77,10 +77,10 @@ GROWS = {"memory": [{"process": "rig", "grows": True}]}
         (BUSY | {"status": 1, "slots": 10}, "does not hold", ["ended with status 1 after 10 of 1000 slots"]),
     ],
 )  # fmt: skip
-def test_a_busy_machine_is_no_fault_of_the_rig(change: dict[str, Any], verdict: str, told: list[str]) -> None:
+def test_a_busy_machine_is_no_fault_of_the_rig(change: dict[str, Any], verdict: str, reported: list[str]) -> None:
     found, why = judge(QUIET | change, {}, period_us=1000.0)
     assert found == verdict and bool(why) == (verdict != "holds")
-    assert all(part in "; ".join(why) for part in told)
+    assert all(part in "; ".join(why) for part in reported)
 
 
 def test_short_sessions_are_judged_too() -> None:

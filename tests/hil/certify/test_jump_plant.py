@@ -1,4 +1,4 @@
-"""A plant that jumps hands over its own numbers: ours, and a stranger's."""
+"""A plant that jumps hands over its own numbers: ours, and a foreign one's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stranger's plant: one level that rises by itself, faster in its second mode; nothing of ours but the public face."""
+"""A foreign plant: one level that rises by itself, faster in its second mode; nothing of ours but the public face."""
 
 from __future__ import annotations
 

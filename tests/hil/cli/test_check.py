@@ -60,7 +60,7 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "fault"),
     [
         (("laws", "mine:Coin", "--parameter", "q=0.5"), "hil: law.q: unknown field; there are p"),
         (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process"),
@@ -72,11 +72,11 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
         (("controllers", "mine:Coin"), "check_controller: "),
     ],
 )
-def test_what_a_plug_in_does_not_keep_is_one_message(cli: Hil, words: tuple[str, ...], told: str) -> None:
+def test_what_a_plug_in_does_not_keep_is_one_message(cli: Hil, words: tuple[str, ...], fault: str) -> None:
     Path("mine.py").write_text(LAW)
     Path("measures.py").write_text(OWN)
     status, out, err = cli("check", *words)
-    assert status == 2 and out == "" and told in err and len(err.splitlines()) == 1 and "Traceback" not in err
+    assert status == 2 and out == "" and fault in err and len(err.splitlines()) == 1 and "Traceback" not in err
 
 
 site = strangers.site  # the fixture
@@ -91,8 +91,8 @@ def test_what_a_link_plug_in_opens_that_is_none_is_said_before_anything_starts(s
     (site / "no_link.py").write_text("def nothing(uri, role): return object()\ndef fails(uri, role): return {}[role]\n")
     info = site / "rising_tank-1.0.dist-info" / "entry_points.txt"
     info.write_text(strangers.ENTRY_POINTS + "nothing = no_link:nothing\nfails = no_link:fails\n")
-    for scheme, told in (("nothing", "check_link: object, what the plug-in returned, needs `uri` (the URI it was opened with)"),
+    for scheme, fault in (("nothing", "check_link: object, what the plug-in returned, needs `uri` (the URI it was opened with)"),
                          ("fails", f"KeyError: 'rig' ({site}/no_link.py, line 2)")):  # fmt: skip
         done = strangers.python(site, "-m", "hil", "run", "two-samples.toml", "--clock", "real", "--link", f"{scheme}:x")
-        assert done.returncode == 2 and told in done.stderr and "Traceback" not in done.stderr, done.stderr
+        assert done.returncode == 2 and fault in done.stderr and "Traceback" not in done.stderr, done.stderr
         assert not (site / "runs").exists()

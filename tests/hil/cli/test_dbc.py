@@ -43,8 +43,8 @@ def test_the_c_codec_reads_what_we_pack(tmp_path: Path) -> None:
     words = ["gcc", "-Wall", "-Werror", "-O0", "-o", str(tmp_path / "read"), "main.c", "hilrig.c"]
     subprocess.run(words, cwd=tmp_path / "codec", check=True, timeout=120)
     data = encode_sensor(SensorPacket(seq=70000, sample_ns=-5, flags=0, y=(1.5,), nonce=9))
-    told = subprocess.run(tmp_path / "read", input=data.ljust(64, b"\0"), capture_output=True, check=True, timeout=LIMIT_S).stdout
-    assert told.split() == [b"70000", b"-5", b"1.5"]
+    text = subprocess.run(tmp_path / "read", input=data.ljust(64, b"\0"), capture_output=True, check=True, timeout=LIMIT_S).stdout
+    assert text.split() == [b"70000", b"-5", b"1.5"]
 
 
 def test_files_in_the_way_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,8 +128,8 @@ def test_the_c_codec_of_an_experiment_has_a_message_for_each_node(tmp_path: Path
     subprocess.run(["gcc", "-Wall", "-Werror", "-O0", "-o", "read", "main.c", "hilrig.c"], cwd=tmp_path, check=True, timeout=120)
     packet = SensorPacket(5, 0, 0, (1.5, 2.5, 3.5), 2, 3, (0.0, 0.0, 0.0, 7.0), 4)
     data = encode_sensor(packet).ljust(64, b"\0")
-    told = subprocess.run([tmp_path / "read"], input=data, capture_output=True, check=True, timeout=LIMIT_S).stdout
-    assert told.split() == [b"100", b"90", b"2", b"2.5", b"7"]
+    text = subprocess.run([tmp_path / "read"], input=data, capture_output=True, check=True, timeout=LIMIT_S).stdout
+    assert text.split() == [b"100", b"90", b"2", b"2.5", b"7"]
 
 
 def test_a_dbc_of_no_experiment_takes_no_link() -> None:

@@ -124,11 +124,11 @@ def test_robust_gains_run_in_their_own_loop_and_are_not_solved_for_another(tmp_p
 def test_uncertainty_is_borne_undecided_or_refused_by_its_size():
     """The plants at the ends are the plant's own, and the guaranteed norms are above the nominal ones."""
     sure = json.loads(run("dc-motor", "--starts", "1", "--uncertainty", "gain=5%", "--json").stdout)
-    told = sure["uncertainty"]
-    assert told["state"] == "certified" and told["number"] < told["limit"] == 1.0
-    assert told["h2_norm"] > sure["norms"]["h2"] and told["hinf_norm"] > sure["norms"]["hinf"]
-    (one,) = told["parameters"]
-    assert one["low"] == pytest.approx(0.95 * 172.38) and told["digest"] != sure["verdict"]["digest"]
+    reported = sure["uncertainty"]
+    assert reported["state"] == "certified" and reported["number"] < reported["limit"] == 1.0
+    assert reported["h2_norm"] > sure["norms"]["h2"] and reported["hinf_norm"] > sure["norms"]["hinf"]
+    (one,) = reported["parameters"]
+    assert one["low"] == pytest.approx(0.95 * 172.38) and reported["digest"] != sure["verdict"]["digest"]
     target, design = plain_design()
     louder = dataclasses.replace(design, gains=1.5 * design.gains)  # stable, with less to spare
     states = [judge_uncertain(target, louder, [interval(target.of, f"gain={width}%")]).state for width in (20, 50)]

@@ -54,8 +54,8 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(doctor: list[dict[str, An
         shown = lines_of((check["what"], check["ok"], check["finding"], check["remedy"]), 80)
         assert shown.startswith("ok  " if check["ok"] else "missing  ")
         assert ("remedy: " in shown) == bool(check["remedy"])
-        told = f"{shown[:7]} {check['what']}: {check['finding']}" + (f" remedy: {check['remedy']}" if check["remedy"] else "")
-        assert shown.split() == visible(told).split()
+        reported = f"{shown[:7]} {check['what']}: {check['finding']}" + (f" remedy: {check['remedy']}" if check["remedy"] else "")
+        assert shown.split() == visible(reported).split()
         assert all(len(line) <= 80 or len(line.split()) == 1 for line in shown.splitlines())  # a path is never cut
 
 

@@ -1,4 +1,4 @@
-"""A signal is raised as an exception in the main thread, never inside an import, where somebody may swallow it."""
+"""A signal is raised as an exception in the main thread, never inside an import, where a handler may swallow it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`hil layout`: what a viewer is told to draw stands in a real log."""
+"""`hil layout`: what a viewer is to draw stands in a real log."""
 
 from __future__ import annotations
 

@@ -166,6 +166,6 @@ def test_a_device_that_takes_no_log_stays(cli: Hil, tmp_path: Path) -> None:
         os.mknod(device, stat.S_IFCHR | 0o666, os.makedev(1, 7))  # not that of the machine
     except PermissionError:
         pytest.skip("needs to make a device: CAP_MKNOD")
-    status, _, told = cli("run", "dc-motor-hinf", "--duration", "1", "-o", device, "--force")
-    assert status == 2 and "No space left" in told
+    status, _, reported = cli("run", "dc-motor-hinf", "--duration", "1", "-o", device, "--force")
+    assert status == 2 and "No space left" in reported
     assert device.is_char_device()

@@ -68,10 +68,10 @@ def started(words: list[str]) -> subprocess.Popen[str]:
 def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path: Path, late: str) -> None:
     done = hil_command(*prepared(tmp_path, late), cwd=tmp_path)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
-    told = json.loads(done.stdout)["problems"]["plug_in_failed"]
-    assert f"{tmp_path}/cart.py, line " in told and told.startswith(("KeyError", "Base", "SystemExit", "ZeroDivisionError"))
+    problem = json.loads(done.stdout)["problems"]["plug_in_failed"]
+    assert f"{tmp_path}/cart.py, line " in problem and problem.startswith(("KeyError", "Base", "SystemExit", "ZeroDivisionError"))
     run = read_run(tmp_path / "a.mcap")
-    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [told]
+    assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [problem]
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])

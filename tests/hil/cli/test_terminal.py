@@ -1,4 +1,4 @@
-"""Names, keys and paths of strangers on a terminal are shown, never obeyed; a message never floods it."""
+"""Foreign names, keys and paths on a terminal are shown, never obeyed; a message never floods it."""
 
 from __future__ import annotations
 

@@ -101,8 +101,8 @@ def clocked(rng: np.random.Generator) -> Case:
 
 def in_turns(rng: np.random.Generator) -> Case:
     p = int(rng.integers(2, 4))
-    told = p == 2 and rng.random() < 0.5
-    controller = table(rng, p, 9 if told else 3) | ({"ages": [3, 3]} if told else {})
+    reported = p == 2 and rng.random() < 0.5
+    controller = table(rng, p, 9 if reported else 3) | ({"ages": [3, 3]} if reported else {})
     made = with_nodes(rng, p, controller)
     order = [*rng.permutation(p).tolist(), *rng.integers(p, size=int(rng.integers(0, 2))).tolist()]
     bus = {"kind": "round-robin", "nodes": [f"n{i}" for i in order], "phase": int(rng.integers(len(order)))}
@@ -196,8 +196,8 @@ def grown(loop: Loop) -> float:
     states = simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]
     x = np.array([states[s.name] for s in loop.experiment.plant.states], dtype=float).T
     size = np.linalg.norm(x, axis=1)
-    told = (size > 1e-25) & (size < 1e25)  # a packet carries single precision
-    x = x[: len(x) if told.all() else int(np.argmin(told))]
+    reported = (size > 1e-25) & (size < 1e25)  # a packet carries single precision
+    x = x[: len(x) if reported.all() else int(np.argmin(reported))]
     width = min(60, len(x) // 4)
     at = (len(x) - width) // 3 + width
     early, late = (float(np.linalg.norm(part)) for part in (x[at - width : at], x[-width:]))

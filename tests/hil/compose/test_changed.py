@@ -48,7 +48,7 @@ def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "told"),
+    ("path", "value", "reported"),
     [
         ("plant.gain", -3.0, "plant.gain"),
         ("plant.load.torque_v", 3.0, "plant.load.torque_v: does not change while it runs"),
@@ -60,16 +60,16 @@ def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session
         ("network.ca.max_age", 3, "the published gains cover tau <= 2 and d <= 1"),
         ("network.ca.law.matrix.7", [0.5, 0.5], "has entries 0 to 1"),
         ("controller", {"kind": "virtual-wall"}, "controller"),
-        ("controller", {"kind": "nobody"}, "controller.kind"),
+        ("controller", {"kind": "unknown"}, "controller.kind"),
         ("fault", {"kind": "cut", "for": 0.1, "link": "ca", "node": "a"}, "both link and node"),
         ("disturbance", {"value": [0.1]}, "disturbance[0].samples: missing"),
         ("network.ca.law", {"kind": "markov", "matrix": "much"}, "network.ca.law.matrix"),
     ],
 )
-def test_what_does_not_fit_is_refused_with_its_path(motor: Loop, path: str, value: Any, told: str) -> None:
+def test_what_does_not_fit_is_refused_with_its_path(motor: Loop, path: str, value: Any, reported: str) -> None:
     with pytest.raises(ExperimentError) as refused:
         changed(motor, 10, path, value)
-    assert told in str(refused.value)
+    assert reported in str(refused.value)
 
 
 def test_what_the_nodes_of_the_run_cannot_take_is_refused() -> None:

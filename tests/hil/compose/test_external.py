@@ -1,4 +1,4 @@
-"""Of a loop whose controller is somebody else's program nothing is claimed."""
+"""Of a loop whose controller is an external program nothing is claimed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Networks that once were certified, predicted or refused for what does not run: gaps, heavy tails, delays never 0, strangers."""
+"""Networks that once were certified, predicted or refused for what does not run: gaps, heavy tails, no delay 0, foreign laws."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ def test_tails_that_do_no_harm_are_certified_with_their_assumption():
 
 
 class StrangersChain(msgspec.Struct, frozen=True):
-    """A stranger's law: two modes, ages 0 and 1; nothing of ours in it but the protocol."""
+    """A foreign law: two modes, ages 0 and 1; nothing of ours in it but the protocol."""
 
-    kind: ClassVar[str] = "strangers-chain"
+    kind: ClassVar[str] = "foreign-chain"
     family: ClassVar[Literal["age", "packet"]] = "age"
     p: float = 0.3
     mode_ages: tuple[int, ...] = (0, 1)

@@ -71,10 +71,10 @@ CALLS: list[int] = []
 )
 def test_a_part_that_raises_before_the_run_is_one_message_with_its_line(plant: Any, controller: Any, said: str) -> None:
     CALLS.clear()
-    with pytest.raises(hil.HilError) as told:
+    with pytest.raises(hil.HilError) as reported:
         hil.run("dc-motor-h2", duration=1, plant=plant, controller=controller, allow_uncertified=True, **{"limits.state": {}})
-    assert said in str(told.value)
-    assert "test_parts_that_fail.py, line " in str(told.value) or "returned None" in said
+    assert said in str(reported.value)
+    assert "test_parts_that_fail.py, line " in str(reported.value) or "returned None" in said
 
 
 def test_a_controller_whose_fields_change_while_it_is_asked_is_refused() -> None:

@@ -119,8 +119,8 @@ def test_the_predictor_answers_as_its_matrices_say_and_another_is_not_certified(
             return loop.controller.start(model)
 
         def laws_of_ages(self, model: Any, ages: int) -> tuple[RowsLaw, ...]:
-            told = loop.controller.laws_of_ages(model, ages)  # type: ignore[attr-defined]
-            return tuple(RowsLaw(A=law.A, B=law.B, C=1.01 * law.C, D=law.D) for law in told)
+            reported = loop.controller.laws_of_ages(model, ages)  # type: ignore[attr-defined]
+            return tuple(RowsLaw(A=law.A, B=law.B, C=1.01 * law.C, D=law.D) for law in reported)
 
     own = {name: value for name, value in changes.items() if name != "controller"}
     verdict = compose(load_experiment("dc-motor-h2", controller=Other(), **own)).verdict
@@ -139,7 +139,7 @@ def test_a_predictor_knows_ages_that_a_table_does_not(max_age: int, state: str) 
 
 
 def test_a_sample_that_waited_for_the_bus_is_new() -> None:
-    """Over one gain and networks without delay nothing tells ages apart, and still a sample comes a slot late, as in the rig."""
+    """Over one gain and networks without delay nothing distinguishes ages; a sample still comes a slot late, as in the rig."""
     plant = {"kind": "state-space", "A": [[0.3, 1.0], [-1.0, 0.2]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]],
              "initial_state": [1.0, 0.5]}  # fmt: skip
     made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-1.0, -3.0]]})

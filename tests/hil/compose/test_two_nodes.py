@@ -45,7 +45,7 @@ def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:
     sc, ca = loop.chains.sc, loop.chains.ca
     slots, runs = loop.experiment.slots, 60
     r = np.array([loop.reference().at(k) for k in range(slots)])
-    told = predict_tracking(
+    reported = predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, sc, ca, gains_over(loop.controller, loop.model, sc, ca), "applied", r,  # type: ignore[arg-type]
         period_s=loop.model.period_s, initial=loop.chains.initial(),
     )  # fmt: skip
@@ -54,10 +54,10 @@ def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:
         states = simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"]
         error[seed] = np.column_stack([states["angle"], states["speed"]]) - r
     z = norm.isf(0.001 / (2 * 2 * slots))
-    off = np.abs(error.mean(axis=0) - told.error_mean)
-    assert (off <= z * told.error_sd / np.sqrt(runs) + 1e-4 * np.abs(r).max()).all()
+    off = np.abs(error.mean(axis=0) - reported.error_mean)
+    assert (off <= z * reported.error_sd / np.sqrt(runs) + 1e-4 * np.abs(r).max()).all()
     late = slice(6, slots)
-    assert np.median(error.std(axis=0, ddof=1)[late, 0] / told.error_sd[late, 0]) == pytest.approx(1.0, abs=0.25)
+    assert np.median(error.std(axis=0, ddof=1)[late, 0] / reported.error_sd[late, 0]) == pytest.approx(1.0, abs=0.25)
 
 
 def test_the_input_is_the_gain_of_both_ages_times_what_both_nodes_said() -> None:
@@ -99,10 +99,10 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
     assert sum(node["fates"]["delivered"] for node in nodes.values()) == session.summary["network"]["sc"]["fates"]["delivered"]
     show(session.summary)
     heads = ("angle to controller", "speed to controller", "to actuator")
-    told = " ".join(capsys.readouterr().out.split())  # a row may go on below itself
-    assert all(told.count(head) == 1 for head in heads) and "no modes" not in told
+    reported = " ".join(capsys.readouterr().out.split())  # a row may go on below itself
+    assert all(reported.count(head) == 1 for head in heads) and "no modes" not in reported
     counts = "/".join(map(str, nodes["speed"]["mode_counts"]))
-    assert f"in {counts} slots; fits its law" in told
+    assert f"in {counts} slots; fits its law" in reported
     assert session.summary["units"]["sse"] == "rad² s"  # the angle is tracked, the speed is not
     assert verify(session.run).difference is None
 

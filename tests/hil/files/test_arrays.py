@@ -1,4 +1,4 @@
-"""Matrices and gains from files: the numbers, and what a stranger's file may not do."""
+"""Matrices and gains from files: the numbers, and what a foreign file may not do."""
 
 from __future__ import annotations
 
@@ -100,11 +100,11 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_file_that_is_none_is_refused_by_its_name_and_key(tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    make, told = HOSTILE[name]
+    make, reported = HOSTILE[name]
     if name != "bomb.mat":  # nothing of the others is unpacked
         monkeypatch.setattr(array_files, "npy_of_mat", npy_here)
     make(tmp_path / name)
-    with pytest.raises(HilError, match=rf"{name}.*: {told}|'{name}': {told}"):
+    with pytest.raises(HilError, match=rf"{name}.*: {reported}|'{name}': {reported}"):
         numbers_from_file({"file": name}, "A", str(tmp_path), 2)
 
 

@@ -29,8 +29,8 @@ def check(cli: Hil, *, log: str = "l.mcap", key: str = "k/signing.pub") -> tuple
 
 
 def test_a_signed_log_is_verified_and_read_by_who_knows_no_signature(cli: Hil, signed: Path) -> None:
-    status, told = check(cli)
-    assert status == 0 and "signed with k/signing.pub (SHA256:" in told and "same bits" in told
+    status, reported = check(cli)
+    assert status == 0 and "signed with k/signing.pub (SHA256:" in reported and "same bits" in reported
     assert cli("replay", "l.mcap")[0] == 0
     assert stat.S_IMODE(Path("k/signing.key").stat().st_mode) == 0o600
 
@@ -40,26 +40,26 @@ def test_one_flipped_bit_is_seen(cli: Hil, signed: Path, at: int) -> None:
     data = bytearray(signed.read_bytes())
     data[at] ^= 1
     signed.write_bytes(data)
-    status, told = check(cli)
-    assert status == 1 and "l.mcap: its bytes are not those that were signed" in told
+    status, reported = check(cli)
+    assert status == 1 and "l.mcap: its bytes are not those that were signed" in reported
 
 
 def test_a_cut_log_and_a_mended_one_are_seen(cli: Hil, signed: Path) -> None:
     whole = signed.read_bytes()
     signed.write_bytes(whole[:-100])
-    status, told = check(cli)
-    assert status == 1 and f"l.mcap: has {len(whole) - 100} bytes, {len(whole)} were signed" in told
+    status, reported = check(cli)
+    assert status == 1 and f"l.mcap: has {len(whole) - 100} bytes, {len(whole)} were signed" in reported
     recover(signed, signed.with_name("r.mcap"))
-    status, told = check(cli, log="r.mcap")
-    assert status == 2 and "r.mcap: is not signed: there is no r.mcap.sig beside it" in told
+    status, reported = check(cli, log="r.mcap")
+    assert status == 2 and "r.mcap: is not signed: there is no r.mcap.sig beside it" in reported
     shutil.copy("l.mcap.sig", "r.mcap.sig")
     assert check(cli, log="r.mcap")[0] == 1
 
 
 def test_another_key_and_a_changed_signature_are_named(cli: Hil, signed: Path) -> None:
     cli("keys", "signing", "other")
-    status, told = check(cli, key="other/signing.pub")
-    assert status == 1 and "was signed with the key 'SHA256:" in told and "not with other/signing.pub" in told
+    status, reported = check(cli, key="other/signing.pub")
+    assert status == 1 and "was signed with the key 'SHA256:" in reported and "not with other/signing.pub" in reported
     text = Path("l.mcap.sig").read_text()
     for old, new, said in (
         ('"bytes": ', '"bytes": 1', "the signature is not that of k/signing.pub: it was changed"),
@@ -67,8 +67,8 @@ def test_another_key_and_a_changed_signature_are_named(cli: Hil, signed: Path) -
         ('"sha256": "', '"sha256": "0', "it was changed"),
     ):  # fmt: skip
         Path("l.mcap.sig").write_text(text.replace(old, new, 1))
-        status, told = check(cli)
-        assert status == 1 and said in told, told
+        status, reported = check(cli)
+        assert status == 1 and said in reported, reported
 
 
 def test_a_forger_who_recomputes_the_digest_has_no_key(cli: Hil, signed: Path) -> None:
@@ -78,8 +78,8 @@ def test_a_forger_who_recomputes_the_digest_has_no_key(cli: Hil, signed: Path) -
     true, forged = Path("l.mcap.sig").read_text(), Path("f.mcap.sig").read_text()
     name, other = (next(line for line in text.splitlines() if '"key"' in line) for text in (true, forged))
     Path("f.mcap.sig").write_text(forged.replace(other, name))
-    status, told = check(cli, log="f.mcap")
-    assert status == 1 and "the signature is not that of k/signing.pub" in told
+    status, reported = check(cli, log="f.mcap")
+    assert status == 1 and "the signature is not that of k/signing.pub" in reported
 
 
 def test_what_is_no_key_is_refused_before_anything_runs(cli: Hil, signed: Path) -> None:
@@ -99,8 +99,8 @@ def test_what_is_no_key_is_refused_before_anything_runs(cli: Hil, signed: Path) 
 def test_a_length_that_is_no_whole_number_is_no_signature(cli: Hil, signed: Path, size: str) -> None:
     signature = signed.with_name("l.mcap.sig")
     signature.write_text(re.sub('"bytes": [0-9]+', f'"bytes": {size}', signature.read_text()))
-    status, told = check(cli)
-    assert status == 1 and "l.mcap.sig: is no signature of a log" in told
+    status, reported = check(cli)
+    assert status == 1 and "l.mcap.sig: is no signature of a log" in reported
 
 
 def test_what_cannot_be_signed_is_refused_before_the_run(cli: Hil, signed: Path) -> None:

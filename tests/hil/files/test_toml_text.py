@@ -1,4 +1,4 @@
-"""TOML from a stranger is refused before it costs time, and what experiments need is let through."""
+"""A foreign TOML file is refused before it costs time, and what experiments need is let through."""
 
 from __future__ import annotations
 

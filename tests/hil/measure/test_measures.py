@@ -1,4 +1,4 @@
-"""Measures: ours and a stranger's, chosen by the experiment, read by summary, sweep, table, tile and comparison."""
+"""Measures: ours and a foreign one, chosen by the experiment, read by summary, sweep, table, tile and comparison."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.hil.pages.runs import run_of
 
 
 class Effort:
-    """A stranger's measure: the energy of the input."""
+    """A foreign measure: the energy of the input."""
 
     title: ClassVar[str] = "Effort"
     note: ClassVar[str] = ""
@@ -186,7 +186,7 @@ class Other(Whole):
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "reported"),
     [
         ("NoUnits", r"NoUnits, a measure, needs `quantities` \(quantities\(signals\) gives a Quantity"),
         ("Asks", r"TypeError: .*missing 1 required positional argument: 'gain'"),
@@ -200,14 +200,14 @@ class Other(Whole):
         ("Other", r"with \('/plant/state',\) alone, its topics: of\(view\): KeyError: '/actuator/applied'"),
     ],
 )
-def test_a_measure_of_a_file_is_checked_before_the_run(tmp_path: Path, name: str, told: str) -> None:
+def test_a_measure_of_a_file_is_checked_before_the_run(tmp_path: Path, name: str, reported: str) -> None:
     (tmp_path / "mine.py").write_text(OWN)
     experiment = load_experiment("dc-motor-hinf", ["duration=2"])
     experiment = msgspec.structs.replace(experiment, folder=str(tmp_path), report=Report(measures=("tracking", f"mine:{name}")))
-    with pytest.raises(HilError, match=r"report\.measures.*mine:" + name + ".*" + told):
+    with pytest.raises(HilError, match=r"report\.measures.*mine:" + name + ".*" + reported):
         run_session(experiment, path=tmp_path / "a.mcap")
     assert not (tmp_path / "a.mcap").exists()
-    with pytest.raises(HilError, match=told):
+    with pytest.raises(HilError, match=reported):
         run_sweep(experiment, [0], workers=Workers())
 
 
@@ -216,8 +216,8 @@ def test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numb
     experiment = load_experiment("dc-motor-hinf", ["duration=2"])
     experiment = msgspec.structs.replace(experiment, folder=str(tmp_path), report=Report(measures=("tracking", "mine:Late")))
     session = run_session(experiment, path=tmp_path / "a.mcap")
-    told = session.summary["problems"]["measure_failed"]
-    assert session.status == 1 and told.startswith("measure Late: Base: in the end (") and "mine.py, line 14" in told
+    reported = session.summary["problems"]["measure_failed"]
+    assert session.status == 1 and reported.startswith("measure Late: Base: in the end (") and "mine.py, line 14" in reported
     assert session.metrics["mine"] is None and session.metrics["sse"] > 0
     assert len(read_run(tmp_path / "a.mcap").arrays["/actuator/applied"]) == 40
 

@@ -68,6 +68,6 @@ def test_a_measure_that_gives_other_numbers_than_it_names_is_one_message(module:
     found = hil.run("dc-motor-h2", duration="10 s", **measures)
     assert found.status == 1 and said in found.summary["problems"]["measure_failed"]
     assert found.metrics["mine"] is None and found.metrics["sse"] is not None
-    with pytest.raises(hil.HilError) as told:
+    with pytest.raises(hil.HilError) as reported:
         hil.sweep("dc-motor-h2", runs=2, jobs=1, duration="10 s", **measures)
-    assert said in str(told.value)
+    assert said in str(reported.value)

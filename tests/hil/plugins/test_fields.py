@@ -1,4 +1,4 @@
-"""A fault is shown with the path of its field: the error says which field, nobody reads it off a message."""
+"""A fault is shown with the path of its field: the error says which field, no code reads it off a message."""
 
 from __future__ import annotations
 

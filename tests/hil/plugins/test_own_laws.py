@@ -1,4 +1,4 @@
-"""Network laws of somebody's own: checked when an experiment is read, in the author's words; objects in the place of tables."""
+"""Network laws of a user's own: checked when an experiment is read, in the author's words; objects in the place of tables."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def leaves(k: int) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("law", "told"),
+    ("law", "reported"),
     [
         (Bare(), r"Bare, a network law, needs `family` \(\"age\" for ages in slots, "),
         (WithFamily(), r"what start\(rng\) returns needs `draw` \(draw\(\) gives \(mode, age\)"),
@@ -106,12 +106,12 @@ def leaves(k: int) -> Any:
         (object(), r"object, a network law, needs `family` .* `start`"),
     ],
 )
-def test_a_law_that_is_none_is_refused_in_its_author_s_words(law: Any, told: str) -> None:
-    with pytest.raises(hil.HilError, match=r"network\.sc\.law: .*check_law: " + told) as said:
+def test_a_law_that_is_none_is_refused_in_its_author_s_words(law: Any, reported: str) -> None:
+    with pytest.raises(hil.HilError, match=r"network\.sc\.law: .*check_law: " + reported) as said:
         hil.load_experiment("dc-motor-hinf", **{"network.sc.law": law})
     assert "plugin_checks" not in str(said.value) and "law_checks" not in str(said.value)  # no line of ours
     assert "AttributeError" not in str(said.value)
-    with pytest.raises(AssertionError, match=told):
+    with pytest.raises(AssertionError, match=reported):
         check_law(law)
 
 

@@ -161,8 +161,8 @@ def test_a_module_that_was_changed_is_reported(folder: Path) -> None:
 
 def test_another_process_finds_the_file_before_the_class(folder: Path) -> None:
     cart = load_own("cart:Cart", folder)(mass=2.0)
-    told = f"import pickle; print(pickle.loads({pickle.dumps(cart)!r}).model().B.tolist())"
-    assert subprocess.run([sys.executable, "-c", told], capture_output=True, text=True, check=True).stdout == "[[0.5]]\n"
+    reported = f"import pickle; print(pickle.loads({pickle.dumps(cart)!r}).model().B.tolist())"
+    assert subprocess.run([sys.executable, "-c", reported], capture_output=True, text=True, check=True).stdout == "[[0.5]]\n"
     assert written_in(type(cart)) is not None and written_in(DCMotor) is None
 
 
@@ -173,13 +173,13 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
         (tmp_path / name / "twice.py").write_text(text)
         twice = load_own("twice:Twice", tmp_path / name)
     (tmp_path / "one" / "twice.py").write_text(f"{text}# changed since\n")
-    told = f"import pickle; print(pickle.loads({pickle.dumps(twice(mass=2.0))!r}).mass)"
-    done = subprocess.run([sys.executable, "-c", told], capture_output=True, text=True)
+    reported = f"import pickle; print(pickle.loads({pickle.dumps(twice(mass=2.0))!r}).mass)"
+    done = subprocess.run([sys.executable, "-c", reported], capture_output=True, text=True)
     assert done.stdout == "2.0\n", done.stderr
 
 
 @pytest.mark.parametrize(
-    ("plant", "told"),
+    ("plant", "reported"),
     [
         ("kart:Cart", r"plant\.kind: 'kart:Cart': there is no kart\.py in .*"),
         ("cart:Car", r"has no 'Car'; it has Base, Cart, Failing, Half, Leaving, Lying, "),
@@ -201,12 +201,12 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
         ("../cart:Cart", r"plant\.kind: '\.\./cart:Cart': expected module:Class"),
     ],
 )
-def test_what_is_no_plant_is_refused_in_a_sentence(folder: Path, plant: str, told: str) -> None:
+def test_what_is_no_plant_is_refused_in_a_sentence(folder: Path, plant: str, reported: str) -> None:
     (folder / "broken.py").write_text("x = 1\n1 / 0\n")
     (folder / "raising.py").write_text("class Base(BaseException): pass\nraise Base('at the door')\n")
     (folder / "wordy.py").write_text("this is no Python\n")
     (folder / "leaving.py").write_text("raise SystemExit(3)\n")
-    with pytest.raises(hil.HilError, match=told):
+    with pytest.raises(hil.HilError, match=reported):
         hil.load_experiment(folder / "exp.toml", **OWN | {"plant": {"kind": plant}})
 
 
@@ -329,7 +329,7 @@ class Leaves(Proportional):
 
 
 @pytest.mark.parametrize(
-    ("path", "kind", "told"),
+    ("path", "kind", "reported"),
     [
         ("plant", "Named", r"check_plant: Named\.inputs: \('force',\), expected a tuple of plants\.Signal"),
         ("plant", "Number", r"check_plant: Number\.outputs: 3, expected a tuple of plants\.Signal"),
@@ -340,9 +340,9 @@ class Leaves(Proportional):
         ("controller", "Leaves", r"check_controller: table\(model\): SystemExit: not today \(.*wrong\.py, line \d+\)"),
     ],
 )
-def test_a_typical_mistake_is_reported_in_its_author_s_words(folder: Path, path: str, kind: str, told: str) -> None:
+def test_a_typical_mistake_is_reported_in_its_author_s_words(folder: Path, path: str, kind: str, reported: str) -> None:
     (folder / "wrong.py").write_text(WRONG)
-    with pytest.raises(hil.HilError, match=told) as said:
+    with pytest.raises(hil.HilError, match=reported) as said:
         hil.run(folder / "exp.toml", log=folder / "a.mcap", **OWN | {path: {"kind": f"wrong:{kind}"}})
     assert "AttributeError" not in str(said.value) and not (folder / "a.mcap").exists()
 

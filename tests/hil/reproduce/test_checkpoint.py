@@ -142,10 +142,10 @@ def test_the_command_keeps_goes_on_and_cleans_up(tmp_path: Path, monkeypatch: py
 def test_what_one_interrupted_stage_leaves_is_reported_and_nothing_where_nothing_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for stops, told in (("one", ""), ("two", "goes on: 1 stage is in")):
+    for stops, reported in (("one", ""), ("two", "goes on: 1 stage is in")):
         monkeypatch.setattr(hil.reproduce, "_asked", lambda name, stops=stops: chapter([], stops))
         done = CliRunner().invoke(command, ["ch2", "-o", str(tmp_path / f"{stops}.html")])
-        assert done.exit_code != 0 and ("goes on" in done.stderr) == bool(told) and told in done.stderr
+        assert done.exit_code != 0 and ("goes on" in done.stderr) == bool(reported) and reported in done.stderr
 
 
 def test_the_rest_is_estimated_by_the_pace_so_far() -> None:

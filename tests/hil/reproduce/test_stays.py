@@ -21,9 +21,9 @@ def test_the_row_turns_with_its_numbers():
 def test_the_norm_is_that_of_the_loop_slot_by_slot():
     """E sum |z|^2 of an impulse, from own matrices: x(k+1) = A x + B K[label(d_k)] y(k - d_k)."""
     model = DCMotor().model().discretise(PERIOD_S)
-    told = DelayChain(transition=STAY, delays=DELAYS, labels=np.arange(6))
+    reported = DelayChain(transition=STAY, delays=DELAYS, labels=np.arange(6))
     sc = DelayChain(transition=np.ones((1, 1)))
-    found = solve(TrackingProblem(A=model.A, B=model.B, C=model.C, sc=sc, ca=told, objective="h2", information="applied"))
+    found = solve(TrackingProblem(A=model.A, B=model.B, C=model.C, sc=sc, ca=reported, objective="h2", information="applied"))
     K, n = np.asarray(found.gains)[0, :, 0, 0], 3  # (x, y(k - 1))
     closed, cost = np.zeros((6, n, n)), np.zeros((6, n, n))
     for mode, d in enumerate(DELAYS):

@@ -100,8 +100,8 @@ def test_disturbed_bits_are_sent_again_and_put_nodes_into_other_states() -> None
     broken = frames[frames["operation"] == 1]
     assert 0.05 < len(broken) / len(frames) < 0.4 and (broken["error_bit"] >= 0).all()
     assert (frames["error_bit"][frames["operation"] == 0] == -1).all()
-    told = [event for event in run.events if event["kind"] == "bus status"]
-    assert told and all("TEC" in event["message"] for event in told)
+    reported = [event for event in run.events if event["kind"] == "bus status"]
+    assert reported and all("TEC" in event["message"] for event in reported)
     found = bus_of(view_of(run, experiment))
     assert found is not None and found.errors == len(broken) and all(each.bound_ms is None for each in found.messages)
 
@@ -174,8 +174,8 @@ def test_a_recording_is_sent_again_in_its_order_and_at_its_times(tmp_path: Path)
     ]  # fmt: skip
     found = bus_of(view_of(run, loop.experiment))
     assert found is not None and all(each.bound_ms is None for each in found.messages)
-    told = [each.name for each in found.messages if each.node == "recording"]
-    assert told == ["recorded 0x123", "recorded 0x200", "recorded 0x18ff0001"]
+    reported = [each.name for each in found.messages if each.node == "recording"]
+    assert reported == ["recorded 0x123", "recorded 0x200", "recorded 0x18ff0001"]
 
 
 def refusal_of_traffic(folder: Path, name: str, text: str) -> str:

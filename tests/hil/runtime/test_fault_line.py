@@ -50,9 +50,9 @@ def test_a_fault_breaks_what_it_says_is_reported_and_replayed_bit_for_bit(kind: 
     session = run_session(parse_experiment(faulty(kind, where)), path=tmp_path / "x.mcap")
     run = session.run
     assert session.status == 0
-    told = [(event["kind"], event["tick"]) for event in run.events if event["kind"].startswith("fault")]
+    reported = [(event["kind"], event["tick"]) for event in run.events if event["kind"].startswith("fault")]
     over = [] if kind == "controller-restart" else [(f"fault over: {kind}", END)]
-    assert told == [(f"fault: {kind}", FIRST), *over]
+    assert reported == [(f"fault: {kind}", FIRST), *over]
     marks = {(mark.label, round(mark.t_s, 3)) for mark in view_of(run).marks}
     assert (f"fault: {kind}", 1.2) in marks  # lines on every panel of the page
     applied, sound = run.arrays["/actuator/applied"], simulate(loop_of(MOTOR, certify=False), 0).arrays
@@ -66,7 +66,7 @@ def test_a_fault_breaks_what_it_says_is_reported_and_replayed_bit_for_bit(kind: 
     if where == 'link = "sc"' and kind != "freeze":
         assert during[-1] >= END - FIRST - 1  # the newest sample that the controller has is that of before
     elif kind == "freeze":
-        assert during.max() <= 2  # nobody sees it by the time stamps
+        assert during.max() <= 2  # the time stamps do not show it
     again = verify(run)
     assert again.difference is None and again.states == 60
 
@@ -136,9 +136,9 @@ def test_faults_of_the_table_are_reported_by_their_path() -> None:
         ('at = 1\nlasts = 1\nkind = "cut"\nlink = "sc"', "fault[0].lasts: unknown field; there are at, for, kind, link, node"),
     ]
     for table, message in bad:
-        with pytest.raises(HilError) as told:
+        with pytest.raises(HilError) as reported:
             loop_of(f"{MOTOR}\n[[fault]]\n{table}\n", certify=False)
-        assert message in str(told.value), str(told.value)
+        assert message in str(reported.value), str(reported.value)
     keys = experiment_schema()["$defs"]["Fault"]["properties"]
     assert set(keys) == {"at", "for", "kind", "link", "node", "rate", "can_id"}
     assert "how long it lasts" in keys["for"]["description"]
@@ -149,7 +149,7 @@ def test_faults_of_the_table_are_reported_by_their_path() -> None:
 def test_a_controller_of_another_process_is_not_restarted() -> None:
     loop = loop_of(faulty("controller-restart", ""))
     with pytest.raises(HilError, match="hil cannot restart an external controller"):
-        run_real(loop, 0, link_of(loop.rig, "can:hil:nobody"), MemorySink(channels_of(loop)), external=True)
+        run_real(loop, 0, link_of(loop.rig, "can:hil:empty"), MemorySink(channels_of(loop)), external=True)
 
 
 def test_a_fault_that_the_run_never_reaches_is_reported(tmp_path: Path) -> None:

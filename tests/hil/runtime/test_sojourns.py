@@ -53,7 +53,7 @@ def test_a_delay_that_never_comes_has_the_table_that_its_label_gives_it() -> Non
     later = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(1, 2, 3))
     by_delay, by_stay = delay_chain(later), delay_chain(later, 2)
     assert by_delay is not None and by_stay is not None
-    assert by_delay.sojourns == (1, 1, 1, 1)  # labels are delays, so 0 has a table of its own that nobody uses
+    assert by_delay.sojourns == (1, 1, 1, 1)  # labels are delays, so 0 has a table of its own that is not used
     assert by_stay.sojourns == (0, 2, 2, 2)
 
 

@@ -306,8 +306,8 @@ def test_a_summary_from_memory_is_that_of_the_log(name: str, tmp_path: Path) -> 
     experiment = load_experiment(name, ["duration=8"])
     session = run_session(experiment, path=tmp_path / "run.mcap")
     again = summarise(view_of(session.run, experiment))
-    told = {key: session.summary[key] for key in again}
-    assert told == again
+    reported = {key: session.summary[key] for key in again}
+    assert reported == again
     assert session.run.arrays["/link/sensor"]["data"].size  # the log itself, in full
 
 

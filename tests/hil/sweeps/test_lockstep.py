@@ -291,8 +291,8 @@ def test_a_sweep_in_lockstep_calls_no_plain_engine(monkeypatch: pytest.MonkeyPat
 
 def test_a_measure_without_a_batch_form_is_said_once() -> None:
     mine = loop_of("dc-motor-hinf", "duration=1", 'report.measures=["tracking", "haptics"]')
-    told = lockstep.measured_alone(mine)
-    assert told.startswith("1 of 2 measures run at once; haptics runs alone") and not measures_in_lockstep(mine)
+    reported = lockstep.measured_alone(mine)
+    assert reported.startswith("1 of 2 measures run at once; haptics runs alone") and not measures_in_lockstep(mine)
     assert lockstep.measured_alone(loop_of("dc-motor-hinf", "duration=1")) == ""
     silent = loop_of("vtol-fault", "duration=1", 'report.measures=["tracking", "haptics"]')
     assert not supports_batch(silent) and lockstep.measured_alone(silent) == "", "no measure is at fault where the loop is"

@@ -149,6 +149,6 @@ def test_a_metric_of_ones_own_stands_in_table_store_and_csv(tmp_path: Path, monk
     assert len(table) == 4 and all(float(row["peak"]) > 3.0 for row in table)
     assert all('"peak"' in path.read_text() for path in (tmp_path / "kept").iterdir())
     faults = {"mine:bad": "metric bad: ZeroDivisionError", "mine:gone": "has no 'gone'", "peak": "expected module:function"}
-    for metric, told in faults.items():
+    for metric, reported in faults.items():
         failed = CliRunner().invoke(command, [*asked, "--metric", metric])
-        assert isinstance(failed.exception, HilError) and told in str(failed.exception)
+        assert isinstance(failed.exception, HilError) and reported in str(failed.exception)

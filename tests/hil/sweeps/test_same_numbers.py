@@ -93,6 +93,6 @@ def test_a_run_at_once_is_compared_with_its_model_too() -> None:
         def start_batch(self, model: LoopModel, runs: int) -> None:
             return None
 
-    told = {"plant": Plant(), "controller": Late(), "duration": 20, "limits.state": {}, "allow_uncertified": True}
-    found = hil.sweep(load_experiment("dc-motor-h2", **told), runs=2, jobs=1)
+    reported = {"plant": Plant(), "controller": Late(), "duration": 20, "limits.state": {}, "allow_uncertified": True}
+    found = hil.sweep(load_experiment("dc-motor-h2", **reported), runs=2, jobs=1)
     assert found.caution.startswith("certificate withdrawn: the controller left its table at slot 30")

@@ -70,15 +70,15 @@ def test_a_line_without_end_is_no_sweep(experiment: Experiment, tmp_path: Path) 
 def test_a_resumed_sweep_has_the_numbers_of_one_that_was_never_interrupted(
     tmp_path: Path, experiment: Experiment, plain: dict[str, Any]
 ) -> None:
-    told: list[int] = []
+    reported: list[int] = []
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
         run_sweep(experiment, range(10, 25), workers=ONE_CORE, store=store)
     with open(tmp_path / "s", "ab") as torn:
         torn.write(b'{"seed": 77, "ss')  # the machine died while it wrote
     with SweepStore(tmp_path / "s", experiment, COLUMNS) as store:
-        found = run_sweep(experiment, range(40), workers=ONE_CORE, store=store, progress=told.append)
+        found = run_sweep(experiment, range(40), workers=ONE_CORE, store=store, progress=reported.append)
     same(found.values, plain)
-    assert (told[0], told[-1]) == (15, 40)
+    assert (reported[0], reported[-1]) == (15, 40)
     assert len((tmp_path / "s").read_text().splitlines()) == 41
 
 

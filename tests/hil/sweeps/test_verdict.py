@@ -19,10 +19,10 @@ def both() -> hil.Comparison:
 
 
 def test_it_says_which_is_better_by_how_much(both: hil.Comparison) -> None:
-    told = both.verdict("dc-motor-smith")
+    reported = both.verdict("dc-motor-smith")
     a, b = (both.values[name]["sse"] for name in both.values)
-    assert b.mean() > a.mean() and told.startswith("dc-motor-smith is worse than dc-motor-ours-h2: squared tracking error +")
-    assert f"error {100 * (b.mean() / a.mean() - 1):+.1f} %, 95 % interval +" in told and told.endswith("30 runs")
+    assert b.mean() > a.mean() and reported.startswith("dc-motor-smith is worse than dc-motor-ours-h2: squared tracking error +")
+    assert f"error {100 * (b.mean() / a.mean() - 1):+.1f} %, 95 % interval +" in reported and reported.endswith("30 runs")
     turned = replace(both, values=dict(reversed(both.values.items())))
     said = turned.verdict("dc-motor-ours-h2")
     assert said.startswith("dc-motor-ours-h2 is better than dc-motor-smith: squared tracking error -")

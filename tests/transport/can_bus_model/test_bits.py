@@ -149,6 +149,6 @@ def test_classic_lengths_are_those_of_can_utils_on_a_hundred_thousand_random_fra
     frames = [random_frame(rng, fd=False) for _ in range(100_000)]
     frames = [f for f in frames if not f.remote or not f.dlc]  # can-utils counts the data that a remote frame does not have
     lines = [f"{f.identifier | f.extended << 31 | f.remote << 30:x} {len(f.data)} {f.data.hex(' ')}" for f in frames]
-    told = subprocess.run([tmp_path / "exact"], input="\n".join(lines), capture_output=True, text=True, check=True).stdout.split()
+    both = subprocess.run([tmp_path / "exact"], input="\n".join(lines), capture_output=True, text=True, check=True).stdout.split()
     ours = [wire_bits.__wrapped__(frame).length for frame in frames]
-    assert len(frames) > 90_000 and [int(bits) for bits in told] == [length.nominal for length in ours]
+    assert len(frames) > 90_000 and [int(bits) for bits in both] == [length.nominal for length in ours]

@@ -82,7 +82,7 @@ WRONG: list[tuple[Any, Any]] = [
     (MarkovAge(matrix=((0.9, 0.1), (0.14, 0.86))), IidAge(probabilities=(7 / 12, 5 / 12))),
     (IidAge(probabilities=(0.8, 0.2)), MarkovAge(matrix=((0.9, 0.1), (0.4, 0.6)))),
     (
-        # the same means, other sojourns: only the hazard tells them apart
+        # the same means, other sojourns: only the hazard distinguishes them
         SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.25), Geometric(p=0.5))),
         SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Uniform(low=1, high=7), Uniform(low=1, high=3))),
     ),

@@ -50,8 +50,8 @@ def random_law(seed: int) -> PacketLaw:
 
 def counted(law: PacketLaw, chain: PacketChain, seed: int, runs: int, slots: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Transitions and first states of the packets that `newest_of_batch` delivers, which is what runs."""
-    newest, told = law.newest_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, T, DEADLINE)
-    assert told.all()
+    newest, reported = law.newest_of_batch([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, T, DEADLINE)
+    assert reported.all()
     levels = several_of_many([np.random.default_rng([seed, i]) for i in range(runs)], runs, slots, 5)[0]
     rows = law.transition_matrix().tolist()
     channel = chain_ages(law.stationary().tolist(), rows, range(len(rows)), levels)
@@ -195,8 +195,8 @@ def test_discarding_changes_no_draw() -> None:
         network.offer(k, k)
         newest = max([newest, *(g for g, _ in network.collect(k)[1])])
         ages.append(newest)
-    many, told = option.newest_of_batch([np.random.default_rng(5)], 1, 2000, T, DEADLINE)
-    assert told.all()
+    many, reported = option.newest_of_batch([np.random.default_rng(5)], 1, 2000, T, DEADLINE)
+    assert reported.all()
     assert many[:, 0].tolist() == ages
 
 

@@ -137,7 +137,7 @@ def test_two_links_with_different_bases_share_a_bus(channel: str) -> None:
 
 
 class FailingBus(can.BusABC):
-    """A bus that raises what it is told to, as interfaces do when they fail."""
+    """A bus that raises what it is given, as interfaces do when they fail."""
 
     def __init__(self, faults: list[Exception]) -> None:
         self.faults = faults

@@ -1,4 +1,4 @@
-"""Opening a link by its URI, and what a wrong one is told."""
+"""Opening a link by its URI, and what a wrong one is answered."""
 
 from __future__ import annotations
 

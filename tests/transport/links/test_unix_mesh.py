@@ -274,8 +274,8 @@ def test_what_arrives_first_is_received_first_whatever_time_its_sender_says(dire
         for turn in range(20):
             honest.send(HEAD.pack(1e9 + turn, 0) + b"honest")
             early.send(HEAD.pack(0.0, 0) + b"early")
-        heard = [datagram[HEAD.size :] for _ in range(60) if (datagram := listener.receive(0.0)) is not None]
-    assert heard == [b"honest", b"early"] * 20
+        received = [datagram[HEAD.size :] for _ in range(60) if (datagram := listener.receive(0.0)) is not None]
+    assert received == [b"honest", b"early"] * 20
 
 
 def test_who_never_leaves_is_gone_with_the_interpreter_without_a_word(directory: Path) -> None:

@@ -1,4 +1,4 @@
-"""Logs that hil did not write, or that somebody edited: one message names the field, for every kind that once ended elsewhere."""
+"""Logs that hil did not write, or that were edited: one message names the field, for every kind that once ended elsewhere."""
 
 import math
 from copy import deepcopy

@@ -89,8 +89,8 @@ def test_the_ros_2_support_of_mcap_decodes_every_topic(log: Path) -> None:
 
 @pytest.mark.foxglove
 def test_foxglove_s_readers_read_every_topic(log: Path) -> None:
-    told = subprocess.run(["node", NODE / "read_log.mjs", log], capture_output=True, text=True, check=True, timeout=120)
-    found, run = json.loads(told.stdout), read_run(log)
+    reported = subprocess.run(["node", NODE / "read_log.mjs", log], capture_output=True, text=True, check=True, timeout=120)
+    found, run = json.loads(reported.stdout), read_run(log)
     assert {topic: seen[0] for topic, seen in found.items()} == {topic: n for topic, n in counts(run).items() if n}
     for topic, (_, first_ns, last) in found.items():
         if topic == "/events":

@@ -271,14 +271,14 @@ def test_a_killed_session_loses_its_last_100_ms_at_most(tmp_path: Path) -> None:
         [sys.executable, "-c", _SESSION, str(path)], stdout=subprocess.PIPE, text=True, env=environment
     )
     assert session.stdout is not None
-    told = 0
-    while told < 400_000_000:
-        told = int(session.stdout.readline())
+    reported = 0
+    while reported < 400_000_000:
+        reported = int(session.stdout.readline())
     session.send_signal(signal.SIGKILL)
-    told = max([told, *(int(line) for line in session.communicate(timeout=LIMIT_S)[0].splitlines()[:-1])])
+    reported = max([reported, *(int(line) for line in session.communicate(timeout=LIMIT_S)[0].splitlines()[:-1])])
     assert session.returncode == -signal.SIGKILL
     report = recover(path, tmp_path / "b.mcap")
-    assert told - report.last_ns < 100_000_000
+    assert reported - report.last_ns < 100_000_000
     run = read_run(tmp_path / "b.mcap")
     assert list(run.arrays["/reference"]["tick"]) == list(range(report.messages))
     assert run.experiment_text == provenance().experiment_text

@@ -220,7 +220,7 @@ def test_several_records_at_once_are_those_one_by_one_whatever_the_length_of_the
     assert at_once.dropped == 3
     with pytest.raises(ValueError, match="records: 2 carry frames, expected one at most"):
         at_once.records(("/link/sensor", "/link/control"))
-    assert at_once.records(("/link/sensor", "/of/nobody")) is None
+    assert at_once.records(("/link/sensor", "/of/no_node")) is None
 
 
 def test_a_file_without_records_is_that_of_mcaps_own_writer(tmp_path: Path) -> None:

@@ -138,7 +138,7 @@ def test_records_that_cannot_stand_in_one_row_are_refused(ends: Ends) -> None:
         together(0, (0.1, 2.0, 1, 1, 1, b"", 0.3))
     with pytest.raises(ValueError, match="2 carry frames"):
         sink.records(("/link/sensor", "/link/control"))
-    assert sink.records(("/link/sensor", "/of/nobody")) is None
+    assert sink.records(("/link/sensor", "/of/no_node")) is None
 
 
 class DatedMemory(MemorySink):

@@ -187,8 +187,8 @@ def test_the_keyboard_alone_reaches_every_control_and_applies_a_change(page: Pag
 
     def press(key: str, number: int, text: str = "") -> None:
         for kind in ("keyDown", "keyUp"):
-            told = {"text": text} if text and kind == "keyDown" else {}
-            browser.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=number, **told)
+            reported = {"text": text} if text and kind == "keyDown" else {}
+            browser.command("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=number, **reported)
 
     browser.open(page.url)
     shows(browser, BADGE, "stable")

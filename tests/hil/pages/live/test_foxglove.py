@@ -51,19 +51,19 @@ def test_a_client_reads_the_values_of_a_running_rig(tmp_path: Path) -> None:
             assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg") and "float64 angle" in channel["schema"]
             client.send({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]})
             side.clock.set(speed=10.0, held=False)  # until the subscription has come, slots pass unseen
-            told: list[tuple[int, float]] = []
-            while len(told) < 30:
+            reported: list[tuple[int, float]] = []
+            while len(reported) < 30:
                 kind, data = client.receive()
                 if kind == BINARY and data[0] == 1:
                     _, number, t_ns = struct.unpack_from("<BIQ", data)
                     assert number == 1 and data[13:17] == CDR_HEADER
-                    told.append((t_ns, struct.unpack_from("<d", data, 17)[0]))
+                    reported.append((t_ns, struct.unpack_from("<d", data, 17)[0]))
             side.stop()
             run.join(60)
     log = read_run(tmp_path / "a.mcap").arrays["/plant/measurement"]
-    first = told[0][0] // experiment.period_ns
-    np.testing.assert_array_equal([v for _, v in told], log["angle"][first : first + 30])
-    assert [t for t, _ in told] == (log["t_ns"][first : first + 30]).tolist()
+    first = reported[0][0] // experiment.period_ns
+    np.testing.assert_array_equal([v for _, v in reported], log["angle"][first : first + 30])
+    assert [t for t, _ in reported] == (log["t_ns"][first : first + 30]).tolist()
 
 
 def test_a_run_with_a_client_that_reads_nothing_is_the_same_run(tmp_path: Path) -> None:

@@ -63,7 +63,7 @@ def begun(loop: Loop, slots: int = 5) -> RigSide:
 
 
 def forgeries(rig: RigSide) -> Iterable[bytes]:
-    """What one who hears everything can put on the wire between two slots."""
+    """What one who receives everything can put on the wire between two slots."""
     k, received = rig.k, rig.wire.nonce(rig.k)
     for nonce in (0, 1, received, before(received), rig.wire.hello):
         for seq in (k + 1, k + 2, k + 8, k + NEAR, 10**6, 2**31, k - 1, 0):
@@ -114,7 +114,7 @@ def test_hellos_of_others_before_the_session_do_not_keep_the_rig_from_it(loop: L
 
 
 def test_a_forged_frame_before_the_true_one_of_the_slot_shows_in_the_echo_and_is_counted(loop: Loop) -> None:
-    """Who hears the rig first can be faster: the rig then sees that other frames than its own were answered."""
+    """Who receives from the rig first can be faster: the rig then sees that other frames than its own were answered."""
     rig = begun(loop)
     k = rig.k + 1
     first = rig.node.on_frame(question(rig.wire, k, 6, FORGED), k * T)
@@ -140,7 +140,7 @@ def test_frames_between_those_of_one_slot_never_count_unseen(ahead: int) -> None
     answer = decode(node.on_frame(true[1]) or b"")
     if ahead:  # beyond the frame that closes the slot: dropped, and the rest is the rig's
         assert isinstance(answer, ControlPacket) and answer.echo == echo(true)
-    else:  # which of the two is the rig's cannot be told here
+    else:  # which of the two is the rig's is not known here
         assert answer is None
     assert node.counts.contradicted == 1
 

@@ -170,7 +170,7 @@ def control(k: int, u: float = 0.0) -> bytes:
 
 
 def test_second_controller_that_says_otherwise_is_reported_once(loop: Loop) -> None:
-    # A copy of what was applied says nothing; what came to the same question from somebody else does.
+    # A copy of what was applied says nothing; what came to the same question from another sender does.
     sink = drive(loop, lambda k: [control(k - 1), control(k)] if k else control(0), 4)
     assert "second controller" not in kinds(sink)
     sink = drive(loop, lambda k: [control(k - 1, 0.5), control(k)] if k else control(0), 4)
@@ -195,7 +195,7 @@ def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_o
     for k in range(2):
         slot.run(k * loop.experiment.period_ns)
     outcome = rig.outcome()
-    # The first answer to slot 0 is late; all others were sent by somebody whom nobody asked.
+    # The first answer to slot 0 is late; all others were sent by a program that was not asked.
     assert (outcome["late"], outcome["malformed"], outcome["foreign"]) == (1, 1, 101)
     assert kinds(sink).count("flood") == 1
     assert Run.from_memory(sink).arrays["/link/control"]["late"].sum() == LOGGED

@@ -126,11 +126,11 @@ def outside(states: np.ndarray, said: StateMoments) -> list[tuple[str, int, int]
         for l in range(n):
             x = states[k, l]
             about = (x - x.mean()) ** 2
-            for what, seen, told, error in (
+            for what, seen, reported, error in (
                 ("mean", x.mean(), said.mean[k, l], x.std(ddof=1)),
                 ("variance", about.sum() / (runs - 1), said.covariance[k, l, l], about.std(ddof=1)),
             ):
-                if abs(seen - told) > z * error / np.sqrt(runs) + 1e-5 * abs(told) + 1e-9:
+                if abs(seen - reported) > z * error / np.sqrt(runs) + 1e-5 * abs(reported) + 1e-9:
                     found.append((what, k, l))
     return found
 
@@ -157,7 +157,7 @@ def cost_outside(costs: np.ndarray, said: CostMoments) -> list[str]:
     z, about = norm.isf(0.001 / 4), (costs - costs.mean()) ** 2
     bands = {"mean": (costs.mean(), said.mean, costs.std()), "variance": (about.mean(), said.variance, about.std())}
     share = z / np.sqrt(len(costs))
-    return [what for what, (seen, told, error) in bands.items() if abs(seen - told) > share * error + 1e-5 * told]
+    return [what for what, (seen, reported, error) in bands.items() if abs(seen - reported) > share * error + 1e-5 * reported]
 
 
 @pytest.mark.slow
@@ -165,8 +165,8 @@ def test_ten_thousand_runs_agree_with_mean_and_variance_of_the_cost(lossy: Loop)
     """One right pair in a thousand is refused. With a loss of 0.12 for 0.1 both leave their bands."""
     states = states_of_many(lossy, range(10_000), 120)
     costs = 0.1 * (states**2).sum(axis=(0, 1))
-    told = judge_historical(lossy, spread=True)
-    assert not cost_outside(costs, CostMoments(told["cost"], told["cost_sd"] ** 2))
+    reported = judge_historical(lossy, spread=True)
+    assert not cost_outside(costs, CostMoments(reported["cost"], reported["cost_sd"] ** 2))
     wrong = lifted(lossy, 0.12)
     assert cost_outside(costs, cost_moments(wrong[0], START_5_4, wrong[1])) == ["mean", "variance"]
 
@@ -263,15 +263,15 @@ def test_one_node_has_no_key_of_nodes_and_several_have_theirs() -> None:
 
 
 class Newest:
-    """A controller of one sensor that says what it was told."""
+    """A controller of one sensor that says what it received."""
 
     selection: Selection = "constant"
 
     def __init__(self) -> None:
-        self.told: list[tuple[int, int, tuple[float, ...]]] = []
+        self.reported: list[tuple[int, int, tuple[float, ...]]] = []
 
     def rows(self, k: int, tau: int, y: Any, r: Any) -> Rows:
-        self.told.append((k, tau, tuple(y)))
+        self.reported.append((k, tau, tuple(y)))
         return ((0.0,),)
 
 
@@ -286,10 +286,10 @@ def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
 
     for node, slot, value in ((0, 8, 1.0), (0, 4, -1.0), (2, 9, 3.0), (1, 8, 2.0)):  # an older packet may come later
         take(node, slot, value)
-    assert received.rows(9) == ((0.0,),) and not newest.told  # no packet of node 3 came
+    assert received.rows(9) == ((0.0,),) and not newest.reported  # no packet of node 3 came
     take(3, 7, 4.0)
     received.rows(10)
-    assert newest.told == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and received.sample_ns == 9 * 50_000_000
+    assert newest.reported == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and received.sample_ns == 9 * 50_000_000
 
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:

@@ -1,4 +1,4 @@
-"""Changes on their way to a run in real time: once each, in order, and nobody waits."""
+"""Changes on their way to a run in real time: once each, in order, without a wait."""
 
 from __future__ import annotations
 

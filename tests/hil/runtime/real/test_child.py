@@ -34,8 +34,8 @@ print(anonymous_kb() - before)
 
 def test_asking_for_twenty_minutes_takes_no_memory() -> None:
     """A session grew by 0.94 MB at 432 s: the parts of a path are kept in a table, which was made anew at twice its size."""
-    told = subprocess.run([sys.executable, "-c", OFTEN], capture_output=True, text=True, check=True)
-    assert int(told.stdout) < 150
+    reported = subprocess.run([sys.executable, "-c", OFTEN], capture_output=True, text=True, check=True)
+    assert int(reported.stdout) < 150
 
 
 def test_a_process_that_is_stopped_is_distinguished_from_one_that_runs_and_from_none() -> None:
@@ -59,7 +59,7 @@ def test_an_interrupt_cuts_off_no_import_of_a_child() -> None:
 
 
 def test_a_job_that_never_comes_whole_ends_a_child_without_a_traceback() -> None:
-    """The session was interrupted while it told the rig what to run."""
+    """The session was interrupted while it sent the rig what to run."""
     run = python_module("hil.runtime.real.child", "hil.runtime.real.rig_process")
     done = subprocess.run(run, input=b"\x80\x04", capture_output=True)
     assert done.returncode == 1 and done.stderr == b""
@@ -90,8 +90,8 @@ def test_a_child_ends_as_python_does(end: str, status: int, said: str, tmp_path:
     (tmp_path / "own_part_of_a_child.py").write_text(PART.format(end=end))
     child = Child("rig", "own_part_of_a_child", 7, folders=[str(tmp_path)])
     assert child.wait(60.0) and child.poll() == status
-    heard = capfd.readouterr().err
-    assert [heard.index(each) for each in ("job 7", "thread", "exit function")] and said in heard
+    received = capfd.readouterr().err
+    assert [received.index(each) for each in ("job 7", "thread", "exit function")] and said in received
 
 
 def test_a_child_ends_where_the_environment_keeps_python_for_more_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ MS = 1_000_000
 
 
 class Bench(MemoryLink):
-    """A link that counts, on a clock that moves only while somebody waits or takes a frame."""
+    """A link that counts, on a clock that moves only while a caller waits or takes a frame."""
 
     def __init__(self, taking_ns: int = 1000) -> None:
         super().__init__()

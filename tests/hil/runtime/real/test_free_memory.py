@@ -31,11 +31,11 @@ print(*seen)
 
 
 def test_what_is_free_between_what_is_used_goes_back_when_it_is_time() -> None:
-    told = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True)
-    if told.returncode == 77:
+    reported = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True)
+    if reported.returncode == 77:
         pytest.skip("another C library than glibc")
-    assert told.returncode == 0, told.stderr
-    before, first, early, due = map(int, told.stdout.split())
+    assert reported.returncode == 0, reported.stderr
+    before, first, early, due = map(int, reported.stdout.split())
     assert abs(first - before) < 1_000 and abs(early - before) < 1_000
     assert due < before - 20_000
 

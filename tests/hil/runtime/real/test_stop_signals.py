@@ -27,8 +27,8 @@ def test_what_is_ignored_stays_ignored_and_sigterm_still_stops(ignored: int) -> 
 
 @pytest.mark.parametrize("number", THREE)
 def test_each_stops_and_every_handler_comes_back(number: int) -> None:
-    before, told = [signal.getsignal(each) for each in THREE], []
-    with StopSignals(told.append) as signals:
+    before, reported = [signal.getsignal(each) for each in THREE], []
+    with StopSignals(reported.append) as signals:
         signal.raise_signal(number)
-    assert signals.seen == number and told == [number]
+    assert signals.seen == number and reported == [number]
     assert [signal.getsignal(each) for each in THREE] == before

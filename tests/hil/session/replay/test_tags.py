@@ -57,9 +57,9 @@ def test_answers_of_the_key_are_verified_and_a_forged_one_is_named(tmp_path: Pat
     forged[44] ^= 1  # the second row
     bare = encode_control(ControlPacket(9, 0, 0, 0, 1, ((0.5,), (0.5,)), echo=9, counter=10))
     for at, instead in ((7, bytes(forged)), (9, bare), (5, made[4]), (5, b"...")):
-        told = verify_tags(log(wire, [*made[:at], instead, *made[at + 1 :]]), key)
+        reported = verify_tags(log(wire, [*made[:at], instead, *made[at + 1 :]]), key)
         wrong = instead != made[4]  # an answer that was recorded twice carries a true code: the replay itself finds it
-        assert told == Tags(verified=SLOTS - wrong, wrong=int(wrong), first=at if wrong else None)
+        assert reported == Tags(verified=SLOTS - wrong, wrong=int(wrong), first=at if wrong else None)
 
 
 def test_another_key_or_another_session_verifies_nothing(tmp_path: Path) -> None:
