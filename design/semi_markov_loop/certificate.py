@@ -93,11 +93,7 @@ def check_stabilisable(system: JumpSystem, process: SemiMarkov) -> None:
         exit_rate = float(process.bounds(i, 0.0, np.inf)[1].sum())
         for mu in np.linalg.eigvals(a):
             pencil = np.hstack([a - mu * np.eye(a.shape[0]), b.astype(complex)])
-            if (
-                2.0 * mu.real >= exit_rate
-                and mu.real >= 0
-                and np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9 * size
-            ):
+            if 2.0 * mu.real >= exit_rate and np.linalg.svd(pencil, compute_uv=False)[-1] < 1e-9 * size:
                 raise Infeasible(
                     f"mode {i}: the eigenvalue {mu.real:+.4g} is out of the input's reach and grows faster than the mode is left "
                     f"(total rate at most {exit_rate:.4g}/s); no gains can stabilise the loop",
