@@ -33,7 +33,6 @@ class H2Derivative(NamedTuple):
     S: Array
     X: Array
     gradient_A: Array
-    gradient_C: Array
 
 
 def h2_norm(system: MJLS, initial: npt.ArrayLike | None = None, *, definition: Definition = "energy") -> float:
@@ -82,7 +81,7 @@ def h2_derivative(A: Array, B: Array, C: Array, transition: Array, alpha: Array)
     X = resolvent.covariance(impulse_moments(B, transition, alpha))
     CX = C @ X
     gradient_A = 2.0 * expect(transition, S) @ A @ X
-    return H2Derivative(float(np.sum(CX * C)), S, X, gradient_A, 2.0 * CX)
+    return H2Derivative(float(np.sum(CX * C)), S, X, gradient_A)
 
 
 def _mean_norm(system: MJLS, alpha: Array) -> float:
@@ -126,7 +125,6 @@ class H2Nearby:
         self._covariance = transposed_factors(self._cost)
         self._weight = C.transpose(0, 2, 1) @ C
         self._impulse = impulse_moments(B, transition, alpha)
-        self._C = C
         self._proof = StabilityProof(transition)
         self._E: Array | None = None
         self._X: Array | None = None
@@ -144,4 +142,4 @@ class H2Nearby:
         S = turned @ E @ A + self._weight
         gap = self._impulse + mean(self._covariance, A @ X @ turned) - X
         square = float(np.vdot(self._weight, X) + np.vdot(S, gap))
-        return H2Derivative(square, S, X, 2.0 * (E @ A @ X), 2.0 * (self._C @ X))
+        return H2Derivative(square, S, X, 2.0 * (E @ A @ X))

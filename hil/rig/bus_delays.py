@@ -41,13 +41,11 @@ class BusDelays(Struct, frozen=True, kw_only=True):
         sensor: of the sensor node's packets; None in a slot without one.
         control: of the control packets; empty where they do not travel on the bus.
         worst_ns: the longest response time of a sensor packet and of a control packet; the latter 0 where there is none.
-        offsets_known: whether every slot has bounds of its own; otherwise all have those that hold from any offsets.
     """
 
     sensor: tuple[Late | None, ...]
     control: tuple[Late, ...]
     worst_ns: tuple[int, int]
-    offsets_known: bool
 
     @property
     def exact(self) -> bool:
@@ -162,7 +160,7 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, found: ResponseR
             if worst[way] > apart * BitRates.ns(slot) and packets:
                 return _replaced(bus, ("sensor", "control")[way])
     return BusDelays(
-        sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1]), offsets_known=True
+        sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1])
     )
 
 
@@ -192,7 +190,7 @@ def _from_any_offset(
         worst[way] = bound
         found.append((_late(rates.duration(own.least()), within, slot), _late(BitRates.units(bound), within, slot)))
     sensor = tuple(found[0] if k == clock.phase else None for k in range(clock.every))
-    return BusDelays(sensor=sensor, control=tuple(found[1:]), worst_ns=(worst[0], worst[1]), offsets_known=False)
+    return BusDelays(sensor=sensor, control=tuple(found[1:]), worst_ns=(worst[0], worst[1]))
 
 
 def bus_chains(

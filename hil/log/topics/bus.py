@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 from hil.log.topics.topic import TICK, Topic, i32, i64, u8
-
-OPERATIONS: Final = ("Confirm", "Bus Error")
-"""Names of ``/link/bus.operation``."""
 
 EXTENDED, REMOTE, FD, SWITCH = 1, 2, 4, 8
 """Bits of ``/link/bus.flags``."""
