@@ -38,6 +38,7 @@ from design.jump_linear.mjls import MJLS
 from design.networked_loop.loop_parts import (
     check_gains,
     check_plant_shapes,
+    check_size,
     default_initial,
     initial_law,
     joint_bounds,
@@ -48,6 +49,8 @@ from design.networked_loop.loop_parts import (
 )
 from design.processes.delay_chain import Array, DelayChain, Index, as_chain
 
+MOST_PRODUCTS = 4_000_000
+"""Numbers of the terms L K R that are held at once: 32 MB."""
 SELECTIONS: tuple[str, ...] = get_args(Selection)
 
 
@@ -104,7 +107,9 @@ class LoopStructure(Struct, frozen=True):
         """(N, n, n) closed-loop matrices for gains K of shape `gain_shape`; `rows` stand for those of the entries."""
         e = self.entries
         A = self.base.copy()
-        np.add.at(A, e.mode, e.left @ gains[e.sc, e.row if rows is None else rows] @ e.right)
+        row, part = e.row if rows is None else rows, max(1, MOST_PRODUCTS // A[0].size)
+        for at in (slice(first, first + part) for first in range(0, len(e.mode), part)):
+            np.add.at(A, e.mode[at], e.left[at] @ gains[e.sc[at], row[at]] @ e.right[at])
         return A
 
     def gain_gradient(self, gradient_A: Array) -> Array:
@@ -191,6 +196,7 @@ def loop_structure(
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
+        TooLarge: more modes or states than second moments are computed of.
     """
     A_, B_, C_ = check_plant_shapes(A, B, C)
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
@@ -219,6 +225,9 @@ def loop_structure(
     last_input = start + sum(length for _, length in registers) * m
     order = last_input + (m if weighs_applied or keeps_input else 0)
 
+    modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
+    N = len(modes)
+    check_size(N, order)
     shift = np.zeros((order, order))
     shift[:n, :n] = A_
     if depth:
@@ -243,8 +252,6 @@ def loop_structure(
 
     output_ages, held = sc_chain.output_ages(p), sc_chain.held_outputs(p)
     kept = np.eye(samples * p, order, used).reshape(samples, p, order)
-    modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
-    N = len(modes)
     base = np.repeat(shift[None], N, axis=0)
     input_base = np.zeros((N, m, order))
     entries: list[tuple[int, int, int, Array, Array]] = []

@@ -23,6 +23,7 @@ from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.loop_parts import (
     check_plant_shapes,
+    check_size,
     default_initial,
     initial_law,
     joint_bounds,
@@ -71,6 +72,7 @@ def dynamic_loop(
 
     Raises:
         ValueError: wrong shapes; the message starts with the argument's name.
+        TooLarge: more modes or states than second moments are computed of.
     """
     A_, B_, C_ = check_plant_shapes(A, B, C)
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
@@ -88,6 +90,7 @@ def dynamic_loop(
     last = sample + (p if sc.holds.any() else 0)
     order = last + (m if ca.holds.any() else 0)
     modes, transition = joint_modes(sc, ca, with_previous=selection == "previous")
+    check_size(len(modes), order)
 
     base = np.zeros((order, order))
     base[:n, :n] = A_

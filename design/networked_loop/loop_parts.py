@@ -11,10 +11,27 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, TooLarge
+from design.jump_linear.certificate import too_large
 from design.processes.delay_chain import DelayChain
 
 JointModes = list[tuple[int, int, int]]
+MOST_MODES = 8000
+"""Joint modes that are computed with: a matrix of their transition probabilities has 512 MB."""
+
+
+def check_size(modes: int, order: int) -> None:
+    """Refuse a loop whose second moments are not computed, before its matrices fill the memory.
+
+    Args:
+        modes: joint ones.
+        order: number of states.
+
+    Raises:
+        TooLarge: with both numbers and the limit.
+    """
+    if why := too_large(modes, order):
+        raise TooLarge(why)
 
 
 def joint_modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool = False) -> tuple[JointModes, Array]:
@@ -25,7 +42,13 @@ def joint_modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool = False) 
     Args:
         sc, ca: the delay chains.
         with_previous: a mode keeps the C-A mode before, too.
+
+    Raises:
+        TooLarge: more than `MOST_MODES`.
     """
+    pairs = sc.modes * (int(np.count_nonzero(ca.bounds[1] > 0)) if with_previous else ca.modes)
+    if pairs > 100 * MOST_MODES:  # of chains that begin somewhere few pairs may be met, but all are looked at
+        raise _too_many(pairs)
     if with_previous:
         triples = [(s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0]
         return _met(triples, sc, ca)
@@ -65,8 +88,17 @@ def joint_stays(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Arra
     return tuple(stays for stays in found if stays.any())
 
 
+def _too_many(modes: int) -> TooLarge:
+    return TooLarge(
+        f"the network has {modes} joint modes, more than the {MOST_MODES} that are computed with: laws with fewer ages or modes "
+        "are decided"
+    )
+
+
 def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
+    if len(modes) > MOST_MODES:
+        raise _too_many(len(modes))
     s, c, before = np.array(modes, dtype=np.int64).T
     if before[0] < 0 and len(modes) == len(sc) * len(ca):  # every pair: the same products, without two matrices that are picked
         return np.asarray(np.kron(sc, ca), dtype=np.float64)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from design.errors import TooLarge
 from design.verdict import Verdict
 from hil.certify.certifier import (
     CertificationProblem,
@@ -89,6 +90,8 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
             verdict = certifier(loop)
         except (np.linalg.LinAlgError, OverflowError) as error:
             return undecided(loop, "mean-square stability", f"its proof cannot be computed in double precision: {error}")
+        except TooLarge as error:
+            return undecided(loop, "mean-square stability", str(error))
         except MemoryError as error:
             return undecided(loop, "mean-square stability", _too_large(loop, error))
         if verdict is not None:

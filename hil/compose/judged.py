@@ -8,6 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, integrates
+from design.errors import TooLarge
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
@@ -124,7 +125,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
         loop: the composed experiment.
     """
     from design.blas_threads import one_blas_thread
-    from design.jump_linear.fourth_moment import fourth_moments
+    from design.jump_linear.fourth_moment import FourthMoments, fourth_moments
     from design.networked_loop.closed_loop import loop_structure
 
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):
@@ -133,9 +134,12 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     if sc is None or ca is None:
         return None
     model, controller = loop.model, loop.controller
-    structure = loop_structure(
-        model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(integrates(controller))
-    )
+    try:
+        structure = loop_structure(
+            model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples, integral=float(integrates(controller))
+        )
+    except TooLarge as error:
+        return FourthMoments(radius=None, state="undecided", reason=str(error))
     closed = structure.matrices(gains_over(controller, model, sc, ca))
     with one_blas_thread(), np.errstate(all="ignore"):
         return fourth_moments(closed, structure.transition, upper=None if structure.between is None else structure.between[1])
