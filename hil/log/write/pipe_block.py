@@ -52,8 +52,8 @@ class PipeBlock:
             row = Struct(HEAD.format + "".join(own + (f"{length}s" if raw else "") for own, raw in codes))
             return row.pack, row.size - HEAD.size
 
-        made = ByFrameLength([(len(own), raw) for own, raw in codes], layout)
-        self._values, self._frame_at, self._layout_of = made.count, made.frame_at, made.of
+        self._made = ByFrameLength([(len(own), raw) for own, raw in codes], layout)
+        self._values, self._frame_at = self._made.count, self._made.frame_at
 
     def pack(self, t_ns: int, behind_ns: int, values: Sequence[Any]) -> bytes:
         """Return the records as they go into the pipe.
@@ -68,7 +68,7 @@ class PipeBlock:
         """
         at = self._frame_at
         try:
-            pack, size = self._layout_of(0 if at is None else len(values[at]))
+            pack, size = self._made.of(0 if at is None else len(values[at]))
             return pack(size, self.number, t_ns, behind_ns, *values)
         except (error, LookupError, TypeError):
             if len(values) != self._values:

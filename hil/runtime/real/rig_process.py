@@ -162,7 +162,7 @@ def _run(job: Job) -> None:
             loop.kernel.stop()
 
     signal.signal(signal.SIGTERM, stop)
-    sink = PipeSink(job.log_fd, channels_of(job.loop, on_can=job.link.on_can))
+    sink = PipeSink(job.log_fd, channels_of(job.loop, on_can=job.link.on_can), job.loop.experiment.period_ns)
     timing = job.loop.experiment.timing
     wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.slots)
     local = job.link.traits.in_process

@@ -85,6 +85,33 @@ def test_a_tick_is_one_write_of_at_most_pipe_buf_bytes(ends: Ends) -> None:
     assert 0 < len(first) <= select.PIPE_BUF
 
 
+@pytest.mark.parametrize(("period_ns", "together"), [(50_000_000, 1), (4_000_000, 2), (1_000_000, 8), (100_000, 8)])
+def test_ticks_of_eight_milliseconds_leave_together_and_at_once_with_an_event_and_at_the_end(
+    ends: Ends, period_ns: int, together: int
+) -> None:
+    read, write = ends
+    os.set_blocking(read, False)
+    sink = PipeSink(write, TABLE, period_ns)
+    put = sink.channel("/plant/state")
+    assert put is not None
+
+    def came(ticks: int) -> int:
+        for _ in range(ticks):
+            put(0, b"state")
+            sink.commit()
+        try:
+            return os.read(read, 1 << 20).count(b"state")
+        except BlockingIOError:
+            return 0
+
+    assert [came(1) for _ in range(16)] == [together * (k % together == together - 1) for k in range(16)]
+    sink.event(0, "trip", "an event")
+    assert came(1) == 1
+    assert came(together - 1) == 0
+    sink.close()
+    assert os.read(read, 1 << 20).count(b"state") == together - 1
+
+
 def test_a_full_pipe_costs_records_and_says_how_many(ends: Ends) -> None:
     read, write = ends
     sink = PipeSink(write, TABLE)
