@@ -230,6 +230,14 @@ class IntegralAction(Protocol):
 
 
 @runtime_checkable
+class ClampedIntegral(Protocol):
+    """A controller whose sums of errors are clamped."""
+
+    integral_limit: Sequence[float]
+    """Largest size of the sum of each output's errors; empty: no clamp."""
+
+
+@runtime_checkable
 class SojournDependent(Protocol):
     """A controller whose gains depend on how long the measured delay has lasted."""
 
@@ -266,6 +274,11 @@ def packet_samples(controller: object) -> int:
 def integrates(controller: object) -> bool:
     """Return whether the controller has `IntegralAction`, and uses it."""
     return isinstance(controller, IntegralAction) and bool(controller.integral)
+
+
+def integral_limit(controller: object) -> tuple[float, ...]:
+    """Return at what size the sum of each output's errors is clamped, see `ClampedIntegral`; no clamp: an empty tuple."""
+    return tuple(controller.integral_limit) if isinstance(controller, ClampedIntegral) else ()
 
 
 def sojourns_distinguished(controller: object) -> int | Sequence[int]:

@@ -44,7 +44,7 @@ class GainRows:
     """u = u* + K[tau, row] Y, see `GainIndex`.
 
     Y is the error y - r of every sample in the packet, newest first, and with ``integral`` below these the sum of the newest
-    errors of all earlier slots.
+    errors of all earlier slots; where it has a `limit` for each output, the sum is clamped to it in every slot.
     """
 
     def __init__(
@@ -54,8 +54,10 @@ class GainRows:
         model: LoopModel,
         integral: bool = False,
         sojourns: Sequence[int] = (),
+        limit: Sequence[float] = (),
     ) -> None:
         self.selection = selection
+        self._limit = tuple(map(float, limit))
         self._sum = [0.0] * model.C.shape[0] if integral else []
         self._gains = nested(K)
         self._index = GainIndex(sojourns or (1,) * len(K))
@@ -71,6 +73,8 @@ class GainRows:
         e = [a - b for a, b in zip(y, cycle(r))]
         known = e + self._sum
         self._sum = [s + x for s, x in zip(self._sum, e)]
+        if self._limit:
+            self._sum = [min(max(s, -most), most) for s, most in zip(self._sum, self._limit)]
         star = [dot(row, r) for row in self._omega]
         return tuple(
             [tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._index.at(tau)]]

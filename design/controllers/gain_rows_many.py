@@ -71,11 +71,14 @@ class BatchGainRows:
         runs: how many.
         integral: whether the gains have p columns for the sum of the newest errors.
         sojourns: how many tables every tau has.
+        limit: largest size of each sum; empty: any.
     """
 
     def __init__(
-        self, K: Matrix, selection: Selection, model: LoopModel, runs: int, integral: bool = False, sojourns: Sequence[int] = ()
-    ) -> None:
+        self, K: Matrix, selection: Selection, model: LoopModel, runs: int, integral: bool = False, sojourns: Sequence[int] = (),
+        limit: Sequence[float] = (),
+    ) -> None:  # fmt: skip
+        self._limit = np.array(limit, dtype=np.float64)[:, None]
         self.selection = selection
         self.memory: int | None = None
         p = model.C.shape[0]
@@ -105,7 +108,9 @@ class BatchGainRows:
         error = [row - r[j % len(r)] for j, row in enumerate(y)]
         summands = [*error, *self._sum]
         if len(self._sum):
-            self._sum = np.where(started, self._sum + np.array(error[: len(self._sum)]), self._sum)
+            added = self._sum + np.array(error[: len(self._sum)])
+            added = np.clip(added, -self._limit, self._limit) if len(self._limit) else added
+            self._sum = np.where(started, added, self._sum)
         total = np.zeros((gains.shape[0], gains.shape[1], gains.shape[3]))
         for j, x in enumerate(summands):
             total += gains[:, :, j] * x

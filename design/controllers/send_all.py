@@ -59,6 +59,8 @@ class SendAll:
             row; one matrix for all of them is kind = "local".
         selection: which row the actuator applies; see the module's table.
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
+        integral_limit: largest size of the integral of each output's error, output unit times slots: it is clamped there, against
+            wind-up. One entry per output; absent: no clamp.
         sojourns: how many tables belong to every tau, for 1, 2, ... slots that it has lasted (the last for all longer ones), over
             semi-Markov delays; by default one each, whatever it has lasted.
         samples: samples per packet: the gains have p columns for y(k - tau), then p for y(k - tau - 1), and so on.
@@ -73,6 +75,7 @@ class SendAll:
     gains: Gains
     selection: Selection = "applied"
     integral: bool = False
+    integral_limit: tuple[float, ...] = ()
     sojourns: tuple[int, ...] = ()
     samples: int = 1
     ages: tuple[int, ...] = ()
@@ -82,6 +85,11 @@ class SendAll:
         if self.samples < 1:
             raise FieldError("samples", f"{self.samples}, expected at least 1")
         check_row_sojourns(self.row_sojourns, self.selection, "selection")
+        if self.integral_limit and not self.integral:
+            raise FieldError("integral_limit", "needs integral = true: without it there is no sum to clamp")
+        for i, most in enumerate(self.integral_limit):
+            if not (np.isfinite(most) and most > 0.0):
+                raise FieldError(f"integral_limit[{i}]", f"{most:g}, expected a finite number above 0")
         if self.ages and (min(self.ages) < 1 or prod(self.ages) != len(self.gains)):
             raise FieldError("ages", f"{list(self.ages)}, expected counts whose product is {len(self.gains)}, one per table")
         if self.ages and self.sojourns:
@@ -98,6 +106,8 @@ class SendAll:
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         K = np.asarray(self.gains, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
+        if len(self.integral_limit) not in (0, p):
+            raise FieldError("integral_limit", f"{len(self.integral_limit)} entries, but the plant has {p} outputs")
         rows = row_count(self.selection, model.d_max, self.row_sojourns)
         width = p * (self.samples + self.integral)
         if K.shape[1:] != (rows, m, width):
@@ -116,7 +126,7 @@ class SendAll:
         return K
 
     def start(self, model: LoopModel) -> RunningController | MultiSampleController:
-        running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns)
+        running = GainRows(self.table(model), self.selection, model, self.integral, self.sojourns, self.integral_limit)
         if len(self.ages) < 2:  # of one node, the age is tau itself
             return running
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max, self.row_sojourns))
@@ -125,7 +135,9 @@ class SendAll:
         """Return so many of them, ready for slot 0; None over several nodes of which one may keep silent."""
         if len(self.ages) > 1 and model.nodes.silent:
             return None
-        running = BatchGainRows(self.table(model), self.selection, model, runs, self.integral, self.sojourns)
+        running = BatchGainRows(
+            self.table(model), self.selection, model, runs, self.integral, self.sojourns, self.integral_limit
+        )  # fmt: skip
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 
 

@@ -14,7 +14,17 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import AgedFeedback, GainTable, LinearFeedback, LinearLaw, LoopModel, RowsLaw, integrates, packet_samples
+from design.controllers import (
+    AgedFeedback,
+    GainTable,
+    LinearFeedback,
+    LinearLaw,
+    LoopModel,
+    RowsLaw,
+    integral_limit,
+    integrates,
+    packet_samples,
+)
 from design.errors import FieldError, NotStable
 from design.jump_linear.every_order import growth_in_every_order
 from design.processes.delay_chain import DelayChain
@@ -97,6 +107,8 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
+    if integral_limit(controller):
+        return undecided(loop, "mean-square stability", "its integral is clamped (integral_limit): the loop is no linear one")
     try:
         gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
     except FieldError as error:

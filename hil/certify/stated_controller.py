@@ -18,6 +18,7 @@ from design.controllers import (
     OutputFeedback,
     SendAll,
     ages_distinguished,
+    integral_limit,
     integrates,
     packet_samples,
     row_sojourns_distinguished,
@@ -124,6 +125,7 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         lengths = (stays,) if isinstance(stays, int) else tuple(stays)
         table = SendAll(
             gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
+            integral_limit=integral_limit(controller),
             sojourns=() if isinstance(stays, int) else lengths, ages=ages, row_sojourns=row_sojourns_distinguished(controller),
         )  # fmt: skip
         return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)

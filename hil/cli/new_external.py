@@ -20,6 +20,7 @@ from design.controllers import (
     LinearFeedback,
     ages_distinguished,
     feedforward,
+    integral_limit,
     integrates,
     packet_samples,
     sojourns_distinguished,
@@ -160,6 +161,7 @@ def _python_values(of: ExternalController, stem: str) -> dict[str, Any]:
         "STEP": of.step, "FD": of.step == 64, "SENSORS": ids and ids.sensors, "CONTROL": ids and ids.control,
         "AGES": law.ages, "RANGES": law.ranges, "FEEDFORWARD": law.omega.tolist(), "GAINS": law.gains.tolist(),
         "NEXT": law.state.tolist(), "STATE_FIRST": law.state_first,
+        "STATE_LIMIT": law.limit,
         "TAGGED_FLAG": "| TAGGED" if of.keyed else "", "KEY": "key" if of.keyed else "",
     }  # fmt: skip
 
@@ -226,6 +228,7 @@ class LawTables:
         samples: samples of every output in e.
         ages: of each sensor node how many ages have tables of their own; empty where the oldest age has the table.
         ranges: of each age the first and the last of its tables, for 1, 2, ... slots at this age; the last entry for all beyond.
+        limit: largest size of every entry of the state; empty: any.
         why_none: why the tables hold zeros; empty where they are the controller's.
     """
 
@@ -236,6 +239,7 @@ class LawTables:
     samples: int
     ages: tuple[int, ...]
     ranges: tuple[tuple[int, int], ...]
+    limit: tuple[float, ...] = ()
     why_none: str = ""
 
 
@@ -254,7 +258,7 @@ def law_tables(loop: Loop) -> LawTables:
             moved[i, [i, p * samples + i]] = 1.0
         return LawTables(
             omega=feedforward(model), gains=K, state=moved, state_first=False, samples=samples,
-            ages=ages if len(ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)),
+            ages=ages if len(ages) > 1 else (), ranges=tuple(sojourn_ranges(sojourns)), limit=integral_limit(controller),
         )  # fmt: skip
     if isinstance(controller, LinearFeedback):
         law = controller.linear_law(model)

@@ -72,6 +72,7 @@ def c_tables(of: ExternalController, database: Any) -> str:
         ("int", "OUTPUT[NODES][OUTPUTS]", padded),
         ("int", "AGES[NODES]", list(law.ages) or [0] * len(sensors)),
         ("int", "RANGES[RANGE_COUNT][2]", [list(each) for each in law.ranges]),
+        ("double", "STATE_LIMIT[STATES ? STATES : 1]", list(law.limit) or np.full(max(states, 1), np.finfo(float).max)),
         ("double", "FEEDFORWARD[INPUTS][OUTPUTS]", law.omega),
         ("double", "GAINS[TABLES][ROWS][INPUTS][STATES + Y_SIZE]", law.gains),
         ("double", "NEXT[STATES ? STATES : 1][STATES + Y_SIZE]", law.state if states else np.zeros((1, width))),

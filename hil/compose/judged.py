@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec.structs import replace
 
-from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, integrates
+from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, integral_limit, integrates
 from design.errors import TooLarge
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
@@ -131,7 +131,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):
         return None
     sc, ca = loop.chains.sc, loop.chains.ca
-    if sc is None or ca is None:
+    if sc is None or ca is None or integral_limit(loop.controller):
         return None
     model, controller = loop.model, loop.controller
     try:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, feedforward, integrates
+from design.controllers import GainTable, feedforward, integral_limit, integrates
 from hil.measure.followed import AFTER_S, target_of
 from hil.measure.signals import signals_of
 from hil.measure.tracking import squared_unit
@@ -81,9 +81,9 @@ class PredictedTracking:
 def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
-    That is: a controller that is no table of gains, a network law without a chain, a packet law under which the controller may
-    receive nothing for longer than its chain distinguishes ages (then it answers zeros, not by its gains), a plant that jumps or
-    has delayed states, faults on the time line, or a reference that no input holds.
+    That is: a controller that is no table of gains or clamps its integral, a network law without a chain, a packet law under
+    which the controller may receive nothing for longer than its chain distinguishes ages (then it answers zeros, not by its
+    gains), a plant that jumps or has delayed states, faults on the time line, or a reference that no input holds.
 
     Args:
         loop: the composed experiment.
@@ -94,6 +94,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     plant, chains = loop.experiment.plant, (loop.chains.sc, loop.chains.ca)
     if (
         not isinstance(loop.controller, GainTable)
+        or integral_limit(loop.controller)
         or None in chains
         or loop.experiment.fault
         or loop.chains.neglects()

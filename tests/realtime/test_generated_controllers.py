@@ -23,6 +23,10 @@ SEED = 11
 LANGUAGES = pytest.mark.parametrize("language", ["python", "c"])
 EXACT = ("reference.0.at=0.2", "duration=4s")  # the motor's reference of 3.0 is a 32-bit float
 
+CLAMPED = (
+    f"controller={{kind='send-all',selection='constant',integral=true,integral_limit=[0.7],gains={[[[[-0.1, -0.01]]]] * 3}}}"
+)
+
 
 def loop_of(name: str, *changes: str) -> Loop:
     return compose(load_experiment(name, changes), certify=False)
@@ -53,6 +57,7 @@ def answered(folder: Path, loop: Loop, language: Language, options: str = "", au
         ("dc-motor-hinf", EXACT),  # (7.36)
         ("dc-motor-ours-two-samples", EXACT),
         ("dc-motor-ours-integral", EXACT),
+        ("dc-motor-hinf", (*EXACT, CLAMPED)),
         ("dc-motor-ours-bursty", EXACT),  # gains by the sojourn time
         ("dc-motor-ours-stays", (*EXACT, "reference.0.value=[0.25]")),  # rows by the stay of d
         ("dc-motor-two-nodes", EXACT),  # gains by the age of each node

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from design.controllers import LoopModel, SendAll, nested
+from design.controllers.contract import KnownInBatch
+from design.errors import FieldError
 
 INTEGRATOR = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
 
@@ -15,3 +18,31 @@ def test_the_integral_holds_the_errors_of_earlier_slots_only() -> None:
     running = SendAll(gains=gains, integral=True, selection="constant").start(INTEGRATOR)
     answers = [running.rows(k, 0, (e,), (0.0,))[0][0] for k, e in enumerate((1.0, 0.5, 0.25))]
     assert answers == [-2.0, -1.0 + 10.0, -0.5 + 15.0]
+
+
+def test_a_clamped_integral_stays_within_its_limit_and_comes_back_at_once() -> None:
+    """The sum would be 1, 2, 3, 2: clamped at 1.5 it is 1, 1.5, 1.5, 0.5. Alone and in two runs at once, of either sign."""
+    clamped = SendAll(gains=nested(np.array([[[[-2.0, 10.0]]]])), integral=True, integral_limit=(1.5,), selection="constant")
+    errors, sums = (1.0, 1.0, 1.0, -1.0, 0.0), (0.0, 1.0, 1.5, 1.5, 0.5)
+    for sign in (1.0, -1.0):
+        running = clamped.start(INTEGRATOR)
+        answers = [running.rows(k, 0, (sign * e,), (0.0,))[0][0] for k, e in enumerate(errors)]  # type: ignore[union-attr,call-arg,arg-type]
+        assert answers == [sign * (-2.0 * e + 10.0 * s) for e, s in zip(errors, sums)]
+    many = clamped.start_batch(INTEGRATOR, 2)
+    assert many is not None
+    for k, (e, s) in enumerate(zip(errors, sums)):
+        known = KnownInBatch(np.ones(2, dtype=bool), np.zeros((1, 2), dtype=np.intp), np.array([[e, -e]]), (0.0,))
+        assert many.rows(k, known)[0, 0].tolist() == [-2.0 * e + 10.0 * s, 2.0 * e - 10.0 * s]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"integral": False, "integral_limit": (1.0,)}, "needs integral = true"),
+        ({"integral": True, "integral_limit": (0.0,)}, "expected a finite number above 0"),
+        ({"integral": True, "integral_limit": (1.0, 1.0)}, "2 entries, but the plant has 1 outputs"),
+    ],
+)
+def test_a_limit_that_clamps_nothing_is_refused(fields: dict[str, object], said: str) -> None:
+    with pytest.raises(FieldError, match=said):
+        SendAll(gains=nested(np.array([[[[-2.0, 10.0]]]])), selection="constant", **fields).start(INTEGRATOR)  # type: ignore[arg-type]

@@ -98,6 +98,14 @@ def test_a_stable_loop_goes_far_from_rest_under_a_trigger_that_looks_at_no_sampl
     assert reached["dead-band"][0] == "certified" and reached["dead-band"][2] < 0.5
 
 
+def test_a_loop_with_a_clamped_integral_is_undecided() -> None:
+    """Without the clamp the same gains over the linear motor are certified: a claim is of the loop that runs."""
+    table = {"kind": "send-all", "selection": "constant", "integral": True, "gains": [[[[-0.1, -0.002]]]] * 3}
+    free, clamped = (composed("dc-motor-h2", controller=table | more).verdict for more in ({}, {"integral_limit": [1.0]}))
+    assert free is not None and free.certified
+    assert clamped is not None and clamped.state == "undecided" and "integral_limit" in clamped.reason
+
+
 class Flatterer(DCMotor):
     """Says that its friction is half of what it is."""
 

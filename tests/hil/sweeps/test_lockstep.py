@@ -154,11 +154,12 @@ def test_every_rule_picks_the_same_row(selection: str, rows: int) -> None:
     "sets",
     [
         [sent("applied", 3, 2, 1, 2, ",integral=true")],
+        [sent("applied", 3, 2, 1, 2, ",integral=true,integral_limit=[0.4]")],
         [sent("applied", 3, 2, 1, 2, ",samples=2")],
         [f"network.sc.law={{{SEMI_MARKOV}}}", sent("applied", 4, 2, 1, 1, ",sojourns=[3,1]")],
         [f"network.ca.law={{{SEMI_MARKOV}}}", sent("applied", 3, 6, 1, 1, ",row_sojourns=3")],
     ],
-    ids=["integral", "two samples", "sojourns", "row sojourns"],
+    ids=["integral", "a clamped integral", "two samples", "sojourns", "row sojourns"],
 )
 def test_what_a_controller_remembers_is_the_same(sets: list[str]) -> None:
     same_bits(loop_of("dc-motor-hinf", "duration=6", *sets), range(4))
