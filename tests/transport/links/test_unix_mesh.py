@@ -46,8 +46,8 @@ class CountingEpoll:
 def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_helps(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as listener:
         sender.send(HEAD.pack(0.0, 0))
-        counting = CountingEpoll(listener._epoll)
-        listener._epoll = counting  # type: ignore[assignment]
+        counting = CountingEpoll(listener._members.epoll)
+        listener._members.epoll = counting  # type: ignore[assignment]
         assert listener.receive(0.01) is not None and counting.polls == 1
         for _ in range(200):
             assert listener.receive(0.00001) is None
@@ -106,7 +106,7 @@ def test_a_wait_is_as_long_as_was_said(timeout_s: float, directory: Path) -> Non
 
 def test_a_datagram_too_short_to_be_one_is_passed_over(directory: Path) -> None:
     with Mesh(directory) as mesh, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger, Mesh(directory) as friend:
-        stranger.connect(str(mesh._path))
+        stranger.connect(str(mesh._members._path))
         stranger.send(b"hello")
         friend.send(HEAD.pack(1.0, 0) + b"frame")
         assert mesh.receive(1) == HEAD.pack(1.0, 0) + b"frame"
@@ -120,7 +120,7 @@ def test_a_datagram_too_short_to_be_one_is_passed_over(directory: Path) -> None:
 def test_who_cannot_get_the_lock_says_that_a_process_stopped_in_mid_join(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("transport.links.unix_mesh._JOIN_TIMEOUT_S", 0.05)
+    monkeypatch.setattr("transport.links.mesh_members._JOIN_TIMEOUT_S", 0.05)
     directory.mkdir(mode=0o700)
     held = os.open(directory, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
@@ -150,13 +150,13 @@ def few_descriptors() -> Iterator[None]:
 def test_without_a_free_descriptor_no_process_spins_and_a_joining_one_waits(directory: Path) -> None:
     with Mesh(directory) as mesh, Mesh(directory) as first, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as newcomer:
         assert mesh.receive(0) is None and mesh.participants == 2  # the first one is in
-        newcomer.connect(str(mesh._path))
+        newcomer.connect(str(mesh._members._path))
         _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         lowest_free = os.dup(0)
         os.close(lowest_free)
         resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, hard))
-        counting = CountingEpoll(mesh._epoll)
-        mesh._epoll = counting  # type: ignore[assignment]
+        counting = CountingEpoll(mesh._members.epoll)
+        mesh._members.epoll = counting  # type: ignore[assignment]
         assert mesh.receive(0) is None and mesh.refused == 1
         for _ in range(20):
             assert mesh.receive(0) is None
@@ -164,7 +164,7 @@ def test_without_a_free_descriptor_no_process_spins_and_a_joining_one_waits(dire
         first.send(HEAD.pack(1.0, 0) + b"frame")
         assert mesh.receive(0) == HEAD.pack(1.0, 0) + b"frame"  # and hears the others
         first.close()
-        while not mesh._listening:  # until it has seen that the first one left
+        while not mesh._members._listening:  # until it has seen that the first one left
             assert mesh.receive(0.01) is None
         newcomer.send(HEAD.pack(2.0, 0) + b"hello")
         assert mesh.receive(1) == HEAD.pack(2.0, 0) + b"hello"
@@ -255,7 +255,7 @@ def test_participants_number_themselves_and_leave_no_descriptor_open(directory: 
 def test_who_missed_more_than_one_datagram_can_say_learns_it_by_the_next_ones(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as listener:
         sender.send(HEAD.pack(0.0, 0))
-        sender._peers[0].missed = 0x1_2345
+        sender._members.peers[0].missed = 0x1_2345
         for _ in range(3):
             sender.send(HEAD.pack(0.0, 0))
         while listener.receive(0.01) is not None:
@@ -284,7 +284,7 @@ def test_who_never_leaves_is_gone_with_the_interpreter_without_a_word(directory:
     first.send(HEAD.pack(0.0, 0) + b"x")
     second.send(HEAD.pack(0.0, 0) + b"x")
     for mesh in (first, second):
-        for peer in mesh._peers:
+        for peer in mesh._members.peers:
             peer.socket.close()
         mesh.close()
     assert not [path for path in directory.glob("*.sock") if path.is_socket()]

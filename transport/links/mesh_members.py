@@ -1,0 +1,209 @@
+"""Who takes part in a mesh: sockets in one directory, and a mark that changes whenever one more is there.
+
+Every participant listens on a socket in the directory and is connected to every other participant. A newcomer connects to all
+sockets that it finds there, removes those that no process answers (their owners were killed), and changes the mark.
+The mark is read and written, never mapped: whatever is done to its file costs a newcomer, not a life (SIGBUS).
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import stat
+from contextlib import suppress
+from errno import EMFILE, ENFILE, ENOBUFS, ENOMEM
+from pathlib import Path
+from threading import Lock
+from typing import Final
+
+from transport.links.link import TransportError
+from transport.links.mesh_peer import SOCKETS, Peer, remove_left_behind
+from transport.links.private_directory import locked
+
+_JOIN_TIMEOUT_S: Final = 2.0
+_MARK_BYTES: Final = 8
+
+
+class Members:
+    """All participants, as one of them knows them.
+
+    Args:
+        directory: where the participants' sockets are; made if missing, removed by the last one to leave.
+        echo: connect to oneself too, see `own`.
+
+    Attributes:
+        peers: whom we send to.
+        sources: whose datagrams we receive, by file descriptor.
+        own: our end of a connection to ourselves.
+        epoll: says when something waits from a source, or a newcomer.
+        closed: whether we have left.
+        refused: how often a newcomer found no free file descriptor here. It is let in when one is free again.
+
+    Raises:
+        TransportError: no such directory can be had, it belongs to another user, or the disk or the descriptors are used up.
+    """
+
+    def __init__(self, directory: Path, *, echo: bool) -> None:
+        self.directory = directory
+        self.refused = 0
+        self.peers: tuple[Peer, ...] = ()
+        self.sources: dict[int, Peer] = {}
+        self.own: Peer | None = None
+        self.closed = False
+        self._lock = Lock()
+        self._listener: socket.socket | None = None
+        self._listening = False  # whether newcomers wake us up
+        self._joined = -1  # file descriptor of the mark
+        self._seen = b""
+        self._knows_all = True
+        try:
+            self.epoll = select.epoll()
+        except OSError as error:
+            raise TransportError(f"{directory}: {error.strerror}") from error
+        try:
+            with locked(directory, _JOIN_TIMEOUT_S):
+                self._join()
+            if echo:
+                ours, own = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                self.own = Peer(ours)
+                self._add(Peer(own))
+        except BaseException as error:
+            self._release([*self.sources.values()])
+            if isinstance(error, OSError):  # no room, no descriptor
+                raise TransportError(f"{directory}: {error.strerror or error}") from error
+            raise
+
+    def _join(self) -> None:
+        peers = []
+        for path in sorted(self.directory.glob(SOCKETS)):
+            if not stat.S_ISSOCK(path.lstat().st_mode):
+                continue  # not ours, and not ours to remove
+            connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            connection.setblocking(False)
+            try:
+                connection.connect(str(path))
+            except BlockingIOError:  # alive, stopped, and thousands have knocked already
+                connection.close()
+                self._knows_all = False
+            except (ConnectionRefusedError, FileNotFoundError):
+                connection.close()
+                path.unlink(missing_ok=True)
+            except OSError:  # another kind of socket, not ours
+                connection.close()
+            else:
+                peers.append(Peer(connection))
+                self._add(peers[-1])
+        self.peers = tuple(peers)
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._listener.setblocking(False)
+        number = 0
+        while (path := self.directory / f"{os.getpid()}-{number}.sock").exists():
+            number += 1
+        try:
+            self._listener.bind(str(path))
+        except OSError as error:
+            raise TransportError(f"{path}: {error.strerror or error}; a Unix socket's path has at most 107 bytes") from error
+        self._path = path
+        try:
+            self._listener.listen(socket.SOMAXCONN)
+            self._listen()
+            flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+            self._joined = os.open(self.directory / "joined", flags, 0o600)
+            self._seen = os.urandom(_MARK_BYTES)  # no mark comes twice, whoever cuts the file
+            os.pwrite(self._joined, self._seen, 0)  # where the disk is full it fails here, as an error
+        except OSError as error:
+            path.unlink(missing_ok=True)
+            raise TransportError(f"{self.directory / 'joined'}: {error.strerror}") from error
+
+    def _listen(self) -> None:
+        if self._listener is not None and not self._listening:
+            self.epoll.register(self._listener, select.EPOLLIN)
+            self._listening = True
+
+    def unseen(self) -> bool:
+        """Return whether someone has joined whom `admit` has not let in."""
+        return self._mark() != self._seen
+
+    def _mark(self) -> bytes:
+        try:
+            return os.pread(self._joined, _MARK_BYTES, 0)
+        except OSError:
+            if self.closed:  # by another thread, while this one sends: python-can's cyclic senders end when they may
+                return self._seen
+            raise
+
+    def _add(self, peer: Peer) -> None:
+        self.sources[peer.socket.fileno()] = peer
+        self.epoll.register(peer.socket, select.EPOLLIN)
+
+    def admit(self) -> None:
+        """Let in whoever has connected since."""
+        with self._lock:
+            mark = self._mark()
+            self._accept_all()
+            self._seen = mark  # at last: whoever sends meanwhile from another thread comes here too, and waits
+
+    def _accept_all(self) -> None:
+        while not self.closed and self._listener is not None:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError as error:  # none left, or gone again
+                if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
+                    # No one can be let in, and who waits would wake us up without end: look again when one has left.
+                    self.epoll.unregister(self._listener)
+                    self._listening = False
+                    self.refused += 1
+                return
+            peer = Peer(connection)
+            self._add(peer)
+            self.peers += (peer,)
+            self._listen()
+
+    def remove(self, peer: Peer, *, unread: bool) -> None:
+        """Send no more to a participant that has left; what it had sent before stays to be read."""
+        with self._lock:
+            self.peers = tuple(other for other in self.peers if other is not peer)
+            if not unread and self.sources.pop(peer.socket.fileno(), None) is not None:
+                with suppress(OSError, ValueError):
+                    self.epoll.unregister(peer.socket)
+                peer.socket.close()
+                with suppress(OSError, ValueError):
+                    self._listen()
+
+    def leave(self) -> None:
+        """Leave; what was sent stays readable for the others. The last one alive clears the directory away."""
+        if self.closed:
+            return
+        with suppress(TransportError, OSError, ValueError), locked(self.directory, 0.2):
+            self._path.unlink(missing_ok=True)
+            if self._last():
+                for path in self.directory.glob(SOCKETS):
+                    if stat.S_ISSOCK(path.lstat().st_mode):
+                        path.unlink(missing_ok=True)
+                remove_left_behind(self.directory)
+        with self._lock:
+            if self.closed:
+                return
+            self.closed = True
+            sources, self.sources, self.peers = self.sources, {}, ()
+        self._path.unlink(missing_ok=True)  # where the lock was not to be had
+        self._release([*sources.values()])
+
+    def _release(self, peers: list[Peer]) -> None:
+        self.epoll.close()
+        if self._listener is not None:
+            self._listener.close()
+        for peer in [*peers, *([self.own] if self.own else [])]:
+            peer.socket.close()
+        if self._joined >= 0:
+            os.close(self._joined)
+            self._joined = -1
+
+    def _last(self) -> bool:
+        """Return whether all others have left or were killed; none can join while the lock is held."""
+        self.admit()
+        poll = select.poll()
+        for peer in self.peers:
+            poll.register(peer.socket, 0)
+        return self._knows_all and sum(bool(event & select.POLLHUP) for _, event in poll.poll(0)) == len(self.peers)
