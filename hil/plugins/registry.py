@@ -18,6 +18,29 @@ OBJECT: Final = "object "
 """How the kind of something begins that was built in Python and stands in no file."""
 
 
+MEANT: Final[dict[Group, dict[str, tuple[str, ...]]]] = {
+    "hil.plants": {
+        "state-space": ("linear", "lti", "ss", "abcd", "matrix", "matrices"),
+        "transfer-function": ("tf", "zpk", "siso", "polynomial"),
+        "fmu": ("fmi", "simulink", "modelica"),
+        "omni": ("haptic", "phantom"),
+    },
+    "hil.controllers": {
+        "output-feedback": ("kalman", "observer", "dynamic", "pi", "pid", "state-space"),
+        "local-designed": ("lqr", "lqg"),
+        "send-all": ("gain", "gains", "static", "matrix"),
+        "virtual-wall": ("wall", "haptic"),
+    },
+    "hil.laws": {
+        "packet": ("bernoulli", "loss", "jitter", "latency"),
+        "iid": ("independent", "random"),
+        "constant": ("fixed", "none", "ideal"),
+        "trace": ("recorded", "file"),
+    },
+}
+"""Words of the field for what a kind is, where its name is spelt otherwise."""
+
+
 @cache
 def _found() -> dict[str, dict[str, Point]]:
     found: dict[str, dict[str, Point]] = {}
@@ -56,12 +79,18 @@ def load(group: Group, name: str, folder: str = ".") -> type:
     found = _of(group)
     if name not in found:
         there = f"(there are: {', '.join(sorted(found))})"
-        raise HilError(f"no {group[4:-1]} plug-in is called {name!r}{nearest(name, found)} {there}")
+        raise HilError(f"no {group[4:-1]} plug-in is called {name!r}{_hint(group, name, found)} {there}")
     try:
         plugin: type = found[name].load()
     except (ImportError, AttributeError) as e:
         raise HilError(f"{group[4:-1]} plug-in {name!r} cannot be loaded from {found[name].value}: {e}") from e
     return plugin
+
+
+def _hint(group: Group, name: str, found: dict[str, Point]) -> str:
+    word = name.lower().replace("_", "-")
+    meant = (kind for kind, words in MEANT.get(group, {}).items() if word in words and kind in found)
+    return next((f"; did you mean {kind!r}?" for kind in meant), "") or nearest(word, found)
 
 
 def provider(group: Group, name: str) -> str:
