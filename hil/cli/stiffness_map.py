@@ -6,11 +6,12 @@ import csv
 import io
 from dataclasses import asdict
 from pathlib import Path
+from textwrap import fill
 
 import click
 
 from hil.cli.option_types import NumberList
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, terminal_columns
 from hil.errors import HilError
 
 
@@ -78,4 +79,5 @@ def command(
             f"{c.ceiling_n_per_m:.1f}", colgate, f"{c.gil_hulin_n_per_m:.1f}", f"{c.exact_n_per_m:.1f}",
         )  # fmt: skip
     Console().print(shown)
-    click.echo("Colgate, Gil-Hulin, exact: a wall without a coupler and without damping of its own; the last for no hand at all.")
+    said = "Colgate, Gil-Hulin, exact: a wall without a coupler and without damping of its own; the last for no hand at all."
+    click.echo(fill(said, terminal_columns(), break_on_hyphens=False))

@@ -248,8 +248,8 @@ def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> 
         rows.append([*sweep.points.values[number], i.n, i.value if np.isfinite(i.value) else None, within(i) or "-", *gap_cells])
     which = "best" if best is not None else "first"
     columns = (
-        *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval", f"difference to the {which} point",
-        "its 95 % interval",
+        *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval",
+        with_unit(f"difference to the {which} point", quantity.unit), "its 95 % interval",
     )  # fmt: skip
     note = "Differences are run by run, on the same seeds."
     return Table(columns=columns, rows=rows, highlight=frozenset() if best is None else frozenset({best}), note=note)

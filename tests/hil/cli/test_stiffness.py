@@ -39,6 +39,12 @@ def test_the_printed_map_names_the_unit_of_every_column() -> None:
     assert all(unit in shown for unit in ("stiffness in N/m", "delay in samples", "hand in N s/m", "50 ms"))
 
 
+def test_the_printed_map_holds_the_columns_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = mapped(*MAP).stdout.splitlines()
+    assert max(map(len, lines)) <= 80 and lines[-1].endswith("no hand at all.")
+
+
 def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -> None:
     cells = json.loads(mapped(*MAP, "--json").stdout)["cells"]
     at = {(c["period_s"], c["delay"], c["hand_damping_n_s_per_m"]): c for c in cells}

@@ -54,7 +54,7 @@ def test_a_point_far_off_presses_no_other_onto_the_axis(values: list[float], sca
 
 def test_the_page_of_a_sweep_opens_with_its_answer_and_marks_what_was_computed(sweep: ParameterSweep) -> None:
     page = parameter_page(sweep)
-    assert page.index(">Answer<") < page.index("best point: period=25 ms") < page.index("difference to the best point")
+    assert page.index(">Answer<") < page.index("best point: period=25 ms") < page.index("difference to the best point (rad² s)")
     assert '"marked":true' in page and '"xTicks":[25.0,50.0]' in page
 
 
