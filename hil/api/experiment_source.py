@@ -173,4 +173,7 @@ def _toml(value: Any, path: str) -> str:
         return f"[{', '.join(_toml(v, path) for v in value)}]"
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_toml(str(k), path)} = {_toml(v, path)}" for k, v in value.items()) + "}"
-    raise HilError(f"{path}: {type(value).__name__} is not a value of an experiment; expected a number, text, a list or a table")
+    raise HilError(
+        f"{path}: {type(value).__name__} is not a value of an experiment; expected a number, text, a list or a table"
+        "; objects stand at plant, controller, network.sc.law and network.ca.law"
+    )

@@ -18,12 +18,13 @@ from typing import Any, Final
 import msgspec
 
 from hil.errors import HilError, nearest
-from hil.experiment.tables import HIDDEN, Experiment, Network, Seconds, Table
+from hil.experiment.tables import HIDDEN, Experiment, Links, Network, Seconds, Table
 from hil.plugins.protocols import FieldFault
 
 _UNIONS: Final = (typing.Union, types.UnionType)
 _LISTS: Final = (list, tuple, set, frozenset, collections.abc.Sequence, collections.abc.Collection, collections.abc.Set)
 _DICTS: Final = (dict, collections.abc.Mapping, collections.abc.MutableMapping)
+IN_NETWORK = {"law": "network.sc.law", **{key: f"network.{key}" for key in Network.__struct_encode_fields__}}
 
 
 def is_table(hint: Any) -> bool:
@@ -228,7 +229,7 @@ class TableCheck:
                 continue
             if key not in known:
                 names = [name for name in known if cls is not Experiment or name not in HIDDEN]
-                inner = [f"network.{key}"] if cls is Experiment and key in Network.__struct_encode_fields__ else []
+                inner = [IN_NETWORK[key]] if cls in (Experiment, Links, Network) and key in IN_NETWORK else []
                 there = f"; there are {', '.join(names)}" if names else "; it has none"
                 self.faults.append(f"{at}: unknown field{nearest(inner[0] if inner else key, inner or names) or there}")
                 continue

@@ -79,3 +79,9 @@ def test_numbers_that_cannot_run_are_refused() -> None:
 def test_numbers_of_numpy_are_numbers(session: Session) -> None:
     assert hil.run("dc-motor-h2", seed=np.int64(0), duration=np.float64(1.0)).metrics == session.metrics  # type: ignore[arg-type]
     assert hil.run.__wrapped__.__name__ == hil.run.__name__  # type: ignore[attr-defined]  # signature and documentation stay
+
+
+@pytest.mark.parametrize("path", ["links.sc.law", "network.sc", "law"])
+def test_an_object_where_none_stands_is_told_where_objects_stand(path: str) -> None:
+    with pytest.raises(hil.HilError, match=f"{path}: object is not .* objects stand at plant, controller, network.sc.law"):
+        hil.run("dc-motor-hinf", duration="1 s", **{path: object()})

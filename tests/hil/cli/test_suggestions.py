@@ -58,6 +58,9 @@ def test_a_wrong_option_is_answered_with_what_was_expected(cli: Hil, words: tupl
     ("change", "said"),
     [
         ("nodes.angle.id=1", "nodes: unknown field; did you mean 'network.nodes'?"),
+        ("links.sc.law.kind='iid'", "links.sc: unknown field; did you mean 'network.sc'?"),
+        ("network.law.kind='iid'", "network.law: unknown field; did you mean 'network.sc.law'?"),
+        ("law.kind='iid'", "law: unknown field; did you mean 'network.sc.law'?"),
         ('fault=[{kind="bus-of", at="1 s"}]', "did you mean 'bus-off'?"),
         ('fault=[{kind="bus-off", at="1 s", for="1 s", node="angel"}]', "no node 'angel'; did you mean 'angle'? (there"),
         ('network.nodes.angle.outputs=["angel"]', "has no output 'angel'; did you mean 'angle'? (there are: angle, speed)"),
