@@ -87,7 +87,8 @@ def _why_unknown(rig: RigSpec, bus: SharedMedium) -> str:
         return f"{at}: frames of a recording have no period, and what follows behind its end is not known"
     sensor = rig.sensors[0]
     if sensor.trigger.kind != "every-slot":
-        return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        trigger = f"{sensor.path}.trigger ({sensor.trigger.kind})"
+        return f"{at}: the ages over a CAN bus with time are of a node that sends in every slot; {trigger} lets it keep silent"
     if sensor.clock.drawn:
         return f"{sensor.path}.clock draws when it sends"
     return ""

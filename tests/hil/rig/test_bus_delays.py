@@ -82,7 +82,7 @@ def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None
         (("network.media.bus.bit_error_rate=1e-6",), "network.media.bus.bit_error_rate: disturbed frames are sent again"),
         (('network.media.bus.recorded=["1 123#11"]',), "frames of a recording have no period"),
         (("network.nodes.motor.clock.every=2", "network.nodes.motor.clock.jitter=1"), "network.nodes.motor.clock draws"),
-        (('network.nodes.motor.trigger={kind="dead-band", threshold=0.1}',), "lets a node keep silent"),
+        (('network.nodes.motor.trigger={kind="dead-band", threshold=0.1}',), "network.media.bus: the ages over a CAN bus"),
         (("network.media.bus.bitrate=100000",), "the messages may need more than the whole bus"),
         (('network.sc.law={kind="constant", age=1}',), "adds ages of its own"),
     ],
