@@ -96,11 +96,7 @@ def packet_size(data: bytes) -> int | None:
     """
     if len(data) < 4:
         return None
-    kind = layout.KINDS.get(data[2])
-    if kind is None:
-        return 0
-    least, shape_of, reader_of = kind
-    return reader_of(*shape_of(data))[0] if len(data) >= least else None
+    return layout.length_of(data)
 
 
 def node_of(data: bytes) -> int:

@@ -19,6 +19,7 @@ from transport.links.can_datagram import (
     ERROR_STATE,
     EXTENDED,
     FD_FRAME,
+    FRAME,
     ID_MASK,
     OWN,
     REMOTE,
@@ -34,15 +35,14 @@ if TYPE_CHECKING:
 
 _STATES: Final = {"passive": can.BusState.PASSIVE, "off": can.BusState.ERROR}
 
-def message_of(fields: tuple[Any, ...], data: bytes, channel: str) -> can.Message:
+def message_of(datagram: bytes, channel: str) -> can.Message:
     """Return a datagram as a message of python-can.
 
     Args:
-        fields: of `FRAME`.
-        data: behind them.
+        datagram: `FRAME`, then data.
         channel: name of the bus.
     """
-    time_stamp, _, identifier, length, flags = fields
+    time_stamp, _, identifier, length, flags = FRAME.unpack_from(datagram)
     return can.Message(
         timestamp=time_stamp,
         arbitration_id=identifier & ID_MASK,
@@ -51,7 +51,7 @@ def message_of(fields: tuple[Any, ...], data: bytes, channel: str) -> can.Messag
         is_error_frame=bool(identifier & ERROR),
         channel=channel,
         dlc=length,
-        data=bytearray(data),
+        data=bytearray(datagram[FRAME.size :]),
         is_fd=bool(flags & FD_FRAME),
         is_rx=not flags & OWN,
         bitrate_switch=bool(flags & BITRATE_SWITCH),
@@ -183,7 +183,7 @@ class HilBus(can.BusABC):
             raise can.CanOperationError(str(error)) from error
         if taken is None:
             return None, True
-        return message_of(*taken, self.channel), True
+        return message_of(taken, self.channel), True
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
         self.frames.matches = None if filters is None else matches_of(filters)

@@ -90,9 +90,11 @@ class CanLink(Closing):
         "_lengths",
         "_pad",
         "_parts",
+        "_received",
         "_receives",
         "_row",
         "_say",
+        "_sent",
         "_state",
         "_statuses",
         "_step",
@@ -112,6 +114,7 @@ class CanLink(Closing):
     ) -> None:
         self.uri = uri
         self._counters = LinkCounters()
+        self._sent = self._received = 0
         own = identifiers or derived(fd=fd)
         self._say, others = own.of(role), own.of("controller" if role == "rig" else "rig")
         self._receives = {identifier: (node, i) for node, ids in enumerate(others) for i, identifier in enumerate(ids)}
@@ -128,27 +131,34 @@ class CanLink(Closing):
     @property
     def counters(self) -> LinkCounters:
         own, frames = self._counters, self._frames
-        return replace(own, dropped=own.dropped + frames.lost, foreign=own.foreign + frames.filtered,
-                       turned_away=frames.turned_away)  # fmt: skip
+        return replace(own, sent=self._sent, received=self._received, dropped=own.dropped + frames.lost,
+                       foreign=own.foreign + frames.filtered, turned_away=frames.turned_away)  # fmt: skip
 
     def send(self, packet: bytes) -> None:
-        step, say, size, send, reached = self._step, self._say, len(packet), self._frames.send_frame, True
+        step, say, size, frames, reached = self._step, self._say, len(packet), self._frames, True
         node = node_of(packet) if len(say) > 1 else 0
         if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
             return
         try:
-            for identifier, start in zip(say[node], range(0, size, step)):
-                data = packet[start : start + step]
-                reached &= send(identifier, data.ljust(self._lengths[len(data)], b"\0"))
+            if size <= step:
+                reached = frames.send_frame(say[node][0], self._filled(packet))
+            else:
+                for identifier, start in zip(say[node], range(0, size, step)):
+                    reached &= frames.send_frame(identifier, self._filled(packet[start : start + step]))
         except _FAULTS as error:
             self._counters.dropped += 1
             self._fault(error, 0.0)
         else:
             if reached:
-                self._counters.sent += 1
+                self._sent += 1
             else:
                 self._counters.dropped += 1
+
+    def _filled(self, data: bytes) -> bytes:
+        """Return the data of a frame, up to a length that it may have."""
+        length = self._lengths[len(data)]
+        return data if length == len(data) else data.ljust(length, b"\0")
 
     def receive(self, timeout_s: float) -> bytes | None:
         wait = timeout_s if timeout_s > 0 else 0.0
@@ -165,7 +175,7 @@ class CanLink(Closing):
                 self._row = 0
                 packet = self._packet(*frame)
                 if packet is not None:
-                    self._counters.received += 1
+                    self._received += 1
                     return packet
             elif self._row:  # a socket whose interface has vanished says so once, then it is silent
                 self._reopen()

@@ -28,6 +28,14 @@ _SKIPPED: Final = 64
 _FRAME_BYTES: Final = 16
 """Size of `FRAME`."""
 
+_FLAGS: Final = 15
+"""Where `FRAME` has its flags."""
+
+
+def _identifier(frame: bytes) -> int:
+    """Return the identifier that `FRAME` has, without the other fields, which a link does not ask for."""
+    return frame[10] | frame[11] << 8 | frame[12] << 16 | frame[13] << 24
+
 
 class HilFrames:
     """One participant.
@@ -139,8 +147,8 @@ class HilFrames:
             self.mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
         return reached
 
-    def take(self, timeout: float | None) -> tuple[tuple[Any, ...], bytes] | None:
-        """Return the fields of `FRAME` and the data of the next frame that no filter keeps out.
+    def take(self, timeout: float | None) -> bytes | None:
+        """Return the next datagram that no filter keeps out: `FRAME`, then data.
 
         Args:
             timeout: s; None waits for ever. None may be returned earlier, when a participant joined or left.
@@ -155,13 +163,11 @@ class HilFrames:
             frame = self.mesh.receive(timeout)
             if frame is None:
                 return None
-            if len(frame) >= _FRAME_BYTES:
-                fields = FRAME.unpack_from(frame)
-                if self.timed is None or not self._not_for_us(fields):
-                    if (self._fd or not fields[4] & FD_FRAME) and (self.matches is None or self._wanted(fields[2])):
-                        return fields, frame[_FRAME_BYTES:]
-                    self.filtered += 1
-            else:
+            if len(frame) < _FRAME_BYTES:
+                self.filtered += 1
+            elif self.timed is None or not self._not_for_us(frame):
+                if (self._fd or not frame[_FLAGS] & FD_FRAME) and (self.matches is None or self._wanted(_identifier(frame))):
+                    return frame
                 self.filtered += 1
             if end is not None and monotonic() >= end:
                 return None
@@ -186,15 +192,12 @@ class HilFrames:
         Args:
             timeout: s; None may come earlier, when a participant joined or left.
         """
-        taken = self.take(timeout)
-        if taken is None:
-            return None
-        fields, data = taken
-        return fields[2], bool(fields[4] & FD_FRAME), data
+        frame = self.take(timeout)
+        return None if frame is None else (_identifier(frame), bool(frame[_FLAGS] & FD_FRAME), frame[_FRAME_BYTES:])
 
-    def _not_for_us(self, fields: tuple[Any, ...]) -> bool:
+    def _not_for_us(self, frame: bytes) -> bool:
         """Return whether this is no frame for a participant of a bus that takes time; look at its error state where asked to."""
-        timed, (stamp, _, identifier, _, flags) = self.timed, fields
+        timed, (stamp, _, identifier, _, flags) = self.timed, FRAME.unpack_from(frame)
         if timed is None:
             return False
         if flags & LOOK:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 from math import copysign, inf
 from struct import Struct
 from typing import Final, NamedTuple, TypeAlias, TypeVar
@@ -111,7 +110,6 @@ def check_control(count: int, inputs: int, selection: int) -> None:
         raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
 
 
-@lru_cache(maxsize=1024)
 def frame_length(size: int) -> int:
     """Shortest length of a CAN FD frame, or multiple of 8 above 64, that holds ``size`` bytes.
 

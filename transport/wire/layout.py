@@ -53,6 +53,8 @@ from transport.wire.fields import (
 
 SENSOR: Final = 0x31
 CONTROL: Final = 0x32
+_SENSOR_BYTES: Final = 32  # before the values
+_CONTROL_BYTES: Final = 40
 
 MAX_VALUES: Final = 1000
 """Values in one packet, references included: what 64 CAN FD frames hold."""
@@ -66,7 +68,7 @@ _new: Final = tuple.__new__  # without the Python constructor: in five files 6 %
 
 @lru_cache(maxsize=1024)  # bounded: shapes may come from the wire
 def _sensor_layout(values: int, tagged: bool) -> Layout:
-    used = 32 + 4 * values + 8 * tagged
+    used = _SENSOR_BYTES + 4 * values + TAG_BYTES * tagged
     size = frame_length(used)
     body = f"{values}f{'8s' * tagged}{size - used}x"
     return Layout(Struct(f"<BBIQqBBBBI{body}"), Struct(f"<4xIQqB3xI{body}"), size)
@@ -74,7 +76,7 @@ def _sensor_layout(values: int, tagged: bool) -> Layout:
 
 @lru_cache(maxsize=1024)
 def _control_layout(values: int, tagged: bool) -> Layout:
-    used = 40 + 4 * values + 8 * tagged
+    used = _CONTROL_BYTES + 4 * values + TAG_BYTES * tagged
     size = frame_length(used)
     body = f"{values}f{'8s' * tagged}{size - used}x"
     return Layout(Struct(f"<BBIQqqhBBI{body}"), Struct(f"<4xIQqqh2xI{body}"), size)
@@ -196,11 +198,27 @@ def _nothing(data: bytes) -> None:
 
 
 KINDS: Final[dict[int, tuple[int, Callable[[bytes], tuple[int, ...]], Callable[..., Reader[Any]]]]] = {
-    SENSOR: (32, itemgetter(3, 25, 26, 27), _sensor_reader),
-    CONTROL: (40, itemgetter(3, 34, 35), _control_reader),
+    SENSOR: (_SENSOR_BYTES, itemgetter(3, 25, 26, 27), _sensor_reader),
+    CONTROL: (_CONTROL_BYTES, itemgetter(3, 34, 35), _control_reader),
 }
 """Of each kind of packet, by byte 2: how many bytes say its shape, which ones, and what returns for these its length (0 if too
 long) and its reader. The reader takes bytes of that length whose CRC is right."""
+
+
+def length_of(data: bytes) -> int | None:
+    """Bytes of the packet that begins so, of 4 bytes at least: 0 if it is none or too long, None if more are needed to tell."""
+    kind, known = data[2], len(data)
+    if kind == SENSOR:
+        if known < _SENSOR_BYTES:
+            return None
+        values, tagged, used = (data[3] & 0x3F) * data[25] + (data[26] & 0x7F), data[26] >= _TAGGED, _SENSOR_BYTES
+    elif kind == CONTROL:
+        if known < _CONTROL_BYTES:
+            return None
+        values, tagged, used = data[34] * data[35], data[3] >= _TAGGED, _CONTROL_BYTES
+    else:
+        return 0
+    return frame_length(used + 4 * values + TAG_BYTES * tagged) if values <= MAX_VALUES else 0
 
 
 def sensor_length(values: int, tagged: bool = False) -> int:
