@@ -16,11 +16,11 @@ from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import LoopModel
+from design.controllers import GainTable, LoopModel, integral_limit
 from design.errors import DesignError, NotStable
 from design.jump_linear.mjls import STABILITY_MARGIN
 from design.verdict import State, Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model
+from hil.certify.certifier import CertificationProblem, limited_to_model, table_of
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
 from hil.certify.saturating_loop import ends_from_anywhere
@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 PARTS = 16
 """Parts of a slot over which the motion of an input that changes within the slot is bounded."""
 ROUNDING = 1e-9
+CLAMPED = "a clamped integral"
 Modes = Callable[[Array, Array, Array], ClosedLoop]
 """Makes the closed loop of a plant (A, B, C)."""
 
@@ -57,20 +58,33 @@ class Pushed(Struct, frozen=True, kw_only=True):
         return bool(self.states.any() or self.outputs.any())
 
 
-def pushed_by(loop: CertificationProblem) -> Pushed | None:
-    """Return what pushes a loop from within; None where nothing does, or where something beyond the model has no bound."""
+def clamped_share(loop: CertificationProblem) -> Array:
+    """Return what the clamped sums of errors add to each input at most, (m,), in any row that the actuator may apply."""
+    share, limit, p = np.zeros(loop.motion.B.shape[1]), np.array(integral_limit(loop.controller)), len(loop.motion.C)
+    if limit.size and isinstance(loop.controller, GainTable):
+        share = (np.abs(table_of(loop, loop.controller)[..., -p:]) @ limit).max(axis=(0, 1))
+    return share
+
+
+def pushed_by(loop: CertificationProblem, share: Array) -> Pushed | None:
+    """Return what pushes a loop from within; None where nothing does, or where something beyond the model has no bound.
+
+    Args:
+        loop: the loop.
+        share: what clamped sums of errors add to each input at most, (m,), see `clamped_share`; zeros: of the plant alone.
+    """
     plant, model = loop.plant, loop.motion
     beyond = set(plant.beyond_model()) if isinstance(plant, BeyondModel) else set()
     known = tuple(plant.departures()) if isinstance(plant, HasDepartures) else ()
-    if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack):
+    if beyond - {each.name for each in known} or len(plant.states) != len(model.A) or not (known or loop.slack or share.any()):
         return None
-    inputs, outputs = np.zeros(model.B.shape[1]), np.zeros(len(model.C))
+    inputs, outputs = share.copy(), np.zeros(len(model.C))
     within = np.full(len(inputs), np.inf)
     for each in known:
         (inputs if each.at == "input" else outputs)[:] += each.bounds
         within = np.minimum(within, each.within or np.inf)
     clips = all(each.clips for each in known if each.within)
-    names = tuple(each.name for each in known) + (("a dead-band trigger",) if loop.slack else ())
+    names = (*(each.name for each in known), *(["a dead-band trigger"] * bool(loop.slack)), *([CLAMPED] * bool(share.any())))
     return Pushed(names=names, states=_moved(plant, model, inputs), outputs=outputs + _slack(loop), within=within, clips=clips)
 
 
@@ -112,13 +126,18 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
 
     Args:
         loop: the loop.
-        verdict: on the linear loop.
-        modes: makes the closed loop of a plant.
+        verdict: on the linear loop; where a sum of errors is clamped, on the loop without it.
+        modes: makes the closed loop of a plant, without a clamped sum too.
     """
+    share = clamped_share(loop)
+    if loop.shares and integral_limit(loop.controller):
+        return _undecided(verdict, f"{CLAMPED} beside a relative trigger")
     if loop.shares:
         beside = "a dead-band trigger beside a relative one"
         return limited_to_model(loop.plant, _undecided(verdict, beside) if loop.slack else _by_share(loop, verdict, modes))
-    pushed = pushed_by(loop)
+    pushed = pushed_by(loop, share)
+    if integral_limit(loop.controller) and (pushed is None or not verdict.certified):
+        return _undecided(verdict, CLAMPED)
     if pushed is None or not verdict.certified:
         return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")
     from design.jump_linear.certificate import ultimate_bound
@@ -152,7 +171,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     )
     if not limited:
         return found
-    adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0)
+    adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0) + share
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
     region = inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
@@ -202,7 +221,7 @@ def _undecided(verdict: Verdict, what: str) -> Verdict:
 
 def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
     """Return whether a plant departs from its motion by no more than it says, step by step under random inputs."""
-    plant, model, pushed = loop.plant, loop.motion, pushed_by(loop)
+    plant, model, pushed = loop.plant, loop.motion, pushed_by(loop, np.zeros(loop.motion.B.shape[1]))
     if pushed is None:
         return "undecided", "what the plant says of its departures changes from call to call"
     if isinstance(plant, HasOwnInputs) and plant.own_inputs():

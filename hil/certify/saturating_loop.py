@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, integrates, packet_samples
+from design.controllers import GainTable, integral_limit, integrates, packet_samples
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, table_of
@@ -28,11 +28,13 @@ def ends_from_anywhere(
         verdict: undecided, on the loop within its limits.
         closed: that loop.
         limits: largest command, (m,).
-        pushes: (n, q), what signals of size 1 move the plant's state by in a slot.
+        pushes: (n, q), what signals of size 1 move the plant's state by in a slot, the share of a clamped integral among them.
         adds: what departures add to each output, at most, (p,).
     """
     controller, m, p = loop.controller, loop.motion.B.shape[1], len(loop.motion.C)
-    if not isinstance(controller, GainTable) or packet_samples(controller) > 1 or integrates(controller) or (m, p) != (1, 1):
+    if not isinstance(controller, GainTable) or packet_samples(controller) > 1 or (m, p) != (1, 1):
+        return verdict
+    if integrates(controller) and not integral_limit(controller):
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict
@@ -43,7 +45,7 @@ def ends_from_anywhere(
     known: Any = {"limit": float(limits[0]), "delay": delay, "pushes": pushes, "adds": float(adds[0])}
     try:
         try:
-            ends, surely = ends_in_every_order(A, B, C, gains=table_of(loop, controller), **known), True
+            ends, surely = ends_in_every_order(A, B, C, gains=table_of(loop, controller)[..., :p], **known), True
         except DesignError:
             if loop.sc.open or loop.ca.open:
                 return verdict

@@ -107,14 +107,15 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, "mean-square stability", loop.no_chain())
     if isinstance(loop.plant, JumpPlant):
         return undecided(loop, "mean-square stability", jumping(loop.plant, "a table of gains"))
-    if integral_limit(controller):
-        return undecided(loop, "mean-square stability", "its integral is clamped (integral_limit): the loop is no linear one")
+    clamped = bool(integral_limit(controller))  # its sum counts as a departure at the input
     try:
-        gains = gains_within(table_of(loop, controller), controller.selection, loop.sc, loop.ca)
+        table = table_of(loop, controller)
+        table = table[..., : -len(loop.motion.C)] if clamped else table
+        gains = gains_within(table, controller.selection, loop.sc, loop.ca)
     except FieldError as error:
         return undecided(loop, "mean-square stability", str(error))
     sc, ca, selection = loop.sc, loop.ca, controller.selection
-    samples, integral = packet_samples(controller), float(integrates(controller))
+    samples, integral = packet_samples(controller), float(integrates(controller) and not clamped)
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.closed_loop import loop_structure
@@ -126,7 +127,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
     verdict = judge_gains(
-        loop.motion, sc, ca, gains, selection, samples=samples, integral=integrates(controller), digest=loop.digest
+        loop.motion, sc, ca, gains, selection, samples=samples, integral=bool(integral), digest=loop.digest
     )  # fmt: skip
     return ends_within(loop, verdict, modes)
 

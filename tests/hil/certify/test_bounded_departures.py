@@ -98,12 +98,52 @@ def test_a_stable_loop_goes_far_from_rest_under_a_trigger_that_looks_at_no_sampl
     assert reached["dead-band"][0] == "certified" and reached["dead-band"][2] < 0.5
 
 
-def test_a_loop_with_a_clamped_integral_is_undecided() -> None:
-    """Without the clamp the same gains over the linear motor are certified: a claim is of the loop that runs."""
-    table = {"kind": "send-all", "selection": "constant", "integral": True, "gains": [[[[-0.1, -0.002]]]] * 3}
-    free, clamped = (composed("dc-motor-h2", controller=table | more).verdict for more in ({}, {"integral_limit": [1.0]}))
-    assert free is not None and free.certified
-    assert clamped is not None and clamped.state == "undecided" and "integral_limit" in clamped.reason
+def clamped(limit: float, gain: tuple[float, float] = (-0.1, -0.002), **changes: Any) -> Loop:
+    table = {"kind": "send-all", "selection": "constant", "integral": True, "gains": [[[list(gain)]]] * 3}
+    return composed("dc-motor-h2", controller=table | {"integral_limit": [limit]}, **changes)
+
+
+def test_a_loop_with_a_clamped_integral_ends_within_a_bound_that_is_as_wide_as_the_limit() -> None:
+    """The bound takes any signal up to the limit; of these gains the sum alone stays far below it."""
+    bounds: list[Any] = []
+    for limit in (1.0, 4.0):
+        loop = clamped(limit)
+        verdict = loop.verdict
+        assert verdict is not None and verdict.certified and verdict.kind == "practical stability"
+        assert "a clamped integral" in verdict.reason
+        bounds.append(verdict.details["ends_within"])
+        ended = [simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"][150:] for seed in range(6)]
+        assert all(np.sqrt(np.mean(run["angle"] ** 2)) <= bounds[-1]["angle"] for run in ended)
+    assert bounds[1]["angle"] == pytest.approx(4.0 * bounds[0]["angle"], rel=1e-6)
+    # 0.002 V per rad slot times 1 rad slot, held for ever, moves the angle by 0.002 / 0.1 in the steady state: not less than that
+    assert bounds[0]["angle"] > 0.02
+
+
+def test_an_integral_that_leads_away_swings_for_ever_within_the_bound() -> None:
+    """Linear, without the clamp, this loop diverges: what keeps it is the clamp alone."""
+    loop = clamped(0.2, (-0.1, -0.2))
+    free = composed("dc-motor-h2", controller={
+        "kind": "send-all", "selection": "constant", "integral": True, "gains": [[[[-0.1, -0.2]]]] * 3,
+    })  # fmt: skip
+    assert free.verdict is not None and free.verdict.state == "refused"
+    assert loop.verdict is not None and loop.verdict.certified
+    bounds: Any = loop.verdict.details["ends_within"]
+    ended = [simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"][150:] for seed in range(6)]
+    level = max(float(np.sqrt(np.mean(run["angle"] ** 2))) for run in ended)
+    assert bounds["angle"] / 40 < level <= bounds["angle"]
+
+
+def test_a_clamped_integral_over_an_unstable_rest_or_without_a_sum_of_bounds_is_undecided() -> None:
+    for loop in (clamped(1.0, (-2.0, -0.002)), clamped(1.0, (0.0, -0.1))):
+        assert loop.verdict is not None and loop.verdict.state == "undecided" and "a clamped integral" in loop.verdict.reason
+
+
+def test_a_supply_that_saturates_is_left_where_the_limit_of_the_sum_takes_it() -> None:
+    """From anywhere while 0.002 times the limit is below the 0.058 V of the supply; undecided beyond."""
+    supply: dict[str, Any] = {"plant.driver": {"saturation_v": 0.058}}
+    small, large = (clamped(limit, **supply).verdict for limit in (1.0, 40.0))
+    assert small is not None and small.certified
+    assert large is not None and large.state == "undecided"
 
 
 class Flatterer(DCMotor):
