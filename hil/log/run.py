@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, MutableMapping
-from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
+
+from msgspec import Struct, field
 
 from hil.log.append_column import ROWS, pieces
 from hil.log.events import decode_events
@@ -28,8 +29,7 @@ class InPieces(Protocol):
     def numbers(self, topic: str) -> StructuredArray: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Run:
+class Run(Struct, frozen=True, kw_only=True):
     """What a log says.
 
     Args:

@@ -8,6 +8,8 @@ from dataclasses import replace
 from numbers import Real
 from typing import Any, Final
 
+from msgspec.structs import replace as struct_replace
+
 from hil.errors import ExperimentError, nearest
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
@@ -51,7 +53,7 @@ def check_measure(measure: object, view: RunView) -> list[str]:
     names = [quantity.name for quantity in quantities_of([measure], view.signals)]
     if not names:
         raise AssertionError("a measure has at least one quantity")
-    empty = replace(view, run=replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
+    empty = replace(view, run=struct_replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
     for what, one in (("a run", view), ("a run without records", empty)):
         found = _numbers(measure, one, what)
         if set(found) != set(names):
@@ -62,7 +64,8 @@ def check_measure(measure: object, view: RunView) -> list[str]:
             if value is not None and not math.isfinite(value):
                 raise AssertionError(f"{what}: {key} is {value}; a number that is not defined is None")
     kept = {topic: array for topic, array in view.run.arrays.items() if topic in measure.topics}
-    alone = _numbers(measure, replace(view, run=replace(view.run, arrays=kept)), f"with {measure.topics} alone, its topics")
+    of_those = replace(view, run=struct_replace(view.run, arrays=kept))
+    alone = _numbers(measure, of_those, f"with {measure.topics} alone, its topics")
     if alone != _numbers(measure, view, "a run"):
         raise AssertionError(f"with {measure.topics} alone, its topics, it gives other numbers: a sweep keeps no others")
     if _numbers(measure, view, "a run") != _numbers(measure, view, "a run"):

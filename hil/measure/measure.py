@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from numbers import Real
 from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
+
+from msgspec import Struct
 
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
@@ -25,8 +26,7 @@ from hil.plugins.user_plugins import in_own_words, words
 from hil.rig.loop import Loop
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Quantity:
+class Quantity(Struct, frozen=True, kw_only=True):
     """One number of a measure, as summaries, sweeps, tables, tiles and comparisons name it.
 
     Args:

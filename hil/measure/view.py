@@ -8,6 +8,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
@@ -31,8 +32,7 @@ Severity = Literal["neutral", "warning", "error"]
 Made = TypeVar("Made")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mark:
+class Mark(Struct, frozen=True, kw_only=True):
     """Something that happened at an instant.
 
     Args:

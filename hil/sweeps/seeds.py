@@ -89,7 +89,7 @@ def quantities_in(experiment: Experiment) -> tuple[Quantity, ...]:
     if len(signals.tracked) < 2:
         return found
     return found + tuple(
-        replace(q, name=f"{q.name}.{name}", title=f"{q.title} of {name.replace('_', ' ')}", better="")
+        msgspec.structs.replace(q, name=f"{q.name}.{name}", title=f"{q.title} of {name.replace('_', ' ')}", better="")
         for name in signals.tracked
         for q in quantities_of(measures, signals.only(name))
         if q.per_output

@@ -7,8 +7,9 @@ nanoseconds and bits of every rate are whole numbers: nothing of the bus's time 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from transport.can_bus_model.bits import FrameLength
 from transport.errors import FieldError
@@ -21,8 +22,7 @@ _FASTEST: Final = 1_000_000
 _FASTEST_DATA: Final = 10_000_000
 
 
-@dataclass(frozen=True, slots=True)
-class BitRates:
+class BitRates(Struct, frozen=True):
     """Nominal and data bit rate of a bus.
 
     Args:

@@ -8,10 +8,10 @@ are pooled.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
@@ -183,8 +183,7 @@ def _hazard_evidence(left: NDArray[np.int64], at_risk: NDArray[np.int64], hazard
     yield Evidence(float(sum(more**2 / spread for more, spread in usable)), len(usable), possible, scarce=chance and not usable)
 
 
-@dataclass(slots=True)
-class _Packets:
+class _Packets(Struct):
     """What became of the packets of a channel, counted block by block.
 
     Args:

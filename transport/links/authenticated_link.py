@@ -19,10 +19,11 @@ from __future__ import annotations
 
 from binascii import unhexlify
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from hmac import compare_digest
 from time import monotonic
 from typing import TYPE_CHECKING, Final
+
+from msgspec.structs import replace
 
 from transport.links.cryptography_package import cryptography_needed
 from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError

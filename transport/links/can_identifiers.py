@@ -21,8 +21,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from transport.errors import FieldError
 from transport.links.link import TransportError
@@ -37,8 +38,7 @@ LARGEST: Final = 0x7FF
 _RANGE: Final = re.compile("(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8})(?:-(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8}))?")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Identifiers:
+class Identifiers(Struct, frozen=True, kw_only=True):
     """The identifiers of a link: fragment i of a packet has the entry i of its range.
 
     Args:

@@ -17,12 +17,12 @@ import select
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from errno import EBADF, ENODEV, ENXIO
 from time import monotonic
 from typing import TYPE_CHECKING, Final, Protocol
 
-from transport.can_bus_model.node import State
+from msgspec.structs import replace
+
 from transport.links.can_datagram import ERROR, ID_MASK, REMOTE
 from transport.links.can_errors import status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
@@ -31,6 +31,7 @@ from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role,
 from transport.packets import decode, frame_length, node_of, packet_size
 
 if TYPE_CHECKING:
+    from transport.can_bus_model.node import State
     from transport.can_bus_model.planned_faults import BusFault
 
 _FAULTS: Final = (TransportError, OSError, ValueError)

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import TracebackType
 from typing import TYPE_CHECKING, Final, Literal, Protocol, Self, runtime_checkable
 from urllib.parse import parse_qsl
+
+from msgspec import Struct
 
 if TYPE_CHECKING:
     from transport.can_bus_model.node import State
@@ -27,8 +28,7 @@ class TransportError(Exception):
     """A link that cannot be had; the message names the link, what is wrong and how to mend it."""
 
 
-@dataclass(slots=True)
-class LinkCounters:
+class LinkCounters(Struct):
     """What happened on one end of a link since it was opened.
 
     Attributes:
@@ -126,8 +126,7 @@ class OneOfARole(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class BusStatus:
+class BusStatus(Struct, frozen=True):
     """An error state that a node on a CAN bus has reached.
 
     Attributes:

@@ -6,7 +6,6 @@ A link of any scheme carries packets with a code or without; the plug-in knows n
 from __future__ import annotations
 
 from collections.abc import Callable
-from traceback import extract_tb
 from typing import Final, get_args
 from urllib.parse import urlencode
 
@@ -84,6 +83,8 @@ def open_link(uri: str, role: Role) -> Link:
     except AssertionError as error:
         raise TransportError(f"link {uri!r}: plug-in {plugin.value}: check_link: {error}") from None
     except BaseException as error:  # whatever a plug-in raises, where it is opened or asked what it has
+        from traceback import extract_tb  # of a fault alone
+
         last = extract_tb(error.__traceback__)[-1]
         where = f"({last.filename}, line {last.lineno})"
         raise TransportError(f"link {uri!r}: plug-in {plugin.value}: {type(error).__name__}: {error} {where}") from error

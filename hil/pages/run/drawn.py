@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Protocol, runtime_checkable
 
+from msgspec.structs import replace as struct_replace
+
 from hil.measure.measure import run_measures
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
@@ -50,7 +52,7 @@ def check_section(plug_in: object, view: RunView) -> list[str]:
     name = type(plug_in).__name__
     if not isinstance(plug_in, DrawsSection):
         return [f"{name} is no DrawsSection (no section(view)): it draws no figure"]
-    empty = replace(view, run=replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
+    empty = replace(view, run=struct_replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
     for what, one in (("a run without records", empty), ("a run", view)):
         found = asked(f"{what}: section(view)", plug_in.section, one)
         shown = "nothing" if found is None else repr(asked(what, plain_section, found).title)

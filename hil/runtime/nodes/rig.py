@@ -39,7 +39,7 @@ from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
     from transport.can_bus_model.bus import Transmission
-from transport.can_bus_model.node import CanNode
+    from transport.can_bus_model.node import CanNode
 
 STATES = {"active": "error active", "warning": "above the warning level", "passive": "error passive", "off": "off the bus"}
 

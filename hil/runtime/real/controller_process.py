@@ -15,7 +15,7 @@ from dataclasses import asdict
 from functools import partial
 from types import FrameType
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
@@ -100,7 +100,7 @@ def serve(
                 raise
             failed = said[1]
         finally:
-            counters, counts = asdict(link.counters), asdict(node.counts)
+            counters, counts = structs.asdict(link.counters), asdict(node.counts)
             at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed, failed)
 
 

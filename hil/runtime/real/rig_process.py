@@ -9,11 +9,10 @@ import os
 import signal
 import sys
 import threading
-from dataclasses import asdict
 from types import FrameType
 from typing import NoReturn
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe_sink import PipeSink
@@ -206,7 +205,7 @@ def _run(job: Job) -> None:
             **real.rig.outcome(),
             scheduler=scheduler,
             overruns=real.overruns,
-            link=asdict(link.counters),
+            link=structs.asdict(link.counters),
         )
         sink.close()
         leave_real_time()

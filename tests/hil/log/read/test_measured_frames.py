@@ -1,11 +1,11 @@
 """Frames come out in the order of time, whatever the order of the log, and few of them wait in memory."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hil.errors import HilError
 from hil.log.read import measured_frames as module
