@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from traceback import walk_tb
 
 from design.controllers import row_sojourns_distinguished
 from hil.errors import ExperimentError, HilError
@@ -34,8 +35,6 @@ def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
         text = user_failure(error, _parts(experiment).values())
         if text is None:
             raise
-        from traceback import walk_tb  # of a fault alone
-
         asked = [frame.f_locals.get("self") for frame, _ in walk_tb(error.__traceback__)]
         paths = [path for path, part in _parts(experiment).items() if any(part is each for each in asked)]
         raise ExperimentError(experiment.name, [f"{paths[0] if paths else 'a plug-in'}: {text}"]) from error
