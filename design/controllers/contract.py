@@ -24,10 +24,10 @@ With S `row_sojourns`, ``applied`` is row d_k S + min(h_k, S) - 1, where h_k is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers.sensor_nodes import SensorNodes, Uses, one_node
@@ -57,8 +57,7 @@ def row_count(selection: Selection | str, d_max: int, row_sojourns: int = 1) -> 
     return {"constant": 1, "both": (d_max + 1) ** 2, "applied": (d_max + 1) * row_sojourns}.get(selection, d_max + 1)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopModel:
+class LoopModel(Struct, frozen=True, kw_only=True):
     """What a controller may know of its loop.
 
     Args:

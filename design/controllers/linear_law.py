@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
@@ -17,8 +18,7 @@ from design.errors import FieldError
 Matrix = tuple[tuple[float, ...], ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LinearLaw:
+class LinearLaw(Struct, frozen=True, kw_only=True, eq=False):
     """Matrices of a linear controller.
 
     Args:
@@ -36,8 +36,7 @@ class LinearLaw:
         return RowsLaw(A=self.A, B=self.B, C=self.C[None], D=self.D[None])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RowsLaw:
+class RowsLaw(Struct, frozen=True, kw_only=True, eq=False):
     """Matrices of a linear controller that answers with several rows, v_j = C_j xi + D_j e.
 
     Args:

@@ -11,16 +11,16 @@ random turns.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Literal
+
+from msgspec import Struct
 
 from design.errors import FieldError
 
 Uses = Literal["history", "current-packet", "last-packets"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Turns:
+class Turns(Struct, frozen=True, kw_only=True):
     """Whose packet comes when: a cycle of known phase (one node after the other, or the order of a bus), or a Markov chain.
 
     Args:
@@ -60,8 +60,7 @@ def phase_at(turns: Turns | None, k: int) -> int:
     return 0 if turns is None or not turns.cycle else (k + turns.phase) % turns.phases
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SensorNodes:
+class SensorNodes(Struct, frozen=True, kw_only=True):
     """The sensor nodes of a rig, one or more.
 
     Args:
@@ -97,8 +96,7 @@ def one_node(outputs: int) -> SensorNodes:
 MOST_PHASES = 1024
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PacketWindow:
+class PacketWindow(Struct, frozen=True, kw_only=True):
     """The outcomes of the last ``length`` slots.
 
     Args:

@@ -6,10 +6,11 @@ A phase says which of the last packets came, and so which samples are known: ove
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses, window_of
 from design.errors import FieldError

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from design.controllers.historical import Historical, History
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses

@@ -5,11 +5,11 @@ from __future__ import annotations
 import builtins
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, as_change, checked_experiment, load_experiment, object_of
@@ -106,7 +106,7 @@ def run(
         session = run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
         run = session.run  # before its file is gone
     summary = session.summary | {"log": session.summary["log"] | {"path": None}}
-    return replace(session, log=lambda: run, summary=summary)
+    return structs.replace(session, log=lambda: run, summary=summary)
 
 
 @checked_arguments

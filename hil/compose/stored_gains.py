@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -125,12 +125,15 @@ def _stored(path: Path, own: str, folder: str) -> tuple[NamedController | None, 
 
 def _said(value: Any) -> Any:
     """Return a value as `digest` takes it; what is no number, text, table or list has no digest."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: _said(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init}
+    names: Iterable[str] | None = None
+    if isinstance(value, msgspec.Struct):
+        names = value.__struct_fields__
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        names = (f.name for f in dataclasses.fields(value) if f.init)
+    if names is not None:
+        fields = {name: _said(getattr(value, name)) for name in names}
         stated = {name: said for name, said in fields.items() if said not in (None, "", [], {})}  # what is left out says nothing
         return {"class": type(value).__qualname__, **stated}
-    if isinstance(value, msgspec.Struct):
-        return {"class": type(value).__qualname__, **{f: _said(getattr(value, f)) for f in value.__struct_fields__}}
     if isinstance(value, np.ndarray | np.generic):
         return _said(value.tolist())
     if isinstance(value, Mapping):

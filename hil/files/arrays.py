@@ -11,7 +11,6 @@ import math
 import os
 import signal
 import struct
-import subprocess
 import sys
 import tokenize
 import zipfile
@@ -39,6 +38,8 @@ def npy_of_mat(data: bytes, key: str, most_numbers: int) -> bytes:
     Raises:
         HilError: the file is damaged, of another version, or holds no such matrix.
     """
+    import subprocess  # other files are read here
+
     done = subprocess.run(
         [sys.executable, "-I", str(_CHILD), key, str(most_numbers)],  # -I: no folder of the user is on its path
         input=data, capture_output=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},

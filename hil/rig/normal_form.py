@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from traceback import walk_tb
 
 from design.controllers import row_sojourns_distinguished
 from hil.errors import ExperimentError, HilError
@@ -32,6 +31,8 @@ def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
     except HilError:
         raise
     except Exception as error:  # whatever an author's part raises when it is asked
+        from traceback import walk_tb  # where a part fails
+
         text = user_failure(error, _parts(experiment).values())
         if text is None:
             raise

@@ -6,7 +6,6 @@ the matrices by which it moves, where a designer sees others.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -72,7 +71,7 @@ def motion_of(plant: Plant, model: LoopModel) -> LoopModel:
     if not isinstance(plant, MovesOtherwise):
         return model
     moves = plant.motion().discretise(model.period_s)
-    return replace(model, A=np.asarray(moves.A), B=np.asarray(moves.B), C=np.asarray(moves.C))
+    return structs.replace(model, A=np.asarray(moves.A), B=np.asarray(moves.B), C=np.asarray(moves.C))
 
 
 class RigSpec(Struct, frozen=True, kw_only=True):

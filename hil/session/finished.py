@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from hil.errors import HilError
 from hil.experiment import Experiment
@@ -132,8 +134,7 @@ def _label(name: str, unit: str) -> str:
     return f"{name} ({unit})" if unit else name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Session:
+class Session(Struct, frozen=True, kw_only=True):
     """What a finished run leaves behind.
 
     Args:
@@ -151,7 +152,7 @@ class Session:
     experiment: Experiment | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "summary", Named("part of the summary", self.summary))
+        force_setattr(self, "summary", Named("part of the summary", self.summary))
 
     @property
     def run(self) -> Run:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from msgspec import Struct
 
 from plants.errors import FieldError
 from plants.parts.exponential import zero_order_hold
@@ -15,8 +15,7 @@ from plants.parts.linear import NS_PER_S, Matrix
 from plants.parts.validation import require_not_negative, require_positive
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Driver:
+class Driver(Struct, frozen=True, kw_only=True):
     """Voltage driver with supply saturation, PWM resolution and dead zone, in this order, each off by default.
 
     v = sat(u), rounded to the PWM's nearest duty, then shrunk: sign(v) max(|v| - dead_zone, 0).
@@ -162,8 +161,7 @@ def drive_many(driver: Driver, command_v: Matrix) -> Matrix:
     return v
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Encoder:
+class Encoder(Struct, frozen=True, kw_only=True):
     """Incremental encoder: y = step * floor(angle / step + 1/2), the multiple of the step that is nearest.
 
     Args:

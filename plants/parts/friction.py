@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from plants.errors import FieldError
 from plants.parts.validation import require_not_negative
@@ -11,8 +11,7 @@ _CHORDS = 24
 _REACH = 3.0  # the Stribeck curve ends at 3 Stribeck speeds, where exp(-9) of it is left
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Friction:
+class Friction(Struct, frozen=True, kw_only=True):
     """Friction torque, in volts at the input that balance it.
 
     F(v) = sign(v) (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) + viscous v,  v != 0;

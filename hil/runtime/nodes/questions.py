@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
+
+from msgspec import Struct
 
 from hil.runtime.nodes.wire import SEGMENT, before
 from transport.packets import MORE, SensorPacket
@@ -21,8 +22,7 @@ FAR: Final = 4096
 """Slots that may be missing where a whole second has passed without a question."""
 
 
-@dataclass
-class Refusals:
+class Refusals(Struct):
     """Frames that a controller did not take.
 
     Attributes:

@@ -11,7 +11,6 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import asdict
 from functools import partial
 from types import FrameType
 
@@ -100,7 +99,7 @@ def serve(
                 raise
             failed = said[1]
         finally:
-            counters, counts = structs.asdict(link.counters), asdict(node.counts)
+            counters, counts = structs.asdict(link.counters), structs.asdict(node.counts)
             at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed, failed)
 
 

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 import pytest
+from msgspec import structs
 
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.historical_data.cost_bounds import Hearing, bounds, full_state_bound, hearing_of, lower_bounds
@@ -81,21 +82,21 @@ def test_the_bound_over_random_lossy_turns_is_what_the_best_causal_controller_co
 
 def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound() -> None:
     turning = Turns(transition=((0.0, 1.0), (1.0, 0.0)), initial=(0.5, 0.5))
-    chain = hearing_of(replace(NODES, buffers=(1, 1), turns=turning))
+    chain = hearing_of(structs.replace(NODES, buffers=(1, 1), turns=turning))
     assert chain is not None
     info = Information(nodes=(0, 1), order=(0, 1), buffer=1, memory=1)
     found = lower_bounds(PLANT, info, average_start(2, 2))
     assert bounds(PLANT, chain, np.eye(2)).causal == pytest.approx(found.causal, rel=1e-9)
     values = [bounds(PLANT, replace(chain, loss=loss), np.eye(2)).causal for loss in (0.0, 0.1, 0.3)]
     assert found.full_state < values[0] < values[1] < values[2]
-    everything = hearing_of(replace(NODES, turns=None))
+    everything = hearing_of(structs.replace(NODES, turns=None))
     assert everything is not None and bounds(PLANT, everything, np.eye(2)).causal == pytest.approx(found.full_state, rel=1e-12)
 
 
 def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
     values = []
     for delay in (0, 1, 2):
-        own = hearing_of(replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))), from_any_phase=True)
+        own = hearing_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))), from_any_phase=True)
         assert own is not None
         values.append(bounds(PLANT, own, np.eye(2)).causal)
     assert values[0] < values[1] < values[2]
@@ -108,7 +109,7 @@ def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
 )
 def test_a_schedule_that_is_no_chain_of_its_own_has_no_causal_bound(change: dict[str, object]) -> None:
     assert hearing_of(NODES) is not None
-    assert hearing_of(replace(NODES, **change)) is None  # type: ignore[arg-type]
+    assert hearing_of(structs.replace(NODES, **change)) is None  # type: ignore[arg-type]
 
 
 def test_the_full_state_bound_is_reached_by_the_regulator_from_a_known_past() -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace as replace_struct
+from msgspec.structs import replace
 from scipy.stats import norm
 
 from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows, Sample, Selection
@@ -356,6 +355,6 @@ def test_a_controller_over_history_takes_the_short_form_too() -> None:
     gains = np.zeros((1, 1, 1, 4)).tolist()
     sets = [f"controller={{kind='historical', gains={gains}}}", "duration=1", "allow_uncertified=true"]
     named = load_experiment("multisensor-published", sets)
-    short = compose(replace_struct(named, network=replace_struct(named.network, nodes={}, media={})))
+    short = compose(replace(named, network=replace(named.network, nodes={}, media={})))
     assert not short.experiment.network.nodes and short.verdict is not None and short.verdict.kind == "guaranteed cost"
     assert len(simulate(short, 0).arrays["/link/sensor"]) == 20
