@@ -89,6 +89,7 @@ class CanLink(Closing):
         "_frames",
         "_join",
         "_lengths",
+        "_ours",
         "_pad",
         "_parts",
         "_received",
@@ -122,12 +123,17 @@ class CanLink(Closing):
         self._fd, self._pad, self._step = fd, fd and pad, 64 if fd else 8
         self._lengths = [64 if pad else frame_length(n) for n in range(65)] if fd else [*range(9)]  # of a frame with n bytes
         self._claims, self._join = tuple(claims), join
-        self._frames = join()
+        self._hold(join())
         self._closed = False
         self._parts = [b""] * len(others)  # of each sender, what has come of a packet in fragments
         self._state: State = "active"
         self._statuses: deque[BusStatus] = deque(maxlen=_MOST_STATUSES)
         self._row = 0  # tries to reopen, one after the other, since the interface vanished
+
+    def _hold(self, frames: Frames) -> None:
+        """Take a bus; ours is known by its class too: a call of a compiled method takes a third of one that is looked up."""
+        self._frames = frames
+        self._ours = frames if isinstance(frames, HilFrames) else None
 
     @property
     def counters(self) -> LinkCounters:
@@ -136,17 +142,17 @@ class CanLink(Closing):
                        foreign=own.foreign + frames.filtered, turned_away=frames.turned_away)  # fmt: skip
 
     def send(self, packet: bytes) -> None:
-        step, say, size, frames, reached = self._step, self._say, len(packet), self._frames, True
+        step, say, size, ours, reached = self._step, self._say, len(packet), self._ours, True
         node = node_of(packet) if len(say) > 1 else 0
         if self._closed or node >= len(say) or size > len(say[node]) * step:
             self._counters.dropped += 1
             return
         try:
-            if size <= step:
-                reached = frames.send_frame(say[node][0], self._filled(packet))
+            if size <= step and ours is not None:
+                reached = ours.send_frame(say[node][0], self._filled(packet))
             else:
                 for identifier, start in zip(say[node], range(0, size, step)):
-                    reached &= frames.send_frame(identifier, self._filled(packet[start : start + step]))
+                    reached &= self._frames.send_frame(identifier, self._filled(packet[start : start + step]))
         except _FAULTS as error:
             self._counters.dropped += 1
             self._fault(error, 0.0)
@@ -168,13 +174,14 @@ class CanLink(Closing):
             if self._closed:
                 return None
             try:
-                frame = self._frames.recv_frame(wait)
+                frame = self._frames.recv_frame(wait) if self._ours is None else self._ours.recv_frame(wait)
             except _FAULTS as error:
                 self._fault(error, wait)
                 return None
             if frame is not None:
                 self._row = 0
-                packet = self._packet(*frame)
+                identifier, fd, data = frame
+                packet = self._packet(identifier, fd, data)
                 if packet is not None:
                     self._received += 1
                     return packet
@@ -235,11 +242,10 @@ class CanLink(Closing):
         return data[:size]
 
     def disturb(self, faults: Sequence[BusFault], seed: int) -> None:
-        frames = self._frames
-        if not isinstance(frames, HilFrames):
+        if self._ours is None:
             raise TransportError(f"link {self.uri!r}: no bus of ours, whose bits could be disturbed")
         try:
-            frames.plan(faults, seed, [[], [*self._receives]])
+            self._ours.plan(faults, seed, [[], [*self._receives]])
         except _FAULTS as error:
             raise TransportError(f"link {self.uri!r}: {error}") from error
 
@@ -262,7 +268,8 @@ class CanLink(Closing):
         self._row += 1
         if self._row % _REOPEN_EVERY == 1:
             with suppress(Exception):  # a back end whose interface is not there raises anything
-                old, self._frames = self._frames, self._join()
+                old = self._frames
+                self._hold(self._join())
                 self._row = 0
                 old.shutdown()
 

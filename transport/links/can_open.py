@@ -14,7 +14,7 @@ from warnings import catch_warnings, simplefilter
 
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
-from transport.links.hil_channel import join_channel, matches_of
+from transport.links.hil_channel import join_channel
 from transport.links.hil_frames import HilFrames
 from transport.links.link import Role, TransportError, split_uri
 from transport.links.mesh_peer import bus_directory
@@ -66,7 +66,7 @@ def open_can(uri: str, role: Role) -> CanLink:
     quiet = role == "controller"  # the rig says of both that a bit rate times nothing
     join: Callable[[], Frames]
     if interface == "hil":
-        join = partial(_join_hil, channel, matches_of(filters(accepted)), quiet=quiet, fd=flexible, **arguments)
+        join = partial(_join_hil, channel, quiet=quiet, fd=flexible, **arguments)  # the link sorts out the rest
     else:
         from transport.links.message_frames import join_interface
 
@@ -86,13 +86,11 @@ def open_can(uri: str, role: Role) -> CanLink:
     return link
 
 
-def _join_hil(channel: str, matches: tuple[tuple[int, int], ...], *, quiet: bool, **options: Any) -> HilFrames:
+def _join_hil(channel: str, *, quiet: bool, **options: Any) -> HilFrames:
     with catch_warnings():
         if quiet:
             simplefilter("ignore")
-        frames = join_channel(channel, **options)
-    frames.matches = matches
-    return frames
+        return join_channel(channel, **options)
 
 
 def _check_name(uri: str, interface: str) -> None:

@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 _SKIPPED: Final = 64
 """So many frames that a filter keeps out are passed over in one call, lest a flood of them holds it for ever."""
 
+_PACK: Final = FRAME.pack
+
 _FRAME_BYTES: Final = 16
 """Size of `FRAME`."""
 
@@ -94,25 +96,25 @@ class HilFrames:
         identifier, length, flags, data = item
         stamp = time() - (monotonic_ns() - end_ns) / 1e9
         if alone:
-            self.mesh.send(FRAME.pack(stamp, 0, identifier, length, flags) + data)
+            self.mesh.send(_PACK(stamp, 0, identifier, length, flags) + data)
         if self._own:
-            self.mesh.echo(FRAME.pack(stamp, 0, identifier, length, flags | OWN) + data)
+            self.mesh.echo(_PACK(stamp, 0, identifier, length, flags | OWN) + data)
 
     def _was_destroyed(self, item: Any, bit: int, alone: bool) -> None:
         """Put an error frame into our own queue and the others', as drivers of SocketCAN do with ``berr-reporting on``."""
         frame = frame_of(*item)
         own, theirs = destroyed(frame, bit, sender=True), destroyed(frame, bit, sender=False)
         if alone:
-            self.mesh.send(FRAME.pack(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
-        self.mesh.echo(FRAME.pack(time(), 0, ERROR | own.kind, 8, 0) + own.data)
+            self.mesh.send(_PACK(time(), 0, ERROR | theirs.kind, 8, 0) + theirs.data)
+        self.mesh.echo(_PACK(time(), 0, ERROR | own.kind, 8, 0) + own.data)
 
     def _state_changed(self, before: State, change: StateChange) -> None:
         said = changed(before, change.state, change.tec, change.rec)
-        self.mesh.echo(FRAME.pack(time(), 0, ERROR | said.kind, 8, 0) + said.data)
+        self.mesh.echo(_PACK(time(), 0, ERROR | said.kind, 8, 0) + said.data)
 
     def _poke(self) -> None:
         """Have the others look at their error states."""
-        self.mesh.send(FRAME.pack(time(), 0, ERROR, 0, LOOK))
+        self.mesh.send(_PACK(time(), 0, ERROR, 0, LOOK))
 
     def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
         """Say what is wrong with the bus when, in place of what was said before; see `SharedBus.plan`.
@@ -142,9 +144,9 @@ class HilFrames:
         now = time()
         if self.timed is not None and not identifier & ERROR:
             return self.timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
-        reached = self.mesh.send(FRAME.pack(now, 0, identifier, length, flags) + data, wait_s)
+        reached = self.mesh.send(_PACK(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
-            self.mesh.echo(FRAME.pack(now, 0, identifier, length, flags | OWN) + data)
+            self.mesh.echo(_PACK(now, 0, identifier, length, flags | OWN) + data)
         return reached
 
     def take(self, timeout: float | None) -> bytes | None:
