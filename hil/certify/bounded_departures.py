@@ -23,7 +23,7 @@ from design.verdict import State, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, table_of
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
-from hil.certify.saturating_loop import ends_from_anywhere
+from hil.certify.saturating_loop import ends_from_anywhere, escapes
 from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
@@ -174,6 +174,10 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0) + share
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
+    by_plant = pushed_by(loop, np.zeros(m)) if pushed.clips else None  # what a clamped integral adds is within the limit too
+    lost = None if by_plant is None else escapes(loop, found, limits=pushed.within, pushes=by_plant.states, named=named)
+    if lost is not None:
+        return lost
     region = inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
     if region.certified or not pushed.clips:
         return region

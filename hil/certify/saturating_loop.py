@@ -1,4 +1,4 @@
-"""A loop around an integrator whose input saturates: where it ends from anywhere, in every order of its delays or in the mean."""
+"""A loop whose input saturates: where it ends from anywhere around an integrator, and from where nothing brings it back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,54 @@ from design.controllers import GainTable, integral_limit, integrates, packet_sam
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, table_of
+from hil.certify.motion_test import SEED
 from hil.certify.region import ClosedLoop, not_judged
+from hil.plugins.protocols import HasOwnInputs
 
 Array = NDArray[np.float64]
+ROUNDING = 1e-6
+
+
+def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, pushes: Array, named: str) -> Verdict | None:
+    r"""Return the refusal of a run that begins where no command within its limits brings it back; None where none is known.
+
+    A left eigenvector of the plant, l A = lambda l with |lambda| > 1, grows whatever the controller answers: f is the most that
+    commands within their limits, disturbances and departures move l x by in a slot. Noise of mean 0 leaves it true of E l x.
+
+    .. math:: |l x(k+1)| \ge |\lambda| |l x(k)| - f, \qquad |l x(0)| > f / (|\lambda| - 1) \Rightarrow |l x(k)| \to \infty
+
+    Args:
+        loop: the loop; beyond a limit its plant acts as at the limit.
+        verdict: on the loop within its limits.
+        limits: largest command, (m,); inf where there is none.
+        pushes: (n, q), what signals of size 1 move the plant's state by in a slot.
+        named: what departs, as phrases.
+    """
+    plant, A, B = loop.plant, loop.motion.A, loop.motion.B
+    starts = [np.array(plant.start(np.random.default_rng(seed)).state) for seed in (SEED, SEED + 1)]
+    if len(starts[0]) != len(A) or not np.array_equal(starts[0], starts[1]):
+        return None
+    if isinstance(plant, HasOwnInputs) and plant.own_inputs():
+        return None
+    disturbed = np.max([np.abs(w) for _, _, w in loop.pulses], axis=0, initial=0.0) if loop.pulses else np.zeros(B.shape[1])
+    rates, left = np.linalg.eig(A.T)
+    for rate, mode in sorted(zip(np.abs(rates), left.T), key=lambda each: -each[0]):
+        moved = np.abs(mode @ B)
+        if rate <= 1.0 + ROUNDING or np.isinf(limits[moved > 0.0]).any():
+            continue
+        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbed) + np.abs(mode @ pushes).sum())
+        begins = float(abs(mode @ starts[0])) * (rate - 1.0)
+        if begins > (1.0 + ROUNDING) * most > 0.0:
+            return replace(
+                verdict, kind="stability in a region", state="refused", number=begins / most, limit=1.0,
+                quantity="growth of an unstable mode in the first slot over the most that moves it back",
+                reason=f"no controller brings this run back: a mode of the plant that grows by {100.0 * (rate - 1.0):.3g} % in a "
+                f"slot begins at {begins / most:.4g} times what the largest command can hold ({named}); {verdict.reason}",
+                details={**verdict.details, "stable": False, "unstable_mode_begins_at": begins / most},
+                assumptions=(*verdict.assumptions, "start and disturbances are the experiment's"),
+                method=f"left eigenvector of the open plant; {verdict.method}",
+            )  # fmt: skip
+    return None
 
 
 def ends_from_anywhere(

@@ -97,14 +97,7 @@ class HeldRun:
             position, speed = self._dry.move(self._x[0], self._x[1], force, (end_ns - begin_ns) / NS_PER_S)
             self._x = [position, speed, 0.0]
         else:
-            # The sum of `Flow.step`, written out: it runs ten thousand times a second.
-            (a0, a1, a2, a3, a4), (b0, b1, b2, b3, b4), (c0, c1, c2, c3, c4) = self._flow.rows(end_ns - begin_ns)
-            (x, v, p), pace = self._x, self._path.speed_m_s
-            self._x = [
-                0.0 + a0 * x + a1 * v + a2 * p + a3 * force + a4 * pace,
-                0.0 + b0 * x + b1 * v + b2 * p + b3 * force + b4 * pace,
-                0.0 + c0 * x + c1 * v + c2 * p + c3 * force + c4 * pace,
-            ]
+            self._x = self._flow.step(self._x, (force, self._path.speed_m_s), end_ns - begin_ns)
 
     def measure(self) -> tuple[float, ...]:
         """Return the position in m as the encoder gives it, and the place y, z along the wall in m."""

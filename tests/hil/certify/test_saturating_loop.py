@@ -1,4 +1,4 @@
-"""A motor that saturates, with friction, dead zone and encoder: from anywhere it ends where its verdict says."""
+"""A motor that saturates ends where its verdict says, from anywhere; an unstable plant does not come back from too far."""
 
 from __future__ import annotations
 
@@ -130,3 +130,35 @@ def test_a_plant_that_takes_more_than_its_limit_is_refused() -> None:
     ]
     assert [verdict.state for verdict in verdicts] == ["certified", "refused"]
     assert "departures() says at most" in verdicts[1].reason
+
+
+def unstable(start: float, saturation: float = 1.0, gain: float = -4.0, **changes: Any) -> Loop:
+    """A loop around x' = x + sat(u), from which nothing returns beyond |x| = saturation."""
+    plant = {
+        "kind": "state-space", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [start], "saturation": [saturation],
+    }  # fmt: skip
+    fresh = {"network.sc.law": {"kind": "constant", "age": 0}, "network.ca.law": {"kind": "constant", "age": 0}}
+    given = {"plant": plant, "controller": {"kind": "local", "gain": [[gain]]}, "duration": 6}
+    return compose(load_experiment("dc-motor-hinf", **CALM | given | fresh | changes))
+
+
+@pytest.mark.parametrize("start", [1.02, -1.02])
+def test_a_start_from_which_no_command_brings_the_plant_back_is_refused(start: float) -> None:
+    verdict = verdict_of(unstable(start))
+    assert verdict.state == "refused" and verdict.number == pytest.approx(1.02) and "no controller" in verdict.reason
+    for gain in (-2.0, -3.0, -4.5):
+        ends = simulate(unstable(start, gain=gain), 0, ["/plant/state"]).arrays["/plant/state"]["x1"]
+        assert abs(ends[-1]) > 1.2 and ends[-1] * start > 0.0
+
+
+@pytest.mark.parametrize("change", [{"start": 0.98}, {"saturation": 1.05}])
+def test_a_start_that_a_command_brings_back_is_not_refused(change: dict[str, float]) -> None:
+    loop = unstable(**{"start": 1.02} | change)
+    assert verdict_of(loop).state != "refused"
+    assert abs(simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"][-1]) < 0.3
+
+
+def test_a_disturbance_that_may_bring_the_plant_back_leaves_it_undecided() -> None:
+    pulse = [{"at": 0.1, "samples": 5, "value": [-0.5]}]
+    assert verdict_of(unstable(1.02, disturbance=pulse)).state == "undecided"
+    assert verdict_of(unstable(1.6, disturbance=pulse)).state == "refused"
