@@ -115,25 +115,24 @@ class BatchSmith:
         self._C, self._d_max = model.C.tolist(), model.d_max
         self._x = np.zeros((model.A.shape[0], runs))
         self._u = np.zeros((model.B.shape[1], runs))
-        self._past = np.zeros((64, model.C.shape[0], runs))  # model outputs, the newest first
+        self._past, self._newest = np.zeros((64, model.C.shape[0], runs)), 0  # a ring of model outputs; those before are 0
         self._held = np.ones(runs, dtype=np.intp)
         self._ran = np.zeros(runs, dtype=np.bool_)
 
     def rows(self, k: int, known: KnownInBatch) -> NDArray[np.float64]:
         """Return the rows of slot k, (rows, m, runs); see `BatchGainRows.rows`."""
         self._x = np.where(self._ran, product_of_batch(self._AB, (*self._x, *self._u)), self._x)
-        newer = np.concatenate((product_of_batch(self._C, self._x)[None], self._past[:-1]))
-        self._past = np.where(self._ran, newer, self._past)
-        self._held = np.minimum(self._held + self._ran, 64)
+        self._newest = (self._newest - 1) % len(self._past)
+        self._past[self._newest] = y = product_of_batch(self._C, self._x)
+        self._held = np.minimum(self._held + self._ran, len(self._past))
         tau, r = known.ages.max(axis=0), known.reference
         self._ran = known.started.copy()
-        bias = known.y - self._past[np.minimum(tau, self._held - 1), :, np.arange(len(tau))].T
+        place = (self._newest + np.minimum(tau, self._held - 1)) % len(self._past)
+        bias = known.y - self._past[place, :, np.arange(len(tau))].T
         ref, star = np.asarray(r)[:, None], np.array(product(self._omega, r))[:, None]
-        x, rows = self._x, []
-        for _ in range(self._d_max + 1):
-            u = star + product_of_batch(self._K, product_of_batch(self._C, x) + bias - ref)
-            rows.append(u)
-            if len(rows) == 1:
-                self._u = np.where(known.started, u, self._u)
-            x = product_of_batch(self._AB, (*x, *u))
+        x, rows = self._x, [star + product_of_batch(self._K, y + bias - ref)]
+        self._u = np.where(known.started, rows[0], self._u)
+        for _ in range(self._d_max):
+            x = product_of_batch(self._AB, (*x, *rows[-1]))
+            rows.append(star + product_of_batch(self._K, product_of_batch(self._C, x) + bias - ref))
         return np.stack(rows)
