@@ -93,6 +93,7 @@ class Designed:
         output_weights: weight of each output in Q x; by default 1.
         output: ``stacked`` or ``sum`` (as printed).
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
+        integral_limit: of the gains that run, a file's too: see `design.controllers.send_all.SendAll`.
         samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: lengths of stay at the measured delay that the gain distinguishes, in slots; 1: none.
@@ -110,6 +111,7 @@ class Designed:
     input_weight: float = 0.01
     output: Literal["stacked", "sum"] = "stacked"
     integral: float = 0.0
+    integral_limit: tuple[float, ...] = ()
     samples: Literal[1, 2] = 1
     design_seed: int = 0
     sojourns: int = 1
@@ -122,6 +124,8 @@ class Designed:
         for i, weight in enumerate(self.output_weights):
             if not (np.isfinite(weight) and weight >= 0):
                 raise FieldError(f"output_weights[{i}]", f"{weight:g}, expected a finite number, at least 0")
+        if self.integral_limit and not (self.integral or self.file):
+            raise FieldError("integral_limit", "needs integral above 0: without it there is no sum to clamp")
         if self.sojourns < 1:
             raise FieldError("sojourns", f"{self.sojourns}, expected at least 1")
         check_row_sojourns(self.row_sojourns, self.information, "information")
@@ -150,7 +154,7 @@ class Designed:
             read = self._read(task)
             return _covering(task, SendAll(
                 gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
-                sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns,
+                sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
             ))  # fmt: skip
         if sc is None or ca is None:
             raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
@@ -176,7 +180,7 @@ class Designed:
         sojourns = sc.sojourns if self.sojourns > 1 else ()
         return _covering(task, SendAll(
             gains=gains, selection=design.selection, integral=self.integral > 0, sojourns=sojourns, samples=self.samples,  # type: ignore[arg-type]
-            ages=ages, row_sojourns=self.row_sojourns,
+            ages=ages, row_sojourns=self.row_sojourns, integral_limit=self.integral_limit,
         ))  # fmt: skip
 
     def unfit(self, task: DesignTask) -> str:
@@ -215,7 +219,7 @@ class Designed:
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
         return _covering(task, SendAll(
             gains=nested(_rows(design.gains, ca, read.row_sojourns)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
-            sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns,
+            sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
         ))  # fmt: skip
 
     def _read(self, task: DesignTask) -> DesignFile:

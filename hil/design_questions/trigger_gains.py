@@ -33,6 +33,7 @@ from design.tracking.synthesis import Design, Progress
 from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
+from hil.plugins.protocols import JumpPlant
 
 Array = NDArray[np.float64]
 SHARES: Final = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
@@ -88,6 +89,8 @@ def trigger_question(name: str) -> TriggerQuestion:
             "that know the trigger are sought over one chain. Write a gain that uses no ages (controller.kind = 'local') and the "
             f"triggers into the file, and run thresholds of each node: hil sweep {name} {grid}"
         )
+    if isinstance(experiment.plant, JumpPlant):
+        raise HilError(f"{name}: --trigger: its plant jumps between modes; such gains are sought for one linear plant")
     node = next(iter(nodes), "sensor")
     kind, thresholds = _tried(name, experiment, node)
     path = f"network.nodes.{node}.trigger"

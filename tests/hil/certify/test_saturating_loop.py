@@ -10,6 +10,7 @@ import pytest
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
+from hil.errors import ExperimentError
 from hil.rig.loop import Loop
 from hil.runtime.simulated import simulate
 from plants import DCMotor
@@ -162,3 +163,14 @@ def test_a_disturbance_that_may_bring_the_plant_back_leaves_it_undecided() -> No
     pulse = [{"at": 0.1, "samples": 5, "value": [-0.5]}]
     assert verdict_of(unstable(1.02, disturbance=pulse)).state == "undecided"
     assert verdict_of(unstable(1.6, disturbance=pulse)).state == "refused"
+
+
+def test_a_design_with_integral_action_is_certified_where_its_sum_is_clamped() -> None:
+    """What the clamped sum adds to the command is beside the friction; a sum of 400 rad slots would take the whole supply."""
+    name, clamp = "dc-motor-ours-integral", "controller.integral_limit"
+    small, large = (compose(load_experiment(name, **CALM | {clamp: [limit]})) for limit in (2.0, 400.0))
+    assert verdict_of(small).certified and "ends_from_anywhere_within" in verdict_of(small).details
+    assert verdict_of(large).state == "undecided"
+    assert small.controller.integral_limit == (2.0,)
+    with pytest.raises(ExperimentError, match=r"controller\.integral_limit: needs integral above 0"):
+        load_experiment("dc-motor-ours-h2", **{clamp: [2.0]})
