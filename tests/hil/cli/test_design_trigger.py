@@ -165,7 +165,6 @@ def test_what_has_no_answer_is_refused(said: list[str], why: str) -> None:
         ("dc-motor-packets", r"sensor\.law: a packet law whose ages change"),
         ("dc-motor-ours-busy-can", r"network\.media\.bus: .* CAN bus with time .*motor\.trigger \(relative\)"),
         ("vtol-sensor-fault", "its plant jumps between modes"),
-        ("vtol-h2", "its outputs have several units"),
     ],
 )
 def test_a_loop_that_no_certificate_covers_with_a_trigger_is_refused_before_any_gain_is_sought(
@@ -258,3 +257,17 @@ def test_a_budget_ends_the_search_with_what_was_found(large: list[Candidate], mo
 def trigger_point(of: Candidate) -> TriggerPoint:
     one = interval_of(np.full(3, 1.0))
     return TriggerPoint(of, "certified", "", {}, one, one, 0)
+
+
+def test_outputs_of_several_units_have_no_sum_of_squared_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "two_outputs.py").write_text(
+        "from typing import ClassVar\n\nfrom plants import DCMotor\n\n\nclass Two(DCMotor):\n"
+        "    tracked: ClassVar[tuple[str, ...]] = ('angle', 'speed')\n"
+    )
+    text = Path(own(tmp_path, '{ kind = "relative", threshold = 0.1 }')).read_text()
+    text = text.replace('kind = "dc-motor"', 'kind = "two_outputs:Two"\ntachometer = true')
+    before, after = text[: text.index("[controller]")], text[text.index("[network") :].replace('["angle"]', '["angle", "speed"]')
+    (tmp_path / "own.toml").write_text(before + '[controller]\nkind = "local"\ngain = [[-0.1, 0.0]]\n' + after)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(HilError, match=r"--trigger: its outputs have several units"):
+        check_chains(trigger_question(str(tmp_path / "own.toml")))
