@@ -117,7 +117,7 @@ def test_the_controller_is_killed_and_restarted_from_the_page_and_the_loop_goes_
     assert page.settled("ready")["claims"][0]["state"] == "certified"
     applied(page, "reference", [1.0])
     before = controllers()
-    applied(page, "fault", {"kind": "controller-restart", "for": 0.1})
+    applied(page, "fault", {"kind": "controller-restart", "for": 1.0})  # 20 slots: five times what the watchdog allows
     until(lambda: len(now := controllers()) == 1 and now != before, "another process")
     until(lambda: any(event["kind"] == "safety" for event in events(page)), "the safe state")
     page.wish(do="restart", seed=7)
