@@ -51,7 +51,8 @@ def test_the_number_that_decides_turns_the_verdict() -> None:
         ("dc-motor-h2", ('network.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"),
          "ends after 3 slots"),
         ("dc-motor-smith", ("controller={kind='constant'}",), "[controller] Constant states no gains or matrices"),
-        ("dc-motor-ours-integral", (), "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
+        ("dc-motor-ours-integral", ("controller.integral_limit=[]",),
+         "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
     ],
 )
 def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tuple[str, ...], why: str) -> None:

@@ -128,7 +128,7 @@ def test_an_edge_scales_with_the_supply_and_departures_make_it_smaller() -> None
     ("name", "changes"),
     [
         ("dc-motor-h2", {}), ("dc-motor-hinf", {}), ("dc-motor-h2", ENCODER), ("dc-motor-hinf-friction", None),
-        ("dc-motor-ours-integral", None), ("dc-motor-hinf-supply", None),
+        ("dc-motor-hinf-supply", None),
     ],
 )
 def test_the_guide_says_these_numbers(name: str, changes: dict[str, Any] | None) -> None:

@@ -126,6 +126,7 @@ def test_an_output_that_follows_nothing_is_in_no_sum() -> None:
     ]  # fmt: skip
 
 
+WHOLE_SUM = "controller.integral_limit=[]"
 IDEAL = ["plant.driver={}", "plant.friction={}", "plant.encoder={}"]
 GAPS = "{ kind = 'markov', matrix = [[0.2, 0.3, 0.5], [0.6, 0.1, 0.3], [0.3, 0.3, 0.4]], allow_gaps = true }"
 
@@ -134,8 +135,8 @@ GAPS = "{ kind = 'markov', matrix = [[0.2, 0.3, 0.5], [0.6, 0.1, 0.3], [0.3, 0.3
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("dc-motor-ours-integral", IDEAL),
-        ("dc-motor-ours-integral", [*IDEAL, "plant.load.torque_v=0.1", "plant.initial_angle_rad=-1.0"]),
+        ("dc-motor-ours-integral", [*IDEAL, WHOLE_SUM]),
+        ("dc-motor-ours-integral", [*IDEAL, WHOLE_SUM, "plant.load.torque_v=0.1", "plant.initial_angle_rad=-1.0"]),
         ("dc-motor-ours-h2", [f"network.sc.law={GAPS}", "plant.initial_angle_rad=0.5"]),
         ("dc-motor-hinf", [f"network.sc.law={GAPS}", "plant.load.torque_v=-0.03"]),
         ("dc-motor-ours-bursty", ["plant.initial_speed_rad_s=6.0"]),

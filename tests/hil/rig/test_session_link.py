@@ -27,5 +27,5 @@ def test_a_link_of_ones_own_without_codes_is_one_that_a_certificate_assumes_to_c
 def test_the_assumption_stands_in_the_certificate_of_a_certified_loop_alone() -> None:
     found = _assuming(compose(load_experiment("dc-motor-h2")), CARRIED).verdict
     assert found is not None and found.certified and found.assumptions[-1] == CARRIED
-    loop = compose(load_experiment("dc-motor-ours-integral", ["allow_uncertified=true"]))
+    loop = compose(load_experiment("dc-motor-ours-integral", ["controller.integral_limit=[]", "allow_uncertified=true"]))
     assert _assuming(loop, CARRIED) is loop
