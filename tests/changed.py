@@ -19,14 +19,14 @@ PACKAGES = ("hil", "plants", "transport", "design")
 GUIDE = "tests/contract/test_readme.py"
 
 
-def changed(root: Path = ROOT) -> list[str]:
-    """Return the changed and new files, from the top of the checkout."""
+def changed(root: Path = ROOT, since: str = "main") -> list[str]:
+    """Return the files that have changed since this branch left another one, and new ones, from the top of the checkout."""
 
     def git(*words: str) -> list[str]:
         done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
         return done.stdout.splitlines() if done.returncode == 0 else []
 
-    base = [*git("merge-base", "HEAD", "main"), "HEAD"][0]
+    base = [*git("merge-base", "HEAD", since), "HEAD"][0]
     names = [*git("diff", "--name-only", base), *git("ls-files", "--others", "--exclude-standard")]
     return sorted({name for name in names if (root / name).is_file()})
 

@@ -48,3 +48,4 @@ def test_what_differs_from_main_and_what_is_new_has_changed_and_what_is_gone_has
     (tmp_path / "new").write_text("2")
     (tmp_path / "gone").unlink()
     assert changed(tmp_path) == ["later", "new", "now"]
+    assert changed(tmp_path, "HEAD") == ["new", "now"]

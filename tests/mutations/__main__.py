@@ -11,6 +11,7 @@ A known fault that its tests do not see is a hole in the tests: status 1 names i
 from __future__ import annotations
 
 import argparse
+import math
 import subprocess
 import sys
 import tempfile
@@ -71,15 +72,16 @@ def main(words: list[str]) -> int:
     parser.add_argument("words", nargs="*", help="faults whose name, or place and change, contains one of the words")
     parser.add_argument("--random", type=int, metavar="NUMBER", help="random faults, instead of the known ones")
     parser.add_argument("--seed", type=int, default=1, help="of the random faults")
-    parser.add_argument(
-        "--changed", action="store_true", help="random faults in files that differ from main, judged by their tests"
-    )
+    parser.add_argument("--changed", action="store_true", help="random faults in files that differ from main, by own tests")
+    parser.add_argument("--since", default="main", metavar="REVISION", help="from which they differ, in place of main")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="after which no other random fault is begun")
     parser.add_argument("--fresh", action="store_true", help="measure again what each test reaches")
     parser.add_argument("-n", type=int, default=0, metavar="WORKERS", help="processes that measure what each test reaches")
     given = parser.parse_args(words)
     if given.random is None:
         return known_faults(given.words)
-    return random_run(given.random, given.seed, given.words, changed=given.changed, fresh=given.fresh, workers=given.n)
+    return random_run(given.random, given.seed, given.words, since=given.since if given.changed else None,
+                      limit_s=given.seconds, fresh=given.fresh, workers=given.n)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -21,10 +21,11 @@ def copy_of_the_checkout(folder: Path) -> Path:
 
 
 def environment(folder: Path) -> dict[str, str]:
-    """Return the environment of tests of a copy: its own packages first, no options of the pytest that runs outside, and a
-    temporary folder of its own beside the copy: a fault may remove what it finds there.
+    """Return the environment of tests of a copy: its own packages first, no options of the pytest that runs outside, bytecode
+    that is kept for the next run, and a temporary folder of its own beside the copy: a fault may remove what it finds there.
     """
     temporary = folder.parent / "tmp"
     temporary.mkdir(exist_ok=True)
-    own = {"PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "PYTEST_ADDOPTS": "", "TMPDIR": str(temporary)}
+    own = {"PYTHONPATH": str(folder), "TMPDIR": str(temporary), "OMP_NUM_THREADS": "1"}
+    own |= {"PYTEST_ADDOPTS": "", "PYTHONDONTWRITEBYTECODE": ""}
     return {**os.environ, **own}

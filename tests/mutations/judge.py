@@ -6,24 +6,26 @@ import contextlib
 import os
 import resource
 import signal
-import subprocess
-import sys
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
+from types import TracebackType
 
 from tests.changed import chosen_for
 from tests.mutations.copies import environment
 from tests.mutations.faults import ROOT
-from tests.mutations.probe import ORDER
+from tests.mutations.probe import LIMIT, ORDER
 from tests.mutations.random_faults import Place
 from tests.mutations.reach import Reach
+from tests.mutations.warm import Warm
 
 BUDGET_S = 30.0
 """Of the tests of one fault, by the time that they took without it."""
 WALL_S = 600.0
 """For all tests of a fault, however busy the machine is: what waits for ever ends here."""
-LIMITS = {resource.RLIMIT_CPU: 120, resource.RLIMIT_DATA: 6 << 30}
+LIMITS = {resource.RLIMIT_CPU: 60, resource.RLIMIT_DATA: 6 << 30}
 """In s and bytes: what one process of faulty code may take: a loop that has no end any more is killed, and so is its fault."""
+NEAREST = 16
+"""Tests that are asked first, for themselves: most faults are seen by one of them, and few files are imported for it."""
 
 
 def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
@@ -57,8 +59,27 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
     return chosen
 
 
+def own_tests(place: Place, root: Path = ROOT) -> list[str]:
+    """Return the test files of a fault where no map says what reaches it: those of its file, room and package, nearest first.
+
+    Nearest are those named after the file, then those that name its function or class, then those that name its module.
+    """
+    path = Path(place.file)
+    function = place.block.partition("#")[0].rpartition(".")[2] or path.stem
+    chosen = [root / each for each in chosen_for([place.file], root)]
+    files = [file for each in chosen for file in (sorted(each.rglob("test_*.py")) if each.is_dir() else [each])]
+    files += sorted((root / "tests" / path.parts[0]).glob("test_*.py"))  # of what the whole package does
+
+    def rank(file: Path) -> tuple[bool, bool, bool, bool]:
+        text = file.read_text()
+        named = file.name == f"test_{path.stem}.py" or file == root / path
+        return not named, function not in text, path.stem not in text, file == root / path
+
+    return [file.relative_to(root).as_posix() for file in sorted(dict.fromkeys(files), key=rank)]
+
+
 class Judge:
-    """Runs tests over a copy of the checkout, sound or with one fault in it.
+    """Runs tests over a copy of the checkout, sound or with one fault in it; a context that ends its processes.
 
     Args:
         folder: the copy.
@@ -69,6 +90,13 @@ class Judge:
         self._folder = folder
         self._doubtful = doubtful
         self._faults = 0
+        self._warm = Warm(folder, environment(folder))
+
+    def __enter__(self) -> Judge:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._warm.close()
 
     @contextlib.contextmanager
     def _with(self, place: Place) -> Iterator[None]:
@@ -87,7 +115,8 @@ class Judge:
         """Return the first test that fails with the fault, and passes without it if it runs in real time; None if none does."""
         while tests:
             with self._with(place):
-                failed = self._failing(tests)
+                near = NEAREST if "::" in tests[0] else 1
+                failed = self._failing(tests[:near]) or self._failing(tests[near:])
             if failed not in self._doubtful or self._failing([failed]) is None:
                 return failed
             tests = tests[tests.index(failed) + 1 :]  # it fails without the fault too
@@ -95,35 +124,33 @@ class Judge:
 
     def _failing(self, tests: Sequence[str]) -> str | None:
         """Return the first of the tests that fails, or how pytest ended where none could."""
-        files = sorted(file for file in {test.partition("::")[0] for test in tests} if (self._folder / file).exists())
+        files = [file for file in dict.fromkeys(test.partition("::")[0] for test in tests) if (self._folder / file).exists()]
         if not files:  # they have moved since they were measured
             return None
-        order = self._folder.parent / "order"
-        order.write_text("\n".join(tests))
-        words = ["-x", "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "--tb=no", "-rfE", *files]
-        child = subprocess.Popen(
-            [sys.executable, "-m", "pytest", *words], cwd=self._folder, env=environment(self._folder) | {ORDER: str(order)},
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
-            start_new_session=True,
-        )  # fmt: skip
+        env, choose = {LIMIT: str(BUDGET_S)}, ["-m", "not realtime"]
+        if any("::" in test for test in tests):
+            order = self._folder.parent / "order"
+            order.write_text("\n".join(tests))
+            env, choose, files = {ORDER: str(order)}, [], sorted(files)
+        words = ["-x", *choose, "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "--tb=no", "-rfE", *files]
+        self._warm.start(words, env, LIMITS)
         try:
-            for what, limit in LIMITS.items():
-                resource.prlimit(child.pid, what, (limit, limit))
-            out, _ = child.communicate(timeout=WALL_S)
-        except subprocess.TimeoutExpired:
-            return "no end in time"
+            ended = self._warm.end(WALL_S)
         finally:
-            self._end_all(child)
-        if child.returncode in (0, 5):  # 5: the tests are gone since they were measured
+            self._end_all()
+        if ended is None:
+            self._warm.end()  # it is killed now
+            return "no end in time"
+        status, out = ended
+        if status in (0, 5):  # 5: the tests are gone since they were measured
             return None
         said = [line.split(" - ")[0].split(" ", 1)[1] for line in out.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-        return said[0].strip() if said else f"pytest ends with {child.returncode}"
+        return said[0].strip() if said else f"pytest ends with {status}"
 
-    def _end_all(self, child: subprocess.Popen[str]) -> None:
-        """Kill what the tests started and left behind, which has the copy in its environment."""
+    def _end_all(self) -> None:
+        """Kill the run and what its tests started and left behind, which has the copy in its environment."""
         mark = f"PYTHONPATH={self._folder}".encode()
         for proc in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
-                if mark in (proc / "environ").read_bytes():
+                if int(proc.name) != self._warm.pid and mark in (proc / "environ").read_bytes():
                     os.kill(int(proc.name), signal.SIGKILL)
-        child.communicate()

@@ -10,8 +10,8 @@ import os
 from pathlib import Path
 from typing import Any
 
-FOLDER, ORDER = "HILRIG_REACHED", "HILRIG_ORDER"
-"""Environment: the folder where each process writes a file of its own; the file that lists tests in order."""
+FOLDER, ORDER, LIMIT = "HILRIG_REACHED", "HILRIG_ORDER", "HILRIG_LIMIT"
+"""Environment: the folder where each process writes a file of its own; the list of tests in order; their CPU time in s."""
 seen: set[int] = set()
 _out: dict[int, tuple[int, os.stat_result]] = {}  # of this process: one open file, and which it is
 
@@ -65,6 +65,14 @@ def pytest_runtest_makereport(item: Any, call: Any) -> None:
     if FOLDER in os.environ:
         realtime, ended = item.get_closest_marker("realtime") is not None, call.excinfo is None
         _write(f"D{call.duration:.4f} {realtime:d} {ended:d} {item.nodeid}\n")
+
+
+def pytest_runtest_logfinish() -> None:
+    """End the run where its time is spent, as if no test were left."""
+    if LIMIT in os.environ and sum(os.times()[:4]) > float(os.environ[LIMIT]):
+        import pytest
+
+        pytest.exit("no time is left", returncode=0)
 
 
 def pytest_collection_modifyitems(items: list[Any]) -> None:

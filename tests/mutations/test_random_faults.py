@@ -15,8 +15,8 @@ import pytest
 from tests.mutations import judge, random_faults
 from tests.mutations.blocks import blocks, with_probes
 from tests.mutations.faults import ROOT
-from tests.mutations.judge import Judge, asked_for
-from tests.mutations.probe import FOLDER
+from tests.mutations.judge import Judge, asked_for, own_tests
+from tests.mutations.probe import FOLDER, LIMIT
 from tests.mutations.random_faults import drawn, equivalent, places
 from tests.mutations.random_run import table
 from tests.mutations.reach import Reach, merged, read
@@ -207,3 +207,26 @@ def test_the_table_counts_by_room() -> None:
 def test_a_fault_that_changes_nothing_is_one_that_could_be_drawn(fault: tuple[str, str, str, str]) -> None:
     file, *said = fault
     assert said in [[place.block, *place.words] for place in places(file, (ROOT / file).read_text())]
+
+
+def test_without_a_map_the_tests_of_a_fault_are_the_files_of_its_room_nearest_first() -> None:
+    place = next(each for each in places("design/tracking/bfgs.py", (ROOT / "design/tracking/bfgs.py").read_text()) if each.block)
+    found = own_tests(place)
+    assert found[0] == "tests/design/tracking/test_synthesis.py" and "tests/design/test_exports.py" in found
+    assert all((ROOT / name).is_file() for name in found) and len(set(found)) == len(found)
+    constant = next(each for each in places("transport/wire/layout.py", (ROOT / "transport/wire/layout.py").read_text()))
+    assert {file.name for file in (ROOT / "tests/transport").glob("test_*.py")} <= {Path(name).name for name in own_tests(constant)}
+
+
+def test_a_run_ends_when_its_time_is_spent_and_no_test_has_failed(tmp_path: Path) -> None:
+    (tmp_path / "test_m.py").write_text(
+        "import time\n"
+        "def test_long():\n"
+        "    end = time.process_time() + 0.2\n"
+        "    while time.process_time() < end: pass\n"
+        "def test_red(): assert False\n"
+    )
+    words = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "test_m.py"]
+    for limit, status in (("0.01", 0), ("600", 1)):
+        env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": "", LIMIT: limit}
+        assert subprocess.run(words, cwd=tmp_path, env=env, capture_output=True).returncode == status
