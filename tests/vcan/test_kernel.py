@@ -117,6 +117,9 @@ def test_failed_build_says_why(place: Path) -> None:
     _, err = builder(place).communicate(timeout=LIMIT_S)
     assert "CONFIG_CAN did not take" in err
     assert not list((place / "cache" / "hilrig").glob("linux-vcan-*"))
+    (place / "build_kernel").write_text("#!/bin/sh\nprintf %03000d 0 >&2\necho CONFIG_CAN did not take >&2\nexit 1\n")
+    _, err = builder(place).communicate(timeout=LIMIT_S)
+    assert ":\n" + 1976 * "0" + "CONFIG_CAN did not take" in err, "the last 2000 characters of its log"
 
 
 def test_kernel_is_named_after_what_it_is_made_of(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from design.jump_linear import fourth_moment
 from design.jump_linear.fourth_moment import fourth_moment_radius, fourth_moments
-from design.jump_linear.second_moment import congruence_matrices, mean_square_radius, operator_matrix
+from design.jump_linear.second_moment import backward, congruence_matrices, mean_square_radius, operator_matrix
 
 
 @pytest.mark.parametrize(("large", "state"), [(1.05, "bounded"), (1.3, "growing")])
@@ -46,3 +46,27 @@ def test_bounds_of_a_tail_and_too_many_moments_are_undecided(monkeypatch: pytest
     monkeypatch.setattr(fourth_moment, "MOST_MOMENTS", 0)
     found = fourth_moments(A, P)
     assert found.state == "undecided" and found.radius is None and "2 moments" in found.reason
+
+
+def test_one_moment_above_the_limit_is_one_too_many() -> None:
+    found = fourth_moments(np.zeros((20_001, 1, 1)), np.empty((0, 0)))
+    assert (found.state, found.reason) == ("undecided", "20001 moments are too many to tell")
+
+
+def test_the_growth_is_sought_in_blocks_of_products_within_the_limit_of_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A product of N modes of s coordinates takes 4 N s^3 + 2 N^2 s^2 operations."""
+    rng = np.random.default_rng(4)
+    A, P = rng.normal(size=(5, 2, 2)), rng.dirichlet(np.ones(5), size=5)
+    W = congruence_matrices(A).transpose(0, 2, 1)
+    growth, family = [0.0], np.array(np.broadcast_to(np.eye(3), W.shape))
+    while len(growth) < 3 or abs(growth[-1] - growth[-2]) >= 1e-9 * 25:
+        family = family / np.abs(family).max()
+        for _ in range(25):
+            family = backward(W, P, family)
+        growth.append(float(np.log(np.abs(family).max())))
+    work = 25 * (len(growth) - 1) * (4 * 5 * 3**3 + 2 * 5**2 * 3**2)
+    monkeypatch.setattr(fourth_moment, "EXACT", 0)
+    monkeypatch.setattr(fourth_moment, "MOST_FLOPS", float(work))
+    assert fourth_moment_radius(A, P) == pytest.approx(np.exp(growth[-1] / 25), rel=1e-9)
+    monkeypatch.setattr(fourth_moment, "MOST_FLOPS", float(work - 1))
+    assert fourth_moment_radius(A, P) is None

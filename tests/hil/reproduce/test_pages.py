@@ -72,6 +72,13 @@ def test_the_power_of_the_rules_is_said_when_asked(run) -> None:
     assert json.loads(run("ch3", "--power", "--json").stdout)["power"]["equality"] == [1, 1]
 
 
+def test_a_row_is_shown_in_lines_of_110_columns_under_its_text(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(MORE, "ch7", [Statement("long", " ".join(100 * "a"), (below("x", "x", 2),))])
+    shown = run("ch7").stdout.splitlines()
+    at = shown.index("    printed   " + " ".join(48 * "a"))
+    assert shown[at + 1 : at + 3] == [14 * " " + " ".join(48 * "a"), 14 * " " + " ".join(4 * "a")]
+
+
 def test_progress_is_reported_on_standard_error(run) -> None:
     outcome = run("ch7", "--json")
     assert "ch7 1/2 first: half" in outcome.stderr and "first" not in outcome.stdout

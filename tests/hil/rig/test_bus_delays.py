@@ -90,3 +90,12 @@ def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None
 def test_what_prevents_a_chain_is_named_in_the_verdict(sets: tuple[str, ...], said: str) -> None:
     verdict = compose(load_experiment(NAME, ("allow_uncertified=true", *sets))).verdict
     assert verdict is not None and verdict.state == "undecided" and said in verdict.reason
+
+
+@pytest.mark.parametrize(("period", "slots"), [("409.6 ms", 1024), ("400.390625 ms", 1025)])
+def test_a_cycle_is_computed_up_to_1024_slots(period: str, slots: int) -> None:
+    own = rig(f'network.media.bus.traffic=[{{name="a", can_id=1, period="{period}"}}]')
+    found = bus_delays(own, can_bus_of(own), 1)
+    assert len(found.sensor) == 1024 if slots == 1024 else found == (  # type: ignore[union-attr]
+        "network.media.bus: its traffic comes again after 1025 slots, at most 1024 are computed with"
+    )

@@ -51,6 +51,9 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
     measured = next(line for line in outputs.lines if line.get_label() == "angle")
     assert np.array_equal(measured.get_ydata(), session.arrays["/plant/measurement"]["angle"])
     assert ElementTree.parse(tmp_path / "step.svg").getroot().get("width") == f"{100 / 25.4 * 72:.6f}pt"
+    session.plot(tmp_path / "step.png", width_mm=100, height_mm=60)
+    head = (tmp_path / "step.png").read_bytes()[16:24]
+    assert (int.from_bytes(head[:4]), int.from_bytes(head[4:])) == (1181, 708), "300 dots per inch"
     session.plot(tmp_path / "step.pdf")
     assert (tmp_path / "step.pdf").read_bytes().startswith(b"%PDF")
     session.plot(tmp_path / "again.svg", width_mm=100, height_mm=60)

@@ -8,12 +8,14 @@ import subprocess
 import sys
 from hashlib import sha256
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from transport import TransportError, open_link
+from transport.links import private_directory
 from transport.links.can_bus import bus_directory
-from transport.links.private_directory import Claim
+from transport.links.private_directory import Claim, locked
 
 HOLD = """
 import sys
@@ -82,3 +84,18 @@ def test_a_file_of_a_claim_that_is_a_symbolic_link_is_not_followed(claims: Path,
     with pytest.raises(TransportError):
         take()
     assert not victim.exists()
+
+
+def test_a_lock_is_waited_for_in_pauses_of_10_ms_for_as_long_as_is_asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[int] = []
+    monkeypatch.setattr(private_directory, "select", SimpleNamespace(poll=lambda: SimpleNamespace(poll=pauses.append)))
+    lock = tmp_path / "mine" / "lock"
+    with locked(lock, 1.0):
+        with pytest.raises(TransportError, match="lock: locked for 20 s by a process that is stopped"), locked(lock, 20.0):
+            pass
+        assert pauses == 2000 * [10]
+        with locked(tmp_path / "mine" / "other", 0.0):  # of that directory alone, and tried once at least
+            pass
+    with locked(lock, 0.0):
+        pass
+    assert len(pauses) == 2000

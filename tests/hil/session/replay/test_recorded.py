@@ -34,6 +34,7 @@ def test_answers_out_of_order_are_sorted_up_to_a_limit(monkeypatch: pytest.Monke
     monkeypatch.setattr(replay_recorded, "MOST_SORTED", 100)
     assert RecordedAnswers(answers([*range(1, 100), 0])).get(0) == b"0 at 99"
     assert RecordedAnswers(answers(range(5000))).answered(5000) == 5000  # in order: no limit
+    assert RecordedAnswers(answers(range(-7, 200))).get(-7) == b"-7 at 0"  # so it is below slot 0
     with pytest.raises(HilError, match="/link/control: 101 packets that are out of order; hil sorts 100 at most"):
         RecordedAnswers(answers([*range(1, 101), 0]))
 
