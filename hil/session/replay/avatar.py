@@ -100,11 +100,12 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     touching = _touching(controller)
     if touching is None or isinstance(controller, MultiSampleController):
         return None
-    measured = view.run.arrays[MEASUREMENT][: MOST_ANSWERS + loop.model.tau_max + loop.samples]
+    answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
+    measured = view.run.arrays[MEASUREMENT]
+    measured = measured[measured["tick"] <= answers["tick"].max(initial=-1)]
     outputs = list(view.signals.outputs)
     carried = matrix(measured, outputs).astype(np.float32).tolist()
     samples: dict[int, list[float]] = dict(zip(measured["tick"].tolist(), carried))
-    answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
     first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
     reference = loop.reference()
     found: list[tuple[float, float, int, float, float]] = []

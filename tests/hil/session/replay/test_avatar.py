@@ -11,6 +11,7 @@ from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.runtime.simulated import simulate
+from hil.session.replay import avatar
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 
 
@@ -46,6 +47,11 @@ def test_avatar_and_material_are_those_of_the_run_bit_for_bit(monkeypatch, name,
     assert path.depth_m.tolist() == [seen[k][0] for k in slots.tolist()]
     assert path.material.tolist() == [seen[k][1] for k in slots.tolist()]
     assert np.ptp(path.depth_m) > 1e-4
+    monkeypatch.setattr(avatar, "MOST_ANSWERS", 40)
+    short, n = avatar_path(view, wall_loop_of(view)), int((slots < view.run.arrays["/controller/rows"]["tick"][40]).sum())
+    assert short.same and n > 30
+    for few, all_of_them in ((short.t_s, path.t_s), (short.depth_m, path.depth_m), (short.material, path.material)):
+        assert few.tolist() == all_of_them[:n].tolist()
 
 
 def test_forces_of_another_program_are_reported():
