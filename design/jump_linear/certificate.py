@@ -1,4 +1,4 @@
-"""What is known of a closed loop, computed from its gains and nothing else: stability, norms, where bounded signals push it.
+"""What is known of a closed loop, computed from its gains and nothing else: stability and norms.
 
 A solver's word is not used: the matrices of every inequality are found again for the given gains, and the inequality's
 eigenvalues are computed at these matrices.
@@ -14,21 +14,25 @@ import numpy.typing as npt
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from design.errors import NotStable
 from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
+from design.jump_linear.power_proof import BUDGET, OPEN, side_of_one
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
 from design.verdict import State
 
 MOST_UNKNOWNS = 2_000_000
 """Numbers of the second moments that are computed with: some twenty seconds of an idle core. Beyond, one product lasts a second
 in C, in which no Ctrl-C is seen, and the vectors of ARPACK fill the memory: 40 of 16 MB here."""
+CLEAR = 1.0 - 1e-4
+"""Radius below which a solution that was not found says something of the solver, and not of the loop."""
 
 
 class Certificate(Struct, frozen=True, kw_only=True):
     """Stability and norms of one closed loop, with the eigenvalues of the inequalities that prove them.
 
     Args:
-        mean_square_radius: spectral radius of the second-moment operator; stable if and only if < 1 (Theorem 7.1).
+        mean_square_radius: spectral radius of the second-moment operator; stable if and only if < 1 (Theorem 7.1). Where no
+            eigenvalue was found, the bound of it by which `design.jump_linear.power_proof` decided.
+        radius_is: ``at most`` or ``at least``, where it is such a bound; else empty.
         tail_radius: the same radius over the upper bounds of the transition probabilities, where a mode stands for a tail that
             is cut; None where the probabilities are exact. Below 1 it proves stability over the law without the cut.
         long_stay_radius: growth of E|x|^2 per slot in stays that have lasted long, where their limit is known, None elsewhere.
@@ -36,7 +40,7 @@ class Certificate(Struct, frozen=True, kw_only=True):
         state: ``certified``; ``refused``, a proof of the contrary; ``undecided``, where the tail that is cut decides.
         reason: what decided, in one sentence.
         stable: (7.17), made strict, holds at the matrices found, beyond rounding, whatever the tail that is cut does.
-        h2_norm: H2 norm (7.20), z per unit impulse; None if not stable.
+        h2_norm: H2 norm (7.20), z per unit impulse; None if not stable, or not found beside such a bound.
         hinf_norm: H-infinity norm (7.27); None if not asked for or not stable.
         lyapunov_margin: -largest eigenvalue of (7.17) at P found with right-hand side I; > 0 proves stability.
         positivity_margin: smallest eigenvalue of these P.
@@ -66,10 +70,11 @@ class Certificate(Struct, frozen=True, kw_only=True):
     selection: str
     output: str
     initial: str
+    radius_is: str = ""
 
     def to_json(self) -> dict[str, object]:
         """Return the fields as a dictionary that `json.dumps` takes."""
-        return asdict(self)
+        return {name: value for name, value in asdict(self).items() if name != "radius_is" or value}
 
 
 def certify_system(
@@ -110,20 +115,21 @@ def certify_system(
     A, B, C, D, transition = system.matrices
     alpha = system.alpha(initial)
     large = too_large(system.modes, system.order)
-    radius = float("nan") if large else system.radius()
-    tail_radius = None if large or between is None else mean_square_radius(A, between[1])
+    radius = float("nan") if large else system.radius(bounded=False)
+    tail_radius = None if large or between is None else mean_square_radius(A, between[1], bounded=False)
     growth = None if large else max((_radius_while(A, while_staying) for while_staying in stays), default=None)
     h2 = residual = norm = hinf_margin = lyapunov = positivity = rounding = None
-    stable = False
-    if radius < 1.0 and (tail_radius is None or tail_radius < 1.0):
+    stable, worst = False, transition if between is None else between[1]
+    side = side_of_one(A, worst) if not large and np.isnan(radius if tail_radius is None else radius + tail_radius) else OPEN
+    if side.stable is None and radius < 1.0 and (tail_radius is None or tail_radius < 1.0):
         identity = np.broadcast_to(np.eye(system.order), A.shape)
         weight = C.transpose(0, 2, 1) @ C
-        worst = transition if between is None else between[1]
         if between is None:
             P, S = cost_once(A, transition, np.stack([identity, weight]))
         else:
             P, S = cost_once(A, worst, identity), cost_once(A, transition, weight)
-        if not (np.isfinite(P).all() and np.isfinite(S).all()):  # too near 1 for the solver: nothing is proved
+        if not (np.isfinite(P).all() and np.isfinite(S).all()):  # too near 1 for the solver, or too many modes: nothing is proved
+            side = side_of_one(A, worst) if radius < CLEAR else side
             P, S = np.zeros_like(P), np.zeros_like(S)
         lyapunov = -_largest(backward(A, worst, P) - P)
         positivity = -_largest(-P)
@@ -134,8 +140,14 @@ def certify_system(
         gap = backward(A, transition, S) + weight - S
         residual = float(np.abs(np.linalg.eigvalsh(gap)).max() / max(float(np.abs(S).max()), 1e-300))
         stable = lyapunov > rounding and positivity > rounding
-    state, reason = _judge(A, radius, tail_radius, growth, stable, between, large)
-    if hinf and stable:
+    bound = ""
+    if side.stable:
+        stable, lyapunov, positivity, rounding, h2, residual = True, side.falls, side.least, side.rounding, None, None
+        tail_radius = side.bound if tail_radius is not None and np.isnan(tail_radius) else tail_radius
+    if side.stable is not None and np.isnan(radius) and (side.stable or between is None):
+        radius, bound = side.bound, "at most" if side.stable else "at least"
+    state, reason = _judge(A, radius, bound, tail_radius, growth, stable, between, large)
+    if hinf and h2 is not None and stable:
         from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 
         norm = hinf_norm(system)
@@ -145,7 +157,7 @@ def certify_system(
         long_stay_radius=growth, h2_norm=h2 if stable else None, hinf_norm=norm,
         lyapunov_margin=lyapunov, positivity_margin=positivity, rounding=rounding,
         h2_residual=residual, hinf_margin=hinf_margin, modes=system.modes, order=system.order, selection=selection,
-        output=output, initial="given" if initial is not None and not initial_law else initial_law or "uniform",
+        output=output, initial="given" if initial is not None and not initial_law else initial_law or "uniform", radius_is=bound,
     )  # fmt: skip
 
 
@@ -166,22 +178,29 @@ def too_large(modes: int, order: int) -> str:
 
 
 def _judge(
-    A: Array, radius: float, tail_radius: float | None, growth: float | None, stable: bool,
+    A: Array, radius: float, bound: str, tail_radius: float | None, growth: float | None, stable: bool,
     between: tuple[Array, Array] | None, large: str,
 ) -> tuple[State, str]:
     """What follows from the radii and the margins, in words."""
     if large:
         return "undecided", large
     tail = "" if tail_radius is None else f", {tail_radius:.6g} over the bounds of the tail that is cut"
+    size = f"{bound} {radius:.6g}".lstrip()
     if stable:
-        return "certified", f"the second-moment radius is {radius:.6g}{tail}, below 1"
+        return "certified", f"the second-moment radius is {size}{tail}, below 1"
     least = radius if between is None else mean_square_radius(A, between[0])
     if least > 1.0 + STABILITY_MARGIN:
-        return "refused", f"the loop is not mean-square stable: the second-moment radius is {least:.6g}, expected below 1"
+        size = size if between is None else f"{least:.6g}"
+        return "refused", f"the loop is not mean-square stable: the second-moment radius is {size}, expected below 1"
     if growth is not None and growth > 1.0 + STABILITY_MARGIN:
         return "refused", (
             "the loop is not mean-square stable: of a sojourn that has lasted long the end becomes so unlikely that the second "
             f"moment grows by {growth:.6g} per slot, expected below 1"
+        )
+    if np.isnan(radius) or np.isnan(tail_radius or 0.0):
+        return "undecided", (
+            f"the second-moment radius is near 1: over {len(A)} modes no eigenvalue was found, and products of {BUDGET:.1g} "
+            "numbers in all did not decide"
         )
     if tail_radius is None or (radius < 1.0 and tail_radius < 1.0):
         return "undecided", f"the second-moment radius is {radius:.9g}{tail}: too close to 1 for floating point"
@@ -245,51 +264,3 @@ def observed_part(system: MJLS, shown: Array) -> tuple[MJLS, int]:
     if np.abs(basis @ A - inner @ basis).max() > EXACT * scale or mean_square_radius(rest @ A @ rest.T, transition) > GROWS:
         return system, 0
     return replace(system, A=inner, B=basis @ B, C=C @ basis.T), n - len(basis)
-
-
-SHARE = 1e-3
-"""What of a bound may be left to the end of its sum."""
-TERMS = 100_000
-
-
-def ultimate_bound(A: Array, transition: Array, E: Array, C: Array) -> Array:
-    r"""Return what the root mean square of C x ends within, the share of each signal, (q,); their sum is the bound.
-
-    It holds for a stable system, whatever the bounded signals are that push it.
-
-    .. math:: x(k+1) = A_i x(k) + \sum_q E_i^q e_q(k), \qquad |e_q(k)| \le 1, \qquad z = C x
-
-    By Minkowski's inequality in the mean square, with M_0 = C'C and M_{t+1} = L M_t, the cost operator of `second_moment`,
-
-    .. math:: \limsup_k \sqrt{E |z(k)|^2} \le \sum_q \sum_t \sqrt{\max_i E_i^{q\prime} (\textstyle\sum_j p_{ij} M_t^j) E_i^q}
-
-    whatever e(k) knows of the modes and states up to slot k. The sum over t is ended where what follows is known to be small:
-    with P - L P >= I, L P <= (1 - 1/|P|) P.
-
-    Args:
-        A: (N, n, n) mode matrices of a mean-square stable system.
-        transition: (N, N) transition probabilities, or upper bounds of them over which it is stable.
-        E: (N, n, q), what signals of size 1 push.
-        C: (l, n), what is asked for.
-
-    Raises:
-        NotStable: so near the edge that no bound was found.
-    """
-    P = cost_once(A, transition, np.broadcast_to(np.eye(A.shape[-1]), A.shape))
-    largest = float(np.linalg.eigvalsh(P)[:, -1].max())
-    if not 1.0 <= largest < 1e14 or float(np.linalg.eigvalsh(P)[:, 0].min()) < 1.0 - 1e-6:
-        raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
-    left = np.sqrt(_reached(expect(transition, P), E)) / (1.0 - np.sqrt(max(1.0 - 1.0 / largest, 0.0)))
-    M, total = np.broadcast_to(C.T @ C, A.shape), np.zeros(E.shape[-1])
-    for _ in range(TERMS):
-        total = total + np.sqrt(_reached(expect(transition, M), E))
-        M = backward(A, transition, M)
-        tail = np.sqrt(max(float(np.linalg.eigvalsh(M)[:, -1].max()), 0.0)) * left
-        if (tail <= SHARE * total).all():
-            return np.asarray(total + tail)
-    raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
-
-
-def _reached(M: Array, E: Array) -> Array:
-    """max_i E_i^q' M_i E_i^q, (q,)."""
-    return np.asarray(np.maximum(np.einsum("iaq,iab,ibq->iq", E, M, E), 0.0).max(axis=0))

@@ -72,10 +72,14 @@ class MJLS:
         """Number of states n."""
         return int(np.asarray(self.A).shape[1])
 
-    def radius(self) -> float:
-        """Spectral radius of the second-moment operator; mean-square stable iff < 1 (Theorem 7.1 made exact)."""
+    def radius(self, *, bounded: bool = True) -> float:
+        """Spectral radius of the second-moment operator; mean-square stable iff < 1 (Theorem 7.1 made exact).
+
+        Args:
+            bounded: where no eigenvalue is found, return a bound on the radius's own side of 1, else nan.
+        """
         A, _, _, _, transition = self.matrices
-        return periodic_radius(A, transition)
+        return periodic_radius(A, transition, bounded=bounded)
 
     def alpha(self, initial: npt.ArrayLike | None = None) -> Array:
         """Initial mode distribution: uniform unless given.

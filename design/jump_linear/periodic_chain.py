@@ -19,12 +19,12 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear.long_computations import gmres, spectral_radius
+from design.jump_linear.power_proof import side_of_one
 from design.jump_linear.second_moment import (
-    ARPACK_RESTARTS,
     EIG_DENSE_AFTER,
     EIG_DENSE_LIMIT,
     mean_square_radius,
-    power_radius,
+    restarts_for,
     to_matrix,
     to_vector,
 )
@@ -53,7 +53,7 @@ def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     return [np.flatnonzero(level % period == c) for c in range(period)]
 
 
-def periodic_radius(A: Array, transition: Array) -> float:
+def periodic_radius(A: Array, transition: Array, *, bounded: bool = True) -> float:
     """Return what `mean_square_radius` does, sooner where the chain is periodic.
 
     A cycle without chance takes the eigenvalues of its product of matrices, and no second moments.
@@ -61,12 +61,13 @@ def periodic_radius(A: Array, transition: Array) -> float:
     Args:
         A: (N, n, n) mode matrices.
         transition: (N, N) row-stochastic matrix.
+        bounded: as of `mean_square_radius`.
     """
     n = A.shape[-1]
     classes = cyclic_classes(transition)
     first, size = classes[0], len(classes[0]) * n * (n + 1) // 2
     if len(classes) == 1:
-        return mean_square_radius(A, transition)
+        return mean_square_radius(A, transition, bounded=bounded)
     if len(classes) == len(A):
         return _product_radius([A[each[0]] for each in classes])
     if size <= EIG_DENSE_LIMIT:
@@ -75,16 +76,18 @@ def periodic_radius(A: Array, transition: Array) -> float:
 
     product = partial(_around, _steps(A, transition, classes), n)
     start = to_vector(np.broadcast_to(np.eye(n), (len(first), n, n))).ravel()
-    operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
+    operator, restarts = LinearOperator((size, size), matvec=product, dtype=np.float64), restarts_for(size * len(classes))
     try:
-        values: npt.NDArray[np.complex128] = eigs(
-            operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12, maxiter=ARPACK_RESTARTS
-        )
-        around = float(np.abs(values).max())
+        if restarts:
+            values: npt.NDArray[np.complex128] = eigs(
+                operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12, maxiter=restarts
+            )
+            return float(np.abs(values).max() ** (1.0 / len(classes)))
     except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
-        dense = size <= EIG_DENSE_AFTER
-        around = _dense_radius(product, size) if dense else power_radius(product, start)
-    return float(around ** (1.0 / len(classes)))
+        pass
+    if size > EIG_DENSE_AFTER:
+        return side_of_one(A, transition).bound if bounded else float("nan")
+    return float(_dense_radius(product, size) ** (1.0 / len(classes)))
 
 
 def _product_radius(matrices: list[Array]) -> float:

@@ -11,7 +11,6 @@ sqrt 2), so that the forward operator is the transpose of the backward one, and 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -21,6 +20,7 @@ import numpy.typing as npt
 from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
 from design.jump_linear.long_computations import spectral_radius
+from design.jump_linear.power_proof import side_of_one
 from design.jump_linear.stability_proof import is_sparse, positive_radius, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]
@@ -29,8 +29,8 @@ DENSE_LIMIT = 700  # unknowns up to which a dense factorisation is quicker than 
 SINGLE_LIMIT = 100  # the same for a system of one mode
 EIG_DENSE_LIMIT = 260  # unknowns up to which all eigenvalues are computed at once
 EIG_DENSE_AFTER = 3500  # unknowns up to which they are where ARPACK does not find the largest: some 15 s
-POWER_BLOCK, POWER_STEPS, POWER_SETTLED = 100, 20_000, 1e-9  # slots of an average, slots at most, change per slot at the end
 ARPACK_RESTARTS = 60  # a spectrum that is not found by then is crowded: no number of restarts that pays finds it
+ARPACK_NUMBERS, ARPACK_LEAST = 3_000_000, 5  # unknowns times restarts, at most; with fewer restarts none is begun
 CLUSTER_LIMIT = 20_000  # unknowns up to which four eigenvalues are found, in case several lie on the spectral circle
 BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
@@ -250,18 +250,30 @@ class Bordered:
         return np.full_like(rhs, np.nan) if found is None else np.append(to_vector(found[0]).ravel(), found[1])
 
 
-def mean_square_radius(A: Array, transition: Array) -> float:
+def restarts_for(size: int) -> int:
+    """Return how often ARPACK may restart over so many unknowns; 0 where too seldom to be begun.
+
+    >>> [restarts_for(size) for size in (1000, 400_000, 1_000_000)]
+    [60, 7, 0]
+    """
+    allowed = min(ARPACK_RESTARTS, ARPACK_NUMBERS // size)
+    return allowed if allowed >= ARPACK_LEAST else 0
+
+
+def mean_square_radius(A: Array, transition: Array, *, bounded: bool = True) -> float:
     """Spectral radius of the second-moment operator; the system is mean-square stable if and only if it is < 1.
 
     Args:
         A: (N, n, n) mode matrices.
         transition: (N, N) row-stochastic matrix.
+        bounded: where no eigenvalue is found, return a bound on the radius's own side of 1.
 
     Small systems take every eigenvalue; one large mode takes the squares of those of A. Where few transitions are
     possible, see `design.jump_linear.stability_proof`. Other large systems take ARPACK, matrix-free, started at the identity:
     the operator maps positive semidefinite families to such, so its radius is an eigenvalue with such a family. Where ARPACK
-    does not converge, all eigenvalues are computed as far as the size allows, else the growth of the identity's iterates; nan
-    where that settles too slowly. Stability is decided by (7.17), not by this number: `design.jump_linear.certificate`.
+    does not converge, or would take too long, all eigenvalues are computed as far as the size allows. Beyond, none is found: nan,
+    or the bound of `design.jump_linear.power_proof`, which is nan where its budget ends. Stability is decided by (7.17), not by
+    this number: `design.jump_linear.certificate`.
     """
     size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
     if len(A) == 1 and size > SINGLE_LIMIT:
@@ -280,36 +292,17 @@ def mean_square_radius(A: Array, transition: Array) -> float:
     def product(vector: Array) -> Array:
         return to_vector(turned @ to_matrix(mean(chains, vector.reshape(shape)), A.shape[-1]) @ A).ravel()
 
-    operator = LinearOperator((size, size), matvec=product, dtype=np.float64)
+    operator, restarts = LinearOperator((size, size), matvec=product, dtype=np.float64), restarts_for(size)
     start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
     wanted = 4 if size < CLUSTER_LIMIT else 1
     try:
-        values: npt.NDArray[Any] = eigs(
-            operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12, maxiter=ARPACK_RESTARTS
-        )
-        return float(np.abs(values).max())
+        if restarts:
+            values: npt.NDArray[Any] = eigs(
+                operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12, maxiter=restarts
+            )
+            return float(np.abs(values).max())
     except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
         pass
     if size <= EIG_DENSE_AFTER:
         return spectral_radius(operator_matrix(A, transition))
-    return power_radius(product, start)
-
-
-def power_radius(product: Callable[[Array], Array], start: Array) -> float:
-    """Spectral radius of an operator that keeps a cone, by what the trace of its iterates grows by; nan where that never settles.
-
-    The identity is inside the cone: no part of the spectrum is missed.
-    """
-    vector, before, growth = start / np.linalg.norm(start), 0.0, 0.0
-    for k in range(POWER_STEPS):
-        vector = product(vector)
-        norm = float(np.linalg.norm(vector))
-        if not 0.0 < norm < np.inf:
-            return norm
-        vector /= norm
-        growth += np.log(norm)
-        if (k + 1) % POWER_BLOCK == 0:
-            if abs(growth - before) < POWER_SETTLED * POWER_BLOCK:
-                return float(np.exp(growth / POWER_BLOCK))
-            before, growth = growth, 0.0
-    return float("nan")
+    return side_of_one(A, transition).bound if bounded else float("nan")

@@ -38,7 +38,6 @@ from design.jump_linear.mjls import MJLS
 from design.networked_loop.loop_parts import (
     check_gains,
     check_plant_shapes,
-    check_size,
     default_initial,
     initial_law,
     joint_bounds,
@@ -225,9 +224,8 @@ def loop_structure(
     last_input = start + sum(length for _, length in registers) * m
     order = last_input + (m if weighs_applied or keeps_input else 0)
 
-    modes, transition = joint_modes(sc_chain, ca_chain, with_previous=selection == "previous")
+    modes, transition = joint_modes(sc_chain, ca_chain, order=order, with_previous=selection == "previous")
     N = len(modes)
-    check_size(N, order)
     shift = np.zeros((order, order))
     shift[:n, :n] = A_
     if depth:

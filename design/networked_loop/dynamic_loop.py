@@ -23,7 +23,6 @@ from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.loop_parts import (
     check_plant_shapes,
-    check_size,
     default_initial,
     initial_law,
     joint_bounds,
@@ -89,8 +88,7 @@ def dynamic_loop(
     sample = rows + length
     last = sample + (p if sc.holds.any() else 0)
     order = last + (m if ca.holds.any() else 0)
-    modes, transition = joint_modes(sc, ca, with_previous=selection == "previous")
-    check_size(len(modes), order)
+    modes, transition = joint_modes(sc, ca, order=order, with_previous=selection == "previous")
 
     base = np.zeros((order, order))
     base[:n, :n] = A_

@@ -34,31 +34,37 @@ def check_size(modes: int, order: int) -> None:
         raise TooLarge(why)
 
 
-def joint_modes(sc: DelayChain, ca: DelayChain, *, with_previous: bool = False) -> tuple[JointModes, Array]:
+def joint_modes(sc: DelayChain, ca: DelayChain, *, order: int, with_previous: bool = False) -> tuple[JointModes, Array]:
     """Return the joint modes and their transition matrix (N, N): the two chains are independent.
 
     Where a chain says in which modes it begins, only the pairs count that come about from there: two cycles keep their phase.
 
     Args:
         sc, ca: the delay chains.
+        order: number of states of the loop over them.
         with_previous: a mode keeps the C-A mode before, too.
 
     Raises:
-        TooLarge: more than `MOST_MODES`.
+        TooLarge: more than `MOST_MODES`, or more second moments than are computed: before the matrix is made.
     """
     pairs = sc.modes * (int(np.count_nonzero(ca.bounds[1] > 0)) if with_previous else ca.modes)
     if pairs > 100 * MOST_MODES:  # of chains that begin somewhere few pairs may be met, but all are looked at
         raise _too_many(pairs)
     if with_previous:
         triples = [(s, c, b) for s in range(sc.modes) for c in range(ca.modes) for b in range(ca.modes) if ca.bounds[1][b, c] > 0]
-        return _met(triples, sc, ca)
-    return _met([(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)], sc, ca)
+        modes = _met(triples, sc, ca)
+    else:
+        modes = _met([(s, c, -1) for s in range(sc.modes) for c in range(ca.modes)], sc, ca)
+    if len(modes) > MOST_MODES:
+        raise _too_many(len(modes))
+    check_size(len(modes), order)
+    return modes, _joint(modes, sc.matrix, ca.matrix)
 
 
-def _met(modes: JointModes, sc: DelayChain, ca: DelayChain) -> tuple[JointModes, Array]:
-    """The joint modes that are ever met, and their transition matrix."""
+def _met(modes: JointModes, sc: DelayChain, ca: DelayChain) -> JointModes:
+    """The joint modes that are ever met."""
     if sc.begins is None and ca.begins is None:
-        return modes, _joint(modes, sc.matrix, ca.matrix)
+        return modes
     every = [np.ones(chain.modes, dtype=np.bool_) if chain.begins is None else np.asarray(chain.begins) for chain in (sc, ca)]
     follows = [[np.flatnonzero(row) for row in chain.bounds[1] > 0.0] for chain in (sc, ca)]
     front = {(s, c) for s in np.flatnonzero(every[0]).tolist() for c in np.flatnonzero(every[1]).tolist()}
@@ -66,8 +72,8 @@ def _met(modes: JointModes, sc: DelayChain, ca: DelayChain) -> tuple[JointModes,
     while front:
         front = {(int(i), int(j)) for s, c in front for i in follows[0][s] for j in follows[1][c]} - met
         met |= front
-    kept = [mode for mode in modes if mode[:2] in met and (mode[2] < 0 or mode[2] in {c for _, c in met})]
-    return kept, _joint(kept, sc.matrix, ca.matrix)
+    before = {c for _, c in met}
+    return [mode for mode in modes if mode[:2] in met and (mode[2] < 0 or mode[2] in before)]
 
 
 def joint_bounds(sc: DelayChain, ca: DelayChain, modes: JointModes) -> tuple[Array, Array] | None:
@@ -97,8 +103,6 @@ def _too_many(modes: int) -> TooLarge:
 
 def _joint(modes: JointModes, sc: Array, ca: Array) -> Array:
     """Products of the two chains' entries; a mode that keeps the C-A mode before follows only where that fits."""
-    if len(modes) > MOST_MODES:
-        raise _too_many(len(modes))
     s, c, before = np.array(modes, dtype=np.int64).T
     if before[0] < 0 and len(modes) == len(sc) * len(ca):  # every pair: the same products, without two matrices that are picked
         return np.asarray(np.kron(sc, ca), dtype=np.float64)

@@ -172,7 +172,7 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
     radius = certificate.mean_square_radius
     if certificate.state == "refused" and radius < 1.0:  # what lies beyond the cut refutes
         radius = certificate.long_stay_radius or radius
-    stable = f"second-moment radius {radius:.5g}"
+    stable = " ".join(filter(None, ("second-moment radius", certificate.radius_is, f"{radius:.5g}")))
     if certificate.state == "certified":
         reason = f"the loop is mean-square stable over this network ({stable})"
     elif certificate.state == "refused":
