@@ -10,7 +10,7 @@ import socket
 import stat
 from contextlib import suppress
 from pathlib import Path
-from socket import MSG_NOSIGNAL
+from socket import MSG_DONTWAIT, MSG_NOSIGNAL, MSG_PEEK
 from struct import Struct
 from typing import Final
 
@@ -27,6 +27,9 @@ _STAMP: Final = Struct("@ll")
 _STAMP_SPACE: Final = socket.CMSG_SPACE(_STAMP.size)
 _SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does not name it
 _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
+_SENT_AT_ONCE: Final = MSG_NOSIGNAL | MSG_DONTWAIT
+_LARGEST: Final = 128
+_PATIENCE: Final = Struct("@ll").pack(0, 50_000)  # s and us that `await_one` waits
 
 
 def _stamp_what_waits(connection: socket.socket) -> None:
@@ -36,38 +39,47 @@ def _stamp_what_waits(connection: socket.socket) -> None:
     Only the first: several that came before are in turn with those of others who were let in at the same time.
     """
     with suppress(BlockingIOError):
-        connection.recvmsg(1, _STAMP_SPACE, socket.MSG_PEEK)
+        connection.recvmsg(1, _STAMP_SPACE, MSG_PEEK | MSG_DONTWAIT)
 
 
 class Peer:
     """One connection, and how many datagrams it missed since the last one that got through."""
 
-    __slots__ = ("_send", "missed", "read", "socket")
+    __slots__ = ("_recv", "_send", "missed", "socket")
 
     def __init__(self, connection: socket.socket) -> None:
-        connection.setblocking(False)
+        connection.setblocking(True)  # what may not wait says so: no time that Python keeps, one system call in `await_one`
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             _stamp_what_waits(connection)
         self.socket = connection
-        self._send, self.read = connection.send, connection.recv
+        self._send, self._recv = connection.send, connection.recv
         self.missed = 0
+
+    def read(self) -> bytes:
+        """Return the next datagram, b"" where the other end has left; `BlockingIOError` if there is none."""
+        return self._recv(_LARGEST, MSG_DONTWAIT)
+
+    def await_one(self) -> bytes:
+        """Wait up to 50 ms for the next datagram, and `read` it: asleep in the call that reads, which no other has to follow."""
+        return self._recv(_LARGEST)
 
     def offer(self, datagram: bytes) -> None:
         """Send, or raise `OSError`; never wait."""
         if not self.missed:
-            self._send(datagram, MSG_NOSIGNAL)
+            self._send(datagram, _SENT_AT_ONCE)
             return
         reported = min(self.missed, 0xFFFF)
-        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], reported) + datagram[HEAD_BYTES:], MSG_NOSIGNAL)
+        self._send(HEAD.pack(HEAD.unpack_from(datagram)[0], reported) + datagram[HEAD_BYTES:], _SENT_AT_ONCE)
         self.missed -= reported
 
     def arrival_ns(self) -> int:
         """Return when the kernel took the datagram that waits here, ns; -1 where nothing says so: it is read at once."""
         try:
-            _, said, _, _ = self.socket.recvmsg(1, _STAMP_SPACE, socket.MSG_PEEK)
+            _, said, _, _ = self.socket.recvmsg(1, _STAMP_SPACE, MSG_PEEK | MSG_DONTWAIT)
         except OSError:
             return -1
         for level, kind, data in said:

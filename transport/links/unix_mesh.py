@@ -34,7 +34,6 @@ POLLS: Final = 400
 """How often a short wait looks for an answer before it sleeps: about 200 us."""
 _MOST_IN_VAIN: Final = 8
 
-_LARGEST: Final = 128
 _COARSE_S: Final = 0.05  # epoll rounds up to milliseconds: good enough for a wait as long as this
 
 
@@ -104,7 +103,7 @@ class Mesh(Closing):
             self.dropped += 1
             return False
         try:
-            unread = bool(peer.socket.recv(1, socket.MSG_PEEK))
+            unread = bool(peer.socket.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT))
         except ConnectionResetError:
             unread = True  # it left without reading all of ours; its own may still be here
         except OSError:
@@ -117,7 +116,7 @@ class Mesh(Closing):
         own = self._members.own
         if own is not None:
             try:
-                own.socket.send(datagram)
+                own.offer(datagram)
             except OSError:
                 self.dropped += 1
 
@@ -130,12 +129,12 @@ class Mesh(Closing):
             timeout_s: s; None waits for ever.
         """
         members, epoll = self._members, self._members.epoll
-        ready = epoll.poll(timeout_s if timeout_s is None or timeout_s >= _COARSE_S else 0)
-        if not ready and timeout_s is not None and 0 < timeout_s < _COARSE_S:
-            found = self._look() if self._looks else []
+        ready = epoll.poll(0)
+        if not ready and (timeout_s is None or timeout_s > 0):
+            found = self._wait(timeout_s)
             if isinstance(found, bytes):
                 return found
-            ready = found or self._sleep(timeout_s)
+            ready = found
         while ready:
             descriptor = ready[0][0] if len(ready) == 1 else min(ready, key=self._time)[0]
             peer = members.sources.get(descriptor)
@@ -148,10 +147,10 @@ class Mesh(Closing):
             ready = epoll.poll(0)
         return None
 
-    def _read(self, peer: Peer) -> bytes | None:
+    def _read(self, peer: Peer, wait: bool = False) -> bytes | None:
         """Return the next datagram of a participant, None if there is none."""
         try:
-            datagram = peer.read(_LARGEST)
+            datagram = peer.await_one() if wait else peer.read()
         except OSError:  # another thread took it, or the other end has left: what it sent is read next
             return None
         if len(datagram) >= HEAD_BYTES:
@@ -160,6 +159,23 @@ class Mesh(Closing):
         if not datagram:
             self._members.remove(peer, unread=False)
         return None
+
+    def _wait(self, timeout_s: float | None) -> bytes | list[tuple[int, int]]:
+        """Wait; return the datagram that came, or what epoll has, [] if nothing came."""
+        if timeout_s is not None and timeout_s < _COARSE_S:
+            return (self._look() if self._looks else []) or self._sleep(timeout_s)
+        lone = self._lone()
+        if lone is not None:  # asleep in the call that reads: a newcomer's first datagrams may wait for 50 ms
+            found = self._read(lone, wait=True)
+            if found is not None or self._lone() is not lone:
+                return found or []
+            timeout_s = None if timeout_s is None else timeout_s - _COARSE_S
+        return self._members.epoll.poll(timeout_s)
+
+    def _lone(self) -> Peer | None:
+        """Return the only participant whose datagrams come here, None where there are others or none."""
+        sources = self._members.sources
+        return next(iter(sources.values())) if len(sources) == 1 else None
 
     def _look(self) -> bytes | list[tuple[int, int]]:
         """Look for an answer without sleep; return what came, or what epoll has, [] if nothing came.
@@ -170,8 +186,7 @@ class Mesh(Closing):
         if self._rest:
             self._rest -= 1
             return []
-        epoll, sources = self._members.epoll, self._members.sources
-        lone = next(iter(sources.values())) if len(sources) == 1 else None
+        epoll, lone = self._members.epoll, self._lone()
         for _ in range(POLLS):
             # A lone participant is read without asking epoll whether it can be: none but a newcomer could have come first.
             found = epoll.poll(0) if lone is None else self._read(lone)

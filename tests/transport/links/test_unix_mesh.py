@@ -104,6 +104,38 @@ def test_a_wait_is_as_long_as_was_said(timeout_s: float, directory: Path) -> Non
         assert mesh.receive(0) is None
 
 
+def test_who_sleeps_for_a_lone_participant_receives_a_newcomer_too(directory: Path) -> None:
+    expected = [HEAD.pack(float(number), 0) for number in range(3)]
+    found: list[bytes | None] = []
+
+    def read() -> None:
+        limit = monotonic() + LIMIT_S
+        while [each for each in found if each] != expected and monotonic() < limit:
+            found.append(listener.receive(LIMIT_S))  # None comes early, too: someone has joined
+
+    with Mesh(directory) as listener, Mesh(directory):
+        assert listener.receive(0) is None and listener.participants == 2
+        reads = Thread(target=read)
+        reads.start()
+        with Mesh(directory) as newcomer:
+            for datagram in expected:
+                newcomer.send(datagram)
+            reads.join()
+        assert [each for each in found if each] == expected
+
+
+def test_a_sleep_for_a_lone_participant_ends_when_it_leaves(directory: Path) -> None:
+    with Mesh(directory) as listener:
+        other = Mesh(directory)
+        assert listener.receive(0) is None and listener.participants == 2
+        begun = monotonic()
+        leaves = Thread(target=other.close)
+        leaves.start()
+        assert listener.receive(LIMIT_S) is None
+        leaves.join()
+        assert monotonic() - begun < LIMIT_S / 2 and listener.participants == 1
+
+
 def test_a_datagram_too_short_to_be_one_is_passed_over(directory: Path) -> None:
     with Mesh(directory) as mesh, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stranger, Mesh(directory) as friend:
         stranger.connect(str(mesh._members._path))
