@@ -131,8 +131,6 @@ def assert_probability(
 
     Reference: A. Wald, Sequential Analysis, 1947.
     """
-    from design.monte_carlo.confidence import SequentialTest
-
     __tracebackhide__ = True  # pytest shows the line of the test, not this function
     if not 0.0 < at_least < 1.0:
         raise HilError(f"assert_probability: at_least: {at_least:g}; expected a number between 0 and 1")

@@ -20,6 +20,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment as read_experiment
 from hil.experiment.load import parse_plugin
 from hil.experiment.tables import Experiment
+from hil.files.toml_text import toml_value
 from hil.plugins import registry
 from hil.plugins.protocols import ReferencesFiles
 from hil.plugins.registry import group_of, kind_of_class
@@ -161,19 +162,10 @@ def as_change(value: Any, path: str) -> str:
 
 def _toml(value: Any, path: str) -> str:
     """Return a value in TOML notation."""
-    if isinstance(value, np.ndarray | np.generic):
-        value = value.tolist()
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        return msgspec.json.encode(value).decode()
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(v, path) for v in value)}]"
-    if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_toml(str(k), path)} = {_toml(v, path)}" for k, v in value.items()) + "}"
-    raise HilError(
-        f"{path}: {type(value).__name__} is not a value of an experiment; expected a number, text, a list or a table"
-        "; objects stand at plant, controller, network.sc.law and network.ca.law"
-    )
+    try:
+        return toml_value(value)
+    except TypeError as error:
+        raise HilError(
+            f"{path}: {error} is not a value of an experiment; expected a number, text, a list or a table"
+            "; objects stand at plant, controller, network.sc.law and network.ca.law"
+        ) from None

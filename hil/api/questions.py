@@ -16,14 +16,14 @@ from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, checked_experiment
-from hil.design_questions.design_problem import TrackingTarget, verdict_on
+from hil.design_questions.design_problem import TrackingTarget, problem_for, tracking_target, verdict_on
 from hil.errors import HilError
 from hil.files.outputs import check_output, write_output
 from hil.log.write.provenance import package_versions
 from hil.measure.measure import Named
 from hil.notebook import Cell, Result, SingleResult, data_frame
 from hil.runtime.time.clock import monotonic_ns
-from transport.law_tests.analysis import LawAnalysis
+from transport.law_tests.analysis import LawAnalysis, analyse_law
 
 if TYPE_CHECKING:
     import pandas
@@ -117,7 +117,6 @@ def design(
     """
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
-    from hil.design_questions.design_problem import problem_for, tracking_target
 
     if sojourns < 1:
         raise HilError(f"design: sojourns: {sojourns}; expected a whole number of at least 1")
@@ -150,7 +149,6 @@ def laws(source: Source, **changes: Any) -> Laws:
     """
     from hil.rig.named_files import with_law_files
     from hil.rig.normal_form import rig_of
-    from transport.law_tests.analysis import analyse_law
 
     checked = with_law_files(checked_experiment(source, None, None, changes))
     period_s = float(checked.period)

@@ -7,7 +7,7 @@ from typing import Any, get_args
 import click
 
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, print_table
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
@@ -30,18 +30,10 @@ def _check(option: str, value: float, low: float, high: float) -> None:
 
 
 def show_table(title: str, rows: list[dict[str, Any]]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    from hil.pages.html.figures import Table
 
-    table = Table(title=title)
-    for i, head in enumerate(rows[0] if rows else []):
-        table.add_column(head, justify="left" if i == 0 else "right", no_wrap=i > 0)
-    for row in rows:
-        table.add_row(*("-" if v is None else f"{v:.4g}" if isinstance(v, float) else str(v) for v in row.values()))
-    console = Console()
-    if not console.is_terminal:
-        console.width = 160  # a file has no edge to wrap at
-    console.print(table)
+    cells = [[f"{v:.4g}" if isinstance(v, float) else v for v in row.values()] for row in rows]
+    print_table(Table(title=title, columns=list(rows[0]) if rows else (), rows=cells))
 
 
 @command.command()

@@ -11,7 +11,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, show_page
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -46,7 +46,8 @@ def analyse(
     TRAFFIC is a table of messages, .csv or .dbc; an EXPERIMENT has a medium of kind can. The exit status is 0 also where a
     message may miss its deadline.
     """
-    from hil.files.outputs import check_page, write_output
+    from hil.files.outputs import check_page
+    from hil.pages.designs import bus_page
     from transport.can_analysis import ErrorBursts
 
     if output is not None:
@@ -60,14 +61,7 @@ def analyse(
         if bitrate is not None or dbitrate is not None:
             raise HilError("--bitrate: an experiment says it itself; change it by --set network.media.NAME.bitrate=500000")
         found = _of_experiment(target, sets, duration, bursts)
-    if output is not None:
-        from hil.pages.analyses import bus_page
-
-        write_output(output, bus_page(found))
-    if as_json:
-        print_json(asdict(found))
-    else:
-        _print(found)
+    show_page(bus_page(found), asdict(found), output, as_json)
 
 
 @command.command()
@@ -145,31 +139,3 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
     return analyse(experiment.name, analysed(loop.rig, bus, loop.rows), rates_of(bus.table), worst, seconds, errors)
-
-
-def _print(found: BusAnalysis) -> None:
-    from rich.markup import escape
-    from rich.table import Table
-
-    from hil.cli.terminal import print_table, visible
-
-    rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
-    table = Table(title=escape(visible(f"{found.name}: {rate}, load {100 * found.load:.2f} %")))
-    for head in ("identifier", "message", "bytes", "period, ms", "deadline, ms", "bound, ms", "measured, ms", "delayed by"):
-        table.add_column(head, justify="left" if head in ("message", "delayed by") else "right")
-    for each in found.messages:
-        identifier = f"{each.can_id:08X}" if each.extended else f"{each.can_id:03X}"
-        bound = "none" if each.bound_ms is None else f"{each.bound_ms:.3f}"
-        measured = "-" if each.measured_ms is None else f"{each.measured_ms:.3f}"
-        colour = "" if each.in_time else "red"
-        above = "-" if not each.delayed_by else f"{len(each.delayed_by)} down to {each.delayed_by[-1]}"
-        table.add_row(
-            identifier, escape(visible(each.name)), str(each.length), f"{each.period_ms:g}", f"{each.deadline_ms:g}", bound,
-            measured, escape(visible(above)), style=colour,
-        )  # fmt: skip
-    print_table(table)
-    late = [each for each in found.messages if not each.in_time]
-    said = f"{len(late)} of {len(found.messages)} may miss their deadline" if late else "every message meets its deadline"
-    print(f"{said}; measured over {found.simulated_s:g} s. Bounds: Davis, Burns, Bril, Lukkien 2007, to the end of EOF.")
-    if found.load > 1:
-        print(f"The messages need {100 * found.load:.1f} % of the bus: the lower ones are not sent, or ever later.")

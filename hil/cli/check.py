@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, visible
 from hil.errors import HilError
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
@@ -41,7 +41,6 @@ def command(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_js
     if as_json:
         print_json({"group": group, "kind": kind, "earned": said})
         return
-    from hil.cli.terminal import visible
 
     print("\n".join(map(visible, said)))
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from math import isfinite
 from pathlib import Path
-from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import json_option, print_json, terminal_columns
+from hil.cli.terminal import Working, json_option, print_folded, print_json, print_table, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -35,17 +34,11 @@ def command(
 
     Streams of random numbers are named, so experiments with the same network laws meet the same delays.
     """
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress
-    from rich.table import Table
-
     from hil.cli.sweep import check_jobs
-    from hil.cli.terminal import cell, print_table, visible
     from hil.experiment import load_experiment
     from hil.files.outputs import check_page, write_output
     from hil.measure.signals import with_unit
+    from hil.pages.html.figures import Table
     from hil.pages.many_runs import compare_page
     from hil.sweeps.comparison import compare
     from hil.sweeps.sweep import statistics
@@ -60,10 +53,8 @@ def command(
     if len(set(experiments)) < len(experiments):
         raise HilError("the same experiment is named twice")
     checked = {name: load_experiment(name, list(sets)) for name in experiments}
-    err = Console(stderr=True)
-    with Progress(console=err, disable=not err.is_terminal) as bar:
-        tasks = {name: bar.add_task(escape(visible(name)), total=runs) for name in checked}
-        comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: bar.update(tasks[name], completed=done))
+    with Working("runs", runs) as watch:
+        comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: watch.counted(done, what=name))
     if comparison.alone:
         print(f"hil: {comparison.alone}", file=sys.stderr)
     if comparison.interrupted:
@@ -86,21 +77,17 @@ def command(
     if as_json:
         print_json({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None})
         return
-    columns = terminal_columns()
     for name in experiments[1:]:
-        print(fill(visible(comparison.verdict(name)), columns, break_long_words=False, break_on_hyphens=False))
+        print_folded(comparison.verdict(name))
     for name, caution in comparison.cautions.items():
-        print(fill(visible(f"{name}: {caution}"), columns, break_long_words=False, break_on_hyphens=False))
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("metric, experiment", overflow="fold", min_width=12)
-    for head in ("n", "mean", "difference", "95 % interval"):
-        table.add_column(head, justify="right", no_wrap=True)
+        print_folded(f"{name}: {caution}")
+    rows: list[tuple[str, ...]] = []
     for quantity in comparison.quantities:
-        table.add_row(cell(with_unit(quantity.title, quantity.unit)))
-        for name in experiments:
-            table.add_row(cell(f"  {name}"), *_numbers(out[name], quantity.name, name == first))
-    print_table(table, folds=True)
-    print(fill(visible(f"differences are against {first}, run by run on the same delays"), columns))
+        rows.append((with_unit(quantity.title, quantity.unit), "", "", "", ""))
+        rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in experiments]
+    heads = ("metric, experiment", "n", "mean", "difference", "95 % interval")
+    note = f"differences are against {first}, run by run on the same delays"
+    print_table(Table(columns=heads, rows=rows, note=note), folds=True)
     if output is not None:
         print(f"page: {visible(output)}")
 

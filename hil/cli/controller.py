@@ -7,6 +7,7 @@ import sys
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.terminal import Working
 
 
 @click.command()
@@ -18,7 +19,6 @@ def command(experiment: str, link: str | None, sets: tuple[str, ...]) -> None:
 
     The rig is started elsewhere: hil rig EXPERIMENT --link URI.
     """
-    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.rig.session_link import link_of

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.terminal import visible
 from hil.errors import HilError
 
 NAME = "hilrig"
@@ -60,7 +61,6 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
 def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from cantools.database.can.c_source import generate
 
-    from hil.cli.terminal import visible
     from hil.files.outputs import check_output, write_output
 
     header, source = (folder / f"{NAME}.{ending}" for ending in ("h", "c"))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.option_types import Duration, Number
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Working, json_option, print_facts, print_json, print_table, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -98,27 +98,24 @@ def command(
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
     from hil.cli.design_answers import experiment_over_history, show_historical
-    from hil.cli.design_trade_off import SHAPES, show_trade_off
-    from hil.cli.terminal import Working
+    from hil.cli.design_pages import SHAPES, show_can_id, show_trade_off, show_trigger
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_output, check_page, write_output
     from hil.log.write.provenance import package_versions
 
+    if (can_id or trigger or trade_off) and path is not None:
+        check_page(path, force=force)  # now, and not after the work
     if can_id:
-        from hil.cli.design_can_id import show_can_id
-
         _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
-        show_can_id(subject, path, force, as_json)
+        show_can_id(subject, path, as_json)
         return
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if trigger:
-        from hil.cli.design_trigger import show_trigger
-
         mean = {"subject", "trigger", "gain_bound", "input_weight", "starts", "seed", "path", "force", "as_json"}
         _refuse_others(mean, "with --trigger, whose gains are H2 gains that use no ages: a silent node sends none")
-        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path, force, as_json)
+        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path, as_json)
         return
     experiment = experiment_over_history(subject)
     if experiment is not None:
@@ -138,7 +135,7 @@ def command(
         "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
     }  # fmt: skip
     if trade_off:
-        show_trade_off(target, shape, path, force, as_json)
+        show_trade_off(target, shape, path, as_json)
         return
     over = None
     if network is not None:
@@ -190,7 +187,6 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
     from design.requests.tracking import LocalDesigned
     from hil.cli.design_answers import design_local, show_local
-    from hil.cli.terminal import Working
 
     common = {"subject", "period", "input_weight", "local", "noise", "as_json"}
     _refuse_others(common, "with --local, which designs for the plant alone")
@@ -224,27 +220,27 @@ def _refuse_others(common: set[str], where: str) -> None:
 
 
 def _show(design: Design, document: dict[str, Any]) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
     from design.tracking.row_sojourns import row_sojourns_of
-    from hil.cli.terminal import print_facts, visible
+    from hil.pages.html.figures import Table
 
-    console, c, problem = Console(), design.certificate, design.problem
-    table = Table(title=escape(f"gains K[tau][row], row by {design.selection!r}"))
-    table.add_column("tau", justify="right")
-    rows = design.gains.shape[1]
+    c, problem = design.certificate, design.problem
     sc, ca = problem.chains
     lasted = row_sojourns_of(ca)
-    for row in range(rows):
-        of_stay = f"d {row // lasted}, slot {row % lasted + 1}{'+' if row % lasted == lasted - 1 else ''}"
-        table.add_column(of_stay if lasted > 1 else f"row {row}", justify="right")
+
+    def heading(row: int) -> str:
+        last = "+" if row % lasted == lasted - 1 else ""
+        return f"d {row // lasted}, slot {row % lasted + 1}{last}" if lasted > 1 else f"row {row}"
+
     stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
-    for (tau, at), gains in zip(stays, design.gains, strict=True):
-        name = f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}"
-        table.add_row(name, *("  ".join(f"{v:.5g}" for v in gains[row].ravel()) for row in range(rows)))
-    console.print(table)
+    rows = [
+        [
+            f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}",
+            *("  ".join(f"{v:.5g}" for v in gain.ravel()) for gain in gains),
+        ]
+        for (tau, at), gains in zip(stays, design.gains, strict=True)
+    ]
+    heads = ["tau", *map(heading, range(design.gains.shape[1]))]
+    print_table(Table(title=f"gains K[tau][row], row by {design.selection!r}", columns=heads, rows=rows))
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),

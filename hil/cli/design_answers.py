@@ -11,7 +11,7 @@ from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_linear_law
-from hil.cli.terminal import print_facts, print_json
+from hil.cli.terminal import Working, print_facts, print_json
 from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.errors import HilError
 
@@ -45,7 +45,6 @@ def experiment_over_history(subject: str) -> Experiment | None:
 
 def show_historical(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
     """Print what gains over historical data cost."""
-    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.design_questions.historical_bounds import judge_historical
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.option_types import Duration, NumberList, Ratio
-from hil.cli.terminal import json_option, print_facts, print_json
+from hil.cli.terminal import Working, json_option, print_facts, print_json
 from hil.errors import HilError
 
 HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in integer arithmetic (Sturm)"
@@ -44,7 +44,6 @@ def command(
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
     from design.passivity.weight import Weight
-    from hil.cli.terminal import Working
     from hil.design_questions.coupler_header import coupler_header
     from hil.files.outputs import check_output, write_output
     from plants.omni import Omni

@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, visible
 
 NONE_THERE = 1  # exit status: neither rig nor controller
 
@@ -36,7 +36,6 @@ def command(links: tuple[str, ...], wait: float, as_json: bool) -> None:
 
 
 def _line(found: dict[str, Any]) -> str:
-    from hil.cli.terminal import visible
 
     about = found["info"]
     runs = "no answer about its session"

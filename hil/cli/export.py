@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hil.cli.terminal import Working, visible
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
@@ -20,7 +22,6 @@ def command(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> N
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv.
     """
-    from hil.cli.terminal import Working, visible
     from hil.files.outputs import check_output
     from hil.log.read.export import export
     from hil.log.read.run import read_run

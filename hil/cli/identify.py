@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.laws import files_of
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, print_facts, print_json
+from hil.cli.terminal import Working, json_option, print_facts, print_json, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -60,7 +61,6 @@ def law(
     Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
-    from hil.cli.terminal import Working
     from hil.files.outputs import check_output, write_output
     from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording
@@ -70,7 +70,7 @@ def law(
     with Working(f"packets of {files[0]}"):
         recording = read_recording(files, can_id=can_id, one_clock=one_clock)
         records, notes = packet_records(recording, halve=halve)
-    targets = {} if output is None else {way: _named(output, way, len(records)) for way in records}
+    targets = {} if output is None else files_of(output, records)
     for path in (*targets.values(), *filter(None, [page])):
         check_output(path, fresh=not force, remedy="choose another name or add --force")
     fits = {}
@@ -98,10 +98,6 @@ def law(
         raise SystemExit(NONE)
 
 
-def _named(output: Path, way: str, ways: int) -> Path:
-    return output if ways == 1 else output.with_name(f"{output.stem}.{way}{output.suffix}")
-
-
 def _shares(fit: LawFit) -> list[float]:
     from hil.experiment.load import parse_table
     from transport.law_tests.analysis import analyse_law
@@ -111,8 +107,8 @@ def _shares(fit: LawFit) -> list[float]:
 
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
-    from hil.cli.terminal import visible
-    from hil.log.recordings.law_text import WORDS, independence_said, toml_value
+    from hil.files.toml_text import toml_value
+    from hil.log.recordings.law_text import WORDS, independence_said
 
     tested = fit.tested
     click.echo(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
@@ -254,7 +250,6 @@ def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected
     """
     from design.errors import DesignError
     from design.identification.jump_rates import jump_rates
-    from hil.cli.terminal import Working
     from hil.measure.identification_records import read_mode_record
 
     with Working("modes of the logs"):

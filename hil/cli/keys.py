@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hil.cli.terminal import visible
+
 
 @click.group()
 def command() -> None:
@@ -18,7 +20,6 @@ def command() -> None:
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
 def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
     """Make a test authority, certificates of rig and controller, and the key of the frames, in the new FOLDER."""
-    from hil.cli.terminal import visible
     from hil.files.keys import make_keys
 
     for path in make_keys(folder, hosts, days):
@@ -32,7 +33,6 @@ def new(folder: Path, hosts: tuple[str, ...], days: int) -> None:
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificates are valid.")
 def renew(folder: Path, days: int) -> None:
     """Make new certificates for the keys in FOLDER, which `hil keys new` made; it must hold ca.key. No private key changes."""
-    from hil.cli.terminal import visible
     from hil.files.keys import renew_certificates
 
     for path in renew_certificates(folder, days):
@@ -46,7 +46,6 @@ def renew(folder: Path, days: int) -> None:
 @click.option("--days", type=click.IntRange(1, 3650), default=365, show_default=True, help="How long the certificate is valid.")
 def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
     """Make a private key and a certificate called NAME in FOLDER, which `hil keys new` made; it must hold ca.key."""
-    from hil.cli.terminal import visible
     from hil.files.keys import issue_certificate
 
     for path in issue_certificate(folder, name, hosts, days):
@@ -59,7 +58,6 @@ def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
 @click.argument("names", nargs=-1, required=True)
 def revoke(folder: Path, names: tuple[str, ...]) -> None:
     """Let NAMES in no more: a list in FOLDER, which both ends need beside their ca.pem. Links that are open stay open."""
-    from hil.cli.terminal import visible
     from hil.files.keys import revoke_names
 
     print(visible(str(revoke_names(folder, names))))
@@ -69,7 +67,6 @@ def revoke(folder: Path, names: tuple[str, ...]) -> None:
 @click.argument("folder", type=click.Path(path_type=Path))
 def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
-    from hil.cli.terminal import visible
     from hil.files.signature import make_signing_key
 
     key, public = (visible(str(path)) for path in make_signing_key(folder))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Working, json_option, print_json, print_table, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -72,7 +72,6 @@ def command(
 
 
 def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool, as_json: bool) -> None:
-    from hil.cli.terminal import visible
     from transport.law_tests.analysis import analyse_law
 
     named, period_s, deadline_s, laws = laws_of_bus(name, sets, output, force)
@@ -90,31 +89,24 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
 
 
 def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], notes: Sequence[str] = ()) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from hil.pages.html.figures import Table
 
-    from hil.cli.terminal import visible
-
-    console = Console()
     for title, law in networks.items():
-        head = f"[bold]{escape(visible(name))}[/bold], {escape(title)}: {law.kind} law, T = {period_s * 1e3:g} ms"
-        console.print(head, highlight=False)
+        click.echo(f"{click.style(visible(name), bold=True)}, {visible(title)}: {law.kind} law, T = {period_s * 1e3:g} ms")
         if law.stationary:
-            table = Table()
-            for head in ("mode", "age", "share of slots", "mean burst", "mean burst"):
-                table.add_column(head, justify="right")
-            for mode, (share, burst) in enumerate(zip(law.stationary, law.mean_bursts)):
-                age = str(law.mode_ages[mode]) if law.mode_ages else "-"
-                table.add_row(str(mode), age, f"{share:.4f}", f"{burst:.4g} slots", f"{burst * period_s:.4g} s")
-            console.print(table)
-        ages = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
+            ages: Sequence[int | str] = law.mode_ages or ("-",) * len(law.stationary)
+            rows = [
+                (mode, age, f"{share:.4f}", f"{burst:.4g} slots", f"{burst * period_s:.4g} s")
+                for mode, (age, share, burst) in enumerate(zip(ages, law.stationary, law.mean_bursts))
+            ]
+            print_table(Table(columns=("mode", "age", "share of slots", "mean burst", "mean burst"), rows=rows))
+        shares = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
         if len(law.age_shares) > 10:
-            ages += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
+            shares += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
         for note in notes:
             print(f"  {visible(note)}")
         note = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
-        print(f"  age of the newest packet  {ages or 'nothing ever arrives'}{note}")
+        print(f"  age of the newest packet  {shares or 'nothing ever arrives'}{note}")
         above = "above " if law.older > NEGLIGIBLE else ""
         print(f"  mean age                  {above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms")
         if not math.isnan(law.mean_latency_s):
@@ -149,7 +141,6 @@ def laws_of_bus(
     Raises:
         HilError: no such bus, too few packets, or a file that cannot be written.
     """
-    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.design_questions.bus_law import estimated_laws, exact_laws, to_estimate_from
     from hil.experiment import load_experiment

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from hil.cli.terminal import visible
 from hil.log.topics import channels_of
 
 
@@ -19,7 +20,6 @@ def command(viewer: str, source: str, output: Path | None, force: bool) -> None:
 
     Foxglove and Lichtblick import the JSON under "Import from file", PlotJuggler loads the XML by "Layout".
     """
-    from hil.cli.terminal import visible
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output

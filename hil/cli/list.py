@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import click
 
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Line, json_option, print_json, print_lines, terminal_columns, visible
 from hil.errors import HilError
 
 FIRST: Final = "dc-motor-hinf"
@@ -44,7 +44,6 @@ def command(group: str | None, kind: str | None, as_json: bool) -> None:
 def _all(as_json: bool) -> None:
     import tomllib
 
-    from hil.cli.terminal import visible
     from hil.experiment import shipped
     from hil.plugins import registry
 
@@ -70,7 +69,7 @@ def _all(as_json: bool) -> None:
         ours = [name for name, dist in found.items() if dist == "hilrig"]
         theirs = [f"{name} (from {dist})" for name, dist in found.items() if dist != "hilrig"]
         print(f"{group} (hil list {group} shows what they are)")
-        _pairs({"": visible(", ".join(ours + theirs))})
+        print_lines([Line("", ", ".join(ours + theirs))])
 
 
 def one_line(text: str, width: int) -> str:
@@ -83,7 +82,6 @@ def one_line(text: str, width: int) -> str:
 
 
 def _group(group: str, as_json: bool) -> None:
-    from hil.cli.terminal import visible
     from hil.plugins import registry
     from hil.plugins.fields import about
 
@@ -96,12 +94,11 @@ def _group(group: str, as_json: bool) -> None:
     if as_json:
         print_json(found)
         return
-    _pairs({name: visible(text) for name, text in found.items()})
+    print_lines([Line(f"  {name}", text) for name, text in found.items()])
     print(f"hil list {group} KIND shows its keys")
 
 
 def _kind(group: str, kind: str, as_json: bool) -> None:
-    from hil.cli.terminal import visible
     from hil.plugins import registry
     from hil.plugins.fields import about, fields_of
 
@@ -129,8 +126,6 @@ def visible_lines(text: str) -> list[str]:
     Args:
         text: of a docstring.
     """
-    from hil.cli.terminal import visible
-
     found: list[str] = []
     for paragraph in text.split("\n\n"):
         lines = paragraph.split("\n")
@@ -147,18 +142,5 @@ def _wrapped(lines: list[str], indent: str) -> None:
             print(textwrap.fill(line, _columns(), initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False))
 
 
-def _pairs(texts: dict[str, str]) -> None:
-    """Print names and texts in two columns, the texts folded."""
-    width = max(map(len, texts), default=0)
-    for name, text in texts.items():
-        first = f"  {name:<{width}}  " if name else "  "
-        folded = textwrap.fill(
-            text, _columns(), initial_indent=first, subsequent_indent=" " * len(first), break_on_hyphens=False
-        )
-        print(folded or first.rstrip())
-
-
 def _columns() -> int:
-    import shutil
-
-    return max(shutil.get_terminal_size().columns, 60)
+    return max(terminal_columns(), 60)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.foxglove_option import foxglove_beside, foxglove_option
+from hil.cli.option_types import foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, json_option, print_json
 from hil.errors import HilError
 

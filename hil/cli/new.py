@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import EXPERIMENT
+from hil.cli.terminal import Working, visible
 from hil.errors import HilError
 
 PARTS = ("plant", "controller", "law", "measure", "experiment")
@@ -38,7 +39,6 @@ def command(
     With --language a controller is a program that needs nothing of hilrig:
     hil new controller drive --language c --for dc-motor-h2
     """
-    from hil.cli.terminal import visible
     from hil.files.outputs import written_whole
 
     if not re.fullmatch(r"[a-z][a-z0-9_-]{0,63}", name, re.ASCII):
@@ -74,7 +74,6 @@ def command(
 def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> dict[str, str]:
     """Return the files of a controller as a program of its own; see `hil.cli.new_external`."""
     from hil.cli.new_external import external_controller, program_files
-    from hil.cli.terminal import Working
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
 

@@ -1,13 +1,18 @@
-"""Types of options on the command line: durations, lists of numbers, quotients, finite numbers."""
+"""Options that commands share: durations, lists of numbers, quotients, finite numbers; and the one that serves Foxglove, too."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, Final
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from transport.durations import in_seconds
+
+if TYPE_CHECKING:
+    from hil.session import Onlooker
 
 
 class Duration(click.ParamType[float]):
@@ -116,3 +121,26 @@ class Number(click.ParamType):  # type: ignore[type-arg]
         if abs(number) > LARGEST:  # what is no number is for the command to say
             self.fail(f"{value}, expected a number of at most {LARGEST:g}", param, ctx)
         return number
+
+
+foxglove_option = click.option(
+    "--foxglove", type=click.IntRange(0, 65535), is_flag=False, flag_value=8765, metavar="[PORT]",
+    help="Serve the records to Foxglove or Lichtblick, too, over its WebSocket protocol on 127.0.0.1 (port 8765).",
+)  # fmt: skip
+
+
+@contextmanager
+def foxglove_beside(onlooker: Onlooker | None, port: int | None) -> Iterator[Onlooker | None]:
+    """Give an onlooker with Foxglove beside it, or it alone where no port is asked for.
+
+    Raises:
+        HilError: see `hil.pages.live.foxglove.Foxglove`.
+    """
+    if port is None:
+        yield onlooker
+        return
+    from hil.pages.live.foxglove import Beside, Foxglove
+
+    with Foxglove(port) as server:
+        click.echo(f"Foxglove: open connection {server.url}", err=True)
+        yield server if onlooker is None else Beside(onlooker, server)

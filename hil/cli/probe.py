@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from hil.cli.option_types import Duration
+from hil.cli.terminal import Working
 from hil.errors import HilError
 
 MOST_FRAMES = 5_000_000
@@ -49,8 +50,8 @@ def command(
         raise HilError(f"--seconds: {rate * seconds:.0f} frames, at most {MOST_FRAMES}; lower --rate")
     path = check_output(output or Path("link.mcap"), fresh=not force, remedy="choose another -o or add --force")
     standard_output_is_free()
-    with answering(link) if both else nullcontext(), open_link(link, "rig") as end, _Bar(link) as bar:
-        trips, one_clock = probe(end, rate, seconds, bar)
+    with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
+        trips, one_clock = probe(end, rate, seconds, watch.counted)
     write_probe_log(path, link, rate, trips, one_clock)
     came = sorted((t.received_ns - t.sent_ns) / 1e6 for t in trips if t.received_ns)
     if came:
@@ -59,27 +60,3 @@ def command(
         print(f"{path}: {len(came)} of {len(trips)} round trips came back; {middle}; {clocks}", file=sys.stderr)
     else:
         print(f"{path}: none of {len(trips)} round trips came back", file=sys.stderr)
-
-
-class _Bar:
-    """Progress on a terminal, silence elsewhere."""
-
-    def __init__(self, title: str) -> None:
-        from rich.console import Console
-        from rich.progress import Progress
-
-        console = Console(stderr=True)
-        self._bar = Progress(console=console, disable=not console.is_terminal, transient=True)
-        self._task, self._shown = self._bar.add_task(title, total=None), -1
-
-    def __enter__(self) -> _Bar:
-        self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
-
-    def __call__(self, done: int, total: int) -> None:
-        if 100 * done // total > self._shown:  # a hundred times in all: the bar takes milliseconds
-            self._shown = 100 * done // total
-            self._bar.update(self._task, completed=done, total=total)

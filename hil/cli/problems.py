@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, print_table, visible
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ def _table(said: str) -> str:
         HilError: no table, or none with a kind.
     """
     from hil.files.regular import read_regular
-    from hil.files.toml_text import parse_toml
-    from hil.log.recordings.law_text import toml_value
+    from hil.files.toml_text import parse_toml, toml_value
 
     path = Path(said)
     try:
@@ -113,26 +112,16 @@ def _mean(mean: float | None, low: float | None, high: float | None) -> str:
 
 
 def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[str, Reached]) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
+    from hil.pages.html.figures import Table
 
-    from hil.cli.terminal import cell, visible
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for head in ("problem", "best known (95 %)", "lower bound", *(("yours (95 %)", "verdict") if found else ("controller",))):
-        table.add_column(head, overflow="fold")
+    rows = []
     for problem in chosen:
-        best = known.get(problem.name, {})
+        best, own = known.get(problem.name, {}), found.get(problem.name)
         bound = best.get("lower_bound")
         row = [problem.name, _mean(best.get("mean"), best.get("low"), best.get("high")), "-" if bound is None else f"{bound:.4g}"]
-        own = found.get(problem.name)
-        row += [best.get("controller", "-")] if own is None else [_mean(own.mean, own.low, own.high), own.verdict]
-        table.add_row(*map(cell, row))
-    console = Console()
-    if not console.is_terminal:
-        console.width = 140  # a file has no edge to wrap at
-    console.print(table)
+        rows.append(row + ([best.get("controller", "-")] if own is None else [_mean(own.mean, own.low, own.high), own.verdict]))
+    heads = ("problem", "best known (95 %)", "lower bound", *(("yours (95 %)", "verdict") if found else ("controller",)))
+    print_table(Table(columns=heads, rows=rows), folds=True)
     for problem in chosen:
         said = found[problem.name].said if problem.name in found else problem.source
         if said:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hil.cli.terminal import Working, visible
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
@@ -15,7 +17,6 @@ def command(file: Path, output: Path | None) -> None:
 
     The command changes no existing file.
     """
-    from hil.cli.terminal import Working, visible
     from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Working, json_option, print_json, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -61,7 +61,6 @@ def command(
     Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
     the holder of --key signed; 2 bad input.
     """
-    from hil.cli.terminal import Working
     from hil.files.outputs import check_output
     from hil.log.read.run import read_run
 
@@ -97,7 +96,6 @@ def command(
 
 
 def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
-    from hil.cli.terminal import Working, visible
     from hil.session.replay.process import ask_process
 
     with Working(f"questions to {uri}"):
@@ -113,7 +111,6 @@ def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
 
 def _signed(file: Path, key: Path) -> Run:
     """Return the log, read from the very file whose signature was checked."""
-    from hil.cli.terminal import visible
     from hil.files.regular import open_regular
     from hil.files.signature import BadSignature, check_signature
     from hil.log.read.run import read_run
@@ -129,7 +126,6 @@ def _signed(file: Path, key: Path) -> Run:
 
 
 def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
-    from hil.cli.terminal import Working, visible
     from hil.log.run import records_sha256
     from hil.session.replay.recorded import verify_tags
     from hil.session.replay.replay import changed_files, experiment_of, verify
@@ -163,7 +159,6 @@ def _what_if(
 ) -> None:
     import numpy as np
 
-    from hil.cli.terminal import Working
     from hil.experiment import parse_plugin
     from hil.session.replay.replay import experiment_of, what_if
 
@@ -208,17 +203,10 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
 
 
 def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress
-
-    from hil.cli.terminal import visible
     from hil.session.replay.replay import onto
 
-    err = Console(stderr=True)
-    with Progress(console=err, disable=not err.is_terminal) as bar:
-        task = bar.add_task(escape(f"onto {visible(uri)}"), total=None)
-        done = onto(run, uri, speed, lambda i, n: bar.update(task, completed=i, total=n))
+    with Working(f"onto {uri}") as watch:
+        done = onto(run, uri, speed, watch.counted)
     if as_json:
         print_json({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us})
     else:

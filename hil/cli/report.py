@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from hil.cli.terminal import Working, visible
+
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
@@ -22,7 +24,6 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
     A page that is there is replaced; the log is never changed.
     """
     from hil.api.face import report
-    from hil.cli.terminal import Working, visible
 
     with Working(f"page of {file}"):
         page, *drawn = report(file, output=output, force=force, figures=figures, folder=folder)

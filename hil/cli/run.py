@@ -17,8 +17,8 @@ import click
 
 from design.signals_later import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.foxglove_option import foxglove_beside, foxglove_option
-from hil.cli.terminal import json_option, print_json
+from hil.cli.option_types import foxglove_beside, foxglove_option
+from hil.cli.terminal import json_option, print_json, visible
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again
 
@@ -134,7 +134,6 @@ def command(
     plant or the controller was not what it says; 130, 143 interrupted.
     """
     from hil.cli.run_summary import show
-    from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of

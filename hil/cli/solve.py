@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+from hil.cli.terminal import Working
 from hil.errors import HilError
 
 
@@ -18,7 +19,6 @@ def command(experiments: tuple[str, ...]) -> None:
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """
-    from hil.cli.terminal import Working
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment

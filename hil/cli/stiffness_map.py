@@ -6,12 +6,11 @@ import csv
 import io
 from dataclasses import asdict
 from pathlib import Path
-from textwrap import fill
 
 import click
 
 from hil.cli.option_types import NumberList
-from hil.cli.terminal import json_option, print_json, terminal_columns
+from hil.cli.terminal import Working, json_option, show_page
 from hil.errors import HilError
 
 
@@ -33,7 +32,6 @@ def command(
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
     from design.passivity.stiffness_map import stiffness_map
-    from hil.cli.terminal import Working
     from hil.files.outputs import check_output, check_page, write_output
     from hil.pages.analyses import stiffness_page
     from plants.omni import Omni
@@ -47,12 +45,10 @@ def command(
         check_page(output, force=force)
     if table is not None:
         check_output(table, fresh=not force, remedy="choose another name or add --force")
-    device = Omni(hand=Hand(), lever_m=lever)
+    omni = Omni(hand=Hand(), lever_m=lever)
+    device = {"mass_kg": omni.tip_mass_kg, "damping_n_s_per_m": omni.tip_damping_n_s_per_m}
     with Working("stiffness map"):
-        cells = stiffness_map(
-            mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m, periods_s=period,
-            delays=[int(d) for d in delay], hands_n_s_per_m=hand,
-        )  # fmt: skip
+        cells = stiffness_map(**device, periods_s=period, delays=[int(d) for d in delay], hands_n_s_per_m=hand)
     if table is not None:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(asdict(cells[0])))
@@ -60,24 +56,5 @@ def command(
         for cell in cells:
             writer.writerow({**asdict(cell), "taps_m_per_n": " ".join(map(repr, cell.taps_m_per_n))})
         write_output(table, text.getvalue())
-    if output is not None:
-        write_output(output, stiffness_page(cells, mass_kg=device.tip_mass_kg, damping_n_s_per_m=device.tip_damping_n_s_per_m))
-    if as_json:
-        device_said = {"mass_kg": device.tip_mass_kg, "damping_n_s_per_m": device.tip_damping_n_s_per_m}
-        print_json({"device": device_said, "cells": [asdict(cell) for cell in cells]})
-        return
-    from rich.console import Console
-    from rich.table import Table
-
-    shown = Table(title="stiffness in N/m that is safe for every passive hand, by delay in samples and hand in N s/m")
-    for name in ("T", "delay", "hand", "certified", "ceiling", "Colgate", "Gil-Hulin", "exact, bare"):
-        shown.add_column(name, justify="right")
-    for c in cells:
-        colgate = "-" if c.colgate_n_per_m is None else f"{c.colgate_n_per_m:.1f}"
-        shown.add_row(
-            f"{1e3 * c.period_s:g} ms", f"0..{c.delay}", f"{c.hand_damping_n_s_per_m:g}", f"{c.certified_n_per_m:.1f}",
-            f"{c.ceiling_n_per_m:.1f}", colgate, f"{c.gil_hulin_n_per_m:.1f}", f"{c.exact_n_per_m:.1f}",
-        )  # fmt: skip
-    Console().print(shown)
-    said = "Colgate, Gil-Hulin, exact: a wall without a coupler and without damping of its own; the last for no hand at all."
-    click.echo(fill(said, terminal_columns(), break_on_hyphens=False))
+    document = {"device": device, "cells": [asdict(cell) for cell in cells]}
+    show_page(stiffness_page(cells, **device), document, output, as_json)

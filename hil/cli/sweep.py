@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Working, json_option, print_folded, print_json, print_table, visible
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
@@ -71,13 +71,9 @@ def command(
     The numbers do not depend on the number of processes and machines. Ctrl-C prints what was done so far and exits with
     130 (SIGTERM: 143); with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.progress import Progress, TimeRemainingColumn
 
     from design.monte_carlo.parallel_runs import Workers
     from hil.cli.sweep_parameters import as_points, csv_of, points_of, run_points
-    from hil.cli.terminal import visible
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
     from hil.measure.signals import with_unit
@@ -116,20 +112,11 @@ def command(
     rule = stop_rule(until, level, metrics) if until is not None else None
     workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     begun = time.perf_counter()
-    err = Console(stderr=True)
     with ExitStack() as stack:
         store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
-        shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
-        bar = stack.enter_context(Progress(*shown, console=err, disable=not err.is_terminal))
-        task = bar.add_task(escape(visible(checked.name)), total=runs)
-        found = run_sweep(
-            checked,
-            range(first_seed, first_seed + runs),
-            workers=workers,
-            progress=lambda done: bar.update(task, completed=done),
-            store=store,
-            until=rule,
-        )
+        watch = stack.enter_context(Working(checked.name, runs))
+        seeds = range(first_seed, first_seed + runs)
+        found = run_sweep(checked, seeds, workers=workers, progress=watch.counted, store=store, until=rule)
     values = found.values
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
@@ -213,29 +200,18 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 
 def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
-    from shutil import get_terminal_size
-    from textwrap import fill
-
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from hil.cli.terminal import cell, print_table, visible
+    from hil.pages.html.figures import Table
 
     if as_json:
         print_json(out)
         return
-    name = visible(out["experiment"])
-    print(f"{name}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
-    if out["caution"]:
-        print(fill(out["caution"], get_terminal_size().columns))
-    table = Table(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
-    table.add_column("metric", overflow="fold", min_width=12)
-    for head in ("n", "mean", "sd", "5 %", "50 %", "95 %"):
-        table.add_column(head, justify="right", no_wrap=True)
+    print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
+    print_folded(out["caution"] or "")
+    rows = []
     for name, s in out["metrics"].items():
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-        table.add_row(cell(titles[name]), str(s["n"]), *("-" if v is None else f"{v:.4g}" for v in values))
-    print_table(table, folds=True)
+        rows.append((titles[name], s["n"], *("-" if v is None else f"{v:.4g}" for v in values)))
+    print_table(Table(columns=("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"), rows=rows), folds=True)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:
         what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"

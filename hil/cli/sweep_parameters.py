@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.cli.terminal import print_json
+from hil.cli.terminal import Working, print_folded, print_json, print_table, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -52,9 +52,6 @@ def run_points(
     Raises:
         HilError: if a point is no valid experiment, or a file cannot be written.
     """
-    from rich.console import Console
-    from rich.progress import Progress, TimeRemainingColumn
-
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, check_page, write_output
     from hil.pages.many_runs import parameter_page
@@ -67,14 +64,10 @@ def run_points(
         check_output(table, fresh=not force, remedy="choose another name or add --force")
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
-    err = Console(stderr=True)
-    shown = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
-    with Progress(*shown, console=err, disable=not err.is_terminal) as bar:
-        task = bar.add_task(f"{len(points.values)} points", total=runs * len(points.values))
+    with Working(f"{len(points.values)} points", runs * len(points.values)) as watch:
         found = sweep_parameters(
-            experiments, points, runs=runs, first_seed=first_seed, workers=workers, folder=resume,
-            progress=lambda done: bar.update(task, completed=done),
-        )  # fmt: skip
+            experiments, points, runs=runs, first_seed=first_seed, workers=workers, folder=resume, progress=watch.counted
+        )
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
     if table is not None:
@@ -133,29 +126,21 @@ def csv_of(sweep: ParameterSweep) -> str:
 
 
 def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:
-    from shutil import get_terminal_size
-    from textwrap import fill
-
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from hil.cli.terminal import cell, print_table, visible
     from hil.measure.signals import with_unit
+    from hil.pages.html.figures import Table
 
     print(f"{visible(out['experiment'])}: {out['runs']} runs at each of {len(out['points'])} points in {out['wall_s']} s")
     for quantity in sweep.quantities:
-        if not any("mean" in point["metrics"][quantity.name] for point in out["points"]):
-            continue
-        shown = Table(title=with_unit(quantity.title, quantity.unit), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
-        for head in (*sweep.points.keys, "n", "mean", "95 % interval"):
-            shown.add_column(head, justify="right")
+        rows = []
         for point in out["points"]:
             seen = point["metrics"][quantity.name]
             numbers = ("-", "-") if "mean" not in seen else (f"{seen['mean']:.5g}", f"{seen['low']:.4g} to {seen['high']:.4g}")
-            shown.add_row(*map(cell, point["changes"].values()), str(seen["n"]), *numbers)
-        print_table(shown)
+            rows.append((*point["changes"].values(), seen["n"], *numbers))
+        if any(row[-1] != "-" for row in rows):
+            heads = (*sweep.points.keys, "n", "mean", "95 % interval")
+            print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
     for said in sweep.said():
-        print(fill(visible(said), get_terminal_size().columns, break_long_words=False, break_on_hyphens=False))
+        print_folded(said)
     for what, path in (("page", page), ("csv", table)):
         if path is not None:
             print(f"{what}: {visible(path)}")

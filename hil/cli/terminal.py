@@ -10,18 +10,22 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import sys
 import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from textwrap import wrap
+from pathlib import Path
+from textwrap import fill, wrap
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, TypeVar
 
 import click
 
 if TYPE_CHECKING:
-    from rich.table import Table
     from rich.text import Text
+
+    from hil.pages.html.figures import Cell, Table
+    from hil.pages.html.page import Page
 
 
 LONGEST: Final = 2000
@@ -86,24 +90,99 @@ def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:
         click.echo(f"{name:>22}  {value:<12} {remark}".rstrip())
 
 
-def print_table(table: Table, *, folds: bool = False) -> None:
-    """Print a table as wide as its content needs, also where that is wider than the terminal or a pipe's 80 columns.
+_NUMBER: Final = re.compile(r"[-+−–.\d][^:,]*$|none$")  # what a cell is that stands right in its column
+_STYLES: Final = {"bad": "red", "warning": "yellow"}
 
-    A line that the terminal folds can be read; ``1.3081e-…`` cannot.
+
+def print_table(table: Table, *, folds: bool = False) -> None:
+    """Print a table of a page as wide as its content needs, also where that is wider than the terminal or a pipe's 80 columns.
+
+    A line that the terminal folds can be read; ``1.3081e-…`` cannot. Columns of numbers stand right.
 
     Args:
         table: what is printed.
-        folds: words may go on below themselves where the terminal is narrow; a column that may not says `no_wrap`.
+        folds: words may go on below themselves where the terminal is narrow, numbers never.
     """
+    from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.table import Table as Shown
+    from rich.text import Text
 
+    title = cell(table.title, "bold") if table.title else None
+    shown = Shown(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    rows = [[_shown(value) for value in row] for row in table.rows]
+    for head, column in zip(table.columns, zip(*rows) if rows else [()] * len(table.columns)):
+        longest = max((len(one.plain) for one in column), default=0)
+        if all(_NUMBER.match(one.plain) or not one.plain for one in column):
+            lines = wrap(visible(head), max(longest, *map(len, head.split(" ")), 1))  # no wider than its numbers
+            shown.add_column(Text("\n".join(lines)), justify="right", no_wrap=True)
+        else:
+            shown.add_column(cell(head), overflow="fold", min_width=min(longest, NARROWEST))
+    for i, row in enumerate(rows):
+        shown.add_row(*row, style="bold" if i in table.highlight else "")
     console = Console()
-    found = console.measure(table, options=console.options.update(max_width=10_000))
-    Console(width=max(console.width, found.minimum if folds else found.maximum)).print(table)
+    found = console.measure(shown, options=console.options.update(max_width=10_000))
+    Console(width=max(console.width, found.minimum if folds else found.maximum)).print(shown)
+    print_folded(table.note)
+
+
+def _shown(value: Cell) -> Text:
+    from hil.pages.html.figures import Badge
+    from hil.pages.html.numbers import text_of
+
+    if isinstance(value, Badge):
+        return cell(value.label, _STYLES.get(value.state, ""))
+    return cell(text_of(value, 6) if isinstance(value, float) else text_of(value))
+
+
+def print_folded(text: str) -> None:
+    """Print a paragraph as wide as the terminal; no word is cut, so that a path is copied whole."""
+    if text:
+        click.echo(fill(visible(text), terminal_columns(), break_long_words=False, break_on_hyphens=False))
+
+
+def print_page(page: Page) -> None:
+    """Print what a page says without its figures: title, facts, verdicts, tables and paragraphs."""
+    from hil.pages.html.figures import Table, Text
+
+    click.secho(visible(page.title), bold=True)
+    print_folded(page.subtitle)
+    print_folded(", ".join(f"{name} {value}" for name, value in page.facts))
+    for badge in page.badges:
+        print_folded(badge.label)
+    for section in page.sections:
+        click.secho(f"\n{visible(section.title)}", bold=True)
+        for block in section.blocks:
+            if isinstance(block, Table):
+                print_table(block)
+            elif isinstance(block, Text) and not block.code:
+                print_folded(block.text)
+
+
+def show_page(page: Page, document: object, path: Path | None, as_json: bool) -> None:
+    """Write a page where a path is given; print it without its figures, or as JSON.
+
+    Args:
+        page: the answer.
+        document: the same as JSON values.
+        path: of the page; None: none is written.
+        as_json: print JSON.
+
+    Raises:
+        HilError: the file cannot be written.
+    """
+    from hil.files.outputs import write_output
+
+    if path is not None:
+        write_output(path, page.html())
+    if as_json:
+        print_json(document)
+    else:
+        print_page(page)
 
 
 GAP = 2  # blanks between the columns
-NARROWEST = 10  # characters of the second column, however narrow the terminal is
+NARROWEST = 12  # characters of a column of words, however narrow the terminal is
 
 
 class Line(NamedTuple):
@@ -164,23 +243,24 @@ class Working:
 
     Args:
         title: what is computed.
+        total: how many there are to do, where that is known; then the line says how long they still take.
     """
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, total: int | None = None) -> None:
         from rich.console import Console
         from rich.markup import escape
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
+        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
         console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn() if total is None else TimeRemainingColumn()
         self._bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
-        self._title = escape(visible(title))
+        self._title, self._total = escape(visible(title)), total
+        self._shown = "", -1
         self._task: Any = None
 
     def __enter__(self) -> Working:
         self._bar.start()
-        self._task = self._bar.add_task(self._title, total=None)
+        self._task = self._bar.add_task(self._title, total=self._total)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -190,9 +270,14 @@ class Working:
         """Show how far a design is, and the norm that it has reached."""
         self._bar.update(self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total)
 
-    def counted(self, done: int, total: int) -> None:
-        """Show how many are done."""
-        self._bar.update(self._task, description=f"{self._title}: {done} of {total}", completed=done, total=total)
+    def counted(self, done: int, total: int | None = None, what: str = "") -> None:
+        """Show how many are done, of what, a hundred times in all: the line takes milliseconds."""
+        total = total or self._total or 1
+        shown = what, 100 * done // total
+        if shown != self._shown:
+            self._shown = shown
+            title = f"{self._title}, {visible(what)}" if what else self._title
+            self._bar.update(self._task, description=f"{title}: {done} of {total}", completed=done, total=total)
 
 
 _OUT: Final = "hil.cli.terminal"

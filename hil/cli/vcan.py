@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from hil.cli.option_types import Duration
+from hil.cli.terminal import visible
 
 
 @click.command(context_settings={"allow_interspersed_args": False})
@@ -41,7 +42,6 @@ def command(
       125  no vcan0 could be had
       126, 127  COMMAND cannot be run, or is not there
     """
-    from hil.cli.terminal import visible
     from hil.vcan import RUNNER_FAILED, RunnerError, Wanted, run_beside_vcan
     from hil.vcan.supervise import say
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
-from hil.log.recordings.law_text import WORDS, fit_said, law_text, toml_value
+from hil.files.toml_text import toml_lines
+from hil.log.recordings.law_text import WORDS, fit_said, law_text
 from hil.log.topics import APPLIED, BUS, ROWS
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
 from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
@@ -102,7 +103,7 @@ def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:
     worst, largest = _bounds(loop, delays, way)
     how = f"exact: the ages come again after {len(ages)} slots" if len(ages) > 1 else "exact: one age in every slot"
     said = {"source": loop.experiment.name, "way": way, "class": "exact", "bound_ms": worst, "largest_age": largest}
-    text = f'# {how}\n# In an experiment: law = {{ file = "NAME.toml" }}\n\n{_rows(spec)}\n[fit]\n{_rows(said)}'
+    text = f'# {how}\n# In an experiment: law = {{ file = "NAME.toml" }}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines(said)}'
     return BusLaw(spec=spec, how=how, exact=True, packets=0, worst_ms=worst, largest_age=largest, no_bound="", text=text)
 
 
@@ -150,14 +151,10 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
             spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}
             how = f"recorded: no law explains its {len(sent)} packets; the ages of {seeded} stand here"
         text = law_text(fit, said) if fit.law_class != "none" else (
-            f"# {how}\n\n{_rows(spec)}\n[fit]\n{_rows({'source': source, 'way': way, 'class': 'none'})}"
+            f"# {how}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines({'source': source, 'way': way, 'class': 'none'})}"
         )  # fmt: skip
         found[way] = BusLaw(
             spec=spec, how=how, exact=False, packets=len(sent), worst_ms=worst, largest_age=largest,
             no_bound=delays if isinstance(delays, str) else "", text=text,
         )  # fmt: skip
     return found
-
-
-def _rows(table: dict[str, Any]) -> str:
-    return "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items() if value is not None)

@@ -1,16 +1,21 @@
-"""TOML from anywhere: no text costs more than a fraction of a second, and every fault is one error with one message."""
+"""TOML read and written: no text costs more than a fraction of a second, and every fault is one error with one message."""
 
 from __future__ import annotations
 
 import re
 import tomllib
+from collections.abc import Mapping
 from typing import Any, Final
+
+import msgspec
+import numpy as np
 
 DEEPEST: Final = 32
 """Levels of tables and of arrays, and parts of a dotted key. No experiment has more than six."""
 
 _MOST_DIGITS: Final = 400
 _LONG_NUMBER: Final = re.compile(rf"(?<![\d_])\d[\d_]{{{_MOST_DIGITS},}}")
+_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _OPENING: Final = re.compile(r"[\"'#]")
 _STRING: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
@@ -65,3 +70,34 @@ def _without_strings(text: str) -> str:
         at = string.end()
     kept.append(text[at:])
     return "".join(kept)
+
+
+def toml_value(value: Any) -> str:
+    """Return a value in TOML notation, arrays of numpy as lists.
+
+    Raises:
+        TypeError: TOML has no such value; the text is the name of its class.
+
+    >>> toml_value({"dist": "gamma", "tail of a": 2.0, "p": [1, True]})
+    '{ dist = "gamma", "tail of a" = 2.0, p = [1, true] }'
+    """
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        plain = value.encode("utf-8", "backslashreplace").decode()
+        return msgspec.json.encode(plain).decode().replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, Mapping):
+        keys = {key: str(key) if _BARE.fullmatch(str(key)) else toml_value(str(key)) for key in value}
+        return f"{{ {', '.join(f'{keys[key]} = {toml_value(entry)}' for key, entry in value.items())} }}"
+    raise TypeError(type(value).__name__)
+
+
+def toml_lines(table: Mapping[str, Any]) -> str:
+    """Return a line for each entry of a table whose keys are bare; what is None is left out."""
+    return "".join(f"{key} = {toml_value(value)}\n" for key, value in table.items() if value is not None)

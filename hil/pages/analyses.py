@@ -1,4 +1,4 @@
-"""Pages of analyses without a run: a CAN bus, an identified network law, a stiffness map."""
+"""Pages of analyses without a run: an identified network law, a stiffness map."""
 
 from __future__ import annotations
 
@@ -10,66 +10,13 @@ import numpy as np
 from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
-from hil.design_questions.bus_analysis import AnalysedMessage, BusAnalysis
 from hil.log.recordings.law_text import WORDS, independence_said
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, Table, Text
-from hil.pages.html.page import render_page
+from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, Section, Series, Table, Text
+from hil.pages.html.page import Page
 from transport.law_fit.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
 from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals
-
-
-def bus_page(found: BusAnalysis) -> str:
-    """Return the page of an analysed CAN bus: every message with its bound, its deadline, and what delays it."""
-    late = sum(not each.in_time for each in found.messages)
-    verdict = Badge(label="every message meets its deadline", state="good")
-    if late:
-        verdict = Badge(label=f"{late} of {len(found.messages)} messages may miss their deadline", state="bad")
-    bars = Bars(
-        title="Response times", categories=[said(each) for each in found.messages], y_label="response", y_unit="ms",
-        groups=(
-            BarGroup(label="measured", values=[each.measured_ms or 0.0 for each in found.messages]),
-            BarGroup(label="bound", values=[each.bound_ms or 0.0 for each in found.messages], hollow=True),
-        ),
-        note="By priority. A message without a bar of its bound has none.",
-    )  # fmt: skip
-    rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
-    return render_page(
-        f"CAN bus: {found.name}",
-        [Section(title="Messages", blocks=(_table(found), bars))],
-        kicker="hilrig · CAN bus",
-        subtitle="Worst-case response times after Davis, Burns, Bril and Lukkien 2007, for nodes that queue by priority, to the "
-        "end of EOF.",
-        badges=[verdict],
-        facts=[("rate", rate), ("load", f"{100 * found.load:.2f} %"), ("simulated", f"{found.simulated_s:g} s")],
-    )  # fmt: skip
-
-
-def said(message: AnalysedMessage) -> str:
-    """Return the identifier of a message as tools for CAN write it."""
-    return f"{message.can_id:08X}" if message.extended else f"{message.can_id:03X}"
-
-
-def _table(found: BusAnalysis) -> Table:
-    rows: list[list[Cell]] = []
-    for place, each in enumerate(found.messages):
-        meets = Badge(label="yes", state="good") if each.in_time else Badge(label="no", state="bad")
-        above = "-" if not place else f"{len(each.delayed_by)}: {', '.join(each.delayed_by[-3:])}"
-        rows.append([
-            said(each), each.name, each.length, each.frame_ms, each.period_ms, each.deadline_ms, each.bound_ms, each.measured_ms,
-            meets, above,
-        ])  # fmt: skip
-    columns = [
-        "identifier", "message", "bytes", "frame, ms", "period, ms", "deadline, ms", "bound, ms", "measured, ms", "in time",
-        "delayed by",
-    ]  # fmt: skip
-    return Table(
-        columns=columns, rows=rows, wide=True,
-        note="Delayed by: how many messages win over it, and the last three of them; beside these one frame of any other may be "
-        "on the bus already.",
-    )  # fmt: skip
-
 
 POINTS = 400
 MOST_BARS = 12
@@ -90,12 +37,12 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
         Badge(label=f"{way}: {fit.law_class}", state="warning" if fit.law_class == "none" else "good")
         for way, fit in fits.items()
     ]
-    return render_page(
+    return Page(
         "Which law is this network?", [_section(way, fit, said[way], model_shares.get(way, [])) for way, fit in fits.items()],
         kicker="hilrig · identified network law", badges=badges,
         subtitle="What was measured, and what the fitted law says, on one axis each.",
-        facts=tuple((name, str(said[way]["packets"]) + " packets") for way, name in ((w, w) for w in fits)),
-    )  # fmt: skip
+        facts=tuple((way, f"{said[way]['packets']} packets") for way in fits),
+    ).html()  # fmt: skip
 
 
 def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -> Section:
@@ -184,7 +131,7 @@ def _padded(values: list[float], n: int) -> list[float]:
 LEVELS = (1.0, 2.0, 5.0)
 
 
-def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_s_per_m: float) -> str:
+def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_s_per_m: float) -> Page:
     """Return the page of a stiffness map.
 
     It draws contours over delay and hand damping, and stiffness over delay; every cell has its taps.
@@ -195,7 +142,7 @@ def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_
     """
     sections = [_rate(period, [c for c in cells if c.period_s == period], damping_n_s_per_m)
                 for period in dict.fromkeys(c.period_s for c in cells)]  # fmt: skip
-    return render_page(
+    return Page(
         "How stiff may a virtual wall be?",
         sections,
         kicker="hilrig · stiffness map",
@@ -244,7 +191,8 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
                 "all. Colgate's b > K T/2 knows no delay.",
             ),
         ]  # fmt: skip
-    columns = ("samples late", "hand N s/m", "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
+    damped = "hand N\N{NO-BREAK SPACE}s/m"  # in one line of a narrow column
+    columns = ("samples late", damped, "certified N/m", "ceiling N/m", "Colgate N/m", "Gil-Hulin N/m", "exact, no hand N/m")
     rows = [
         (f"0..{c.delay}", c.hand_damping_n_s_per_m, c.certified_n_per_m, c.ceiling_n_per_m, c.colgate_n_per_m,
          c.gil_hulin_n_per_m, c.exact_n_per_m)
@@ -255,7 +203,8 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
         for c in cells
     ]
     taps = Text(title=f"Taps in m/N of all {len(cells)} couplers", code=True, folded=True, text="\n\n".join(lists))
-    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows), taps))
+    note = "Colgate, Gil-Hulin, exact: a wall without a coupler and without damping of its own; the last for no hand at all."
+    return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows, note=note), taps))
 
 
 def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tuple[Series, ...]:

@@ -12,7 +12,7 @@ from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
@@ -113,12 +113,12 @@ def compare_page(comparison: Comparison) -> str:
         sections.append(Section(title=title, blocks=blocks))
     sections.insert(0, _answer(comparison))
     stopped = ", ".join(f"{name}: {int(found[name]['stopped'].sum())}" for name in names)
-    return render_page(
+    return Page(
         "Comparison of experiments",
         sections,
         subtitle=", ".join(names),
         facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
-    )
+    ).html()
 
 
 def _answer(comparison: Comparison) -> Section:
@@ -169,7 +169,7 @@ def parameter_page(sweep: ParameterSweep) -> str:
         ("seeds", "the same at every point: equal network laws meet equal delays"),
     )  # fmt: skip
     title = f"{sweep.experiment} over {', '.join(sweep.points.keys)}"
-    return render_page(title, sections, subtitle="sweep over parameters", facts=facts)
+    return Page(title, sections, subtitle="sweep over parameters", facts=facts).html()
 
 
 def _answer_of_points(sweep: ParameterSweep) -> Section:

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from hil.errors import HilError
+from hil.measure.signals import with_unit
 from hil.notebook import MM_PER_INCH, paper_style
 from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.html.numbers import share_text
@@ -83,7 +84,7 @@ def draw(plot: Plot, axis: Any) -> None:
         axis.stairs(counts, edges, fill=True, color=_colour(plot.colour, 0))
         _scale("x", axis, plot.x_log)
         _scale("y", axis, plot.y_log)
-        axis.set_xlabel(_label(plot.x_label, plot.x_unit))
+        axis.set_xlabel(with_unit(plot.x_label, plot.x_unit))
         axis.set_ylabel(plot.y_label)
         _marks(axis, plot.markers)
 
@@ -111,8 +112,8 @@ def _curves(plot: Figure, axis: Any) -> None:
         axis.set_xticks(plot.x_ticks)
     if plot.y_range is not None:
         axis.set_ylim(*plot.y_range)
-    axis.set_xlabel(_label(plot.x_label, plot.x_unit))
-    axis.set_ylabel(_label(plot.y_label, plot.y_unit))
+    axis.set_xlabel(with_unit(plot.x_label, plot.x_unit))
+    axis.set_ylabel(with_unit(plot.y_label, plot.y_unit))
     _marks(axis, plot.markers)
     if len(plot.series) + len(plot.bands) > 1:
         axis.legend(frameon=False)
@@ -128,7 +129,7 @@ def _bars(plot: Bars, axis: Any) -> None:
         axis.bar(at, group.values, width, yerr=spread, label=group.label, edgecolor=colour, facecolor=face)
     axis.set_xticks(x, plot.categories)
     axis.set_xlabel(plot.x_label)
-    axis.set_ylabel(_label(plot.y_label, plot.y_unit))
+    axis.set_ylabel(with_unit(plot.y_label, plot.y_unit))
     if len(plot.groups) > 1:
         axis.legend(frameon=False)
 
@@ -187,5 +188,3 @@ def _colour(number: int | None, otherwise: int) -> str:
     return "0.45" if chosen == GREY else f"C{chosen}"
 
 
-def _label(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name

@@ -14,7 +14,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView, view_of
 from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, Table, Tile
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.pages.run.run_page import render_report, verdicts
 from hil.pages.run.time_panels import output_panels
 
@@ -109,8 +109,8 @@ def runs_page(folder: str, runs: Sequence[LoggedRun]) -> str:
     certified = sum(run.verdict is not None and run.verdict.label.startswith("certified") for run in runs)
     tiles = [Tile(label="Logs", value=len(runs)), Tile(label="Certified, nothing wrong", value=certified)]
     tiles += [Tile(label="Not read", value=len(failed), state="bad")] if failed else []
-    return render_page(f"Runs in {folder}", sections, kicker="hilrig · runs of a folder", tiles=tiles, scripts=("runs.js",),
-                       footer="Written by hil report from the logs alone.")  # fmt: skip
+    return Page(f"Runs in {folder}", sections, kicker="hilrig · runs of a folder", tiles=tiles, scripts=("runs.js",),
+                footer="Written by hil report from the logs alone.").html()  # fmt: skip
 
 
 def _together(drawn: Sequence[tuple[str, Figure]]) -> tuple[Block, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from hil.pages.html.figures import Badge, Cell, Link, Section, State, Table, Text, Tile
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.reproduce.chapter import Reproduction
 from hil.reproduce.judgement import VERDICTS, Row, Verdict
 from hil.reproduce.power import power_in_words
@@ -29,7 +29,7 @@ def chapter_page(result: Reproduction) -> str:
         columns_wide = min(2, len(plot.panels))
         sections.append(Section(title=plot.title, blocks=plot.panels, intro=plot.intro, columns=columns_wide))
     tiles = [Tile(label=v, value=result.counts[v], state=STATES[v]) for v in VERDICTS]
-    return render_page(result.title, sections, kicker=KICKER, tiles=tiles)
+    return Page(result.title, sections, kicker=KICKER, tiles=tiles).html()
 
 
 def index_page(results: Mapping[str, Reproduction]) -> str:
@@ -47,7 +47,7 @@ def index_page(results: Mapping[str, Reproduction]) -> str:
         cells = [(*_first(r), r.printed, r.computed, r.rule) for r in result.rows]
         every = Table(columns=("item", "verdict", "printed", "computed", "rule"), rows=cells)
         sections.append(Section(title=f"{name}: {result.title}", blocks=(every,)))
-    return render_page("The thesis beside correct computations", sections, kicker=KICKER, tiles=tiles)
+    return Page("The thesis beside correct computations", sections, kicker=KICKER, tiles=tiles).html()
 
 
 def _first(row: Row) -> tuple[str, Badge]:

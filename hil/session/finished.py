@@ -16,6 +16,7 @@ from hil.log.read.arrays import StructuredArray
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.measure import Named
+from hil.measure.signals import with_unit
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of
 
 if TYPE_CHECKING:
@@ -89,14 +90,14 @@ def _paint(run: Run, sheet: Figure) -> None:
         if reference is not None:
             axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
         axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
-        axis.set_ylabel(_label(name, view.signals.outputs[name]))
+        axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
         axis.legend(frameon=False)
     if applied is not None:
         inputs = signal_names(run, APPLIED)
         for number, name in enumerate(inputs):
             axis = rows[-1]
             axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
-        rows[-1].set_ylabel(_label(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
         if len(inputs) > 1:
             rows[-1].legend(frameon=False)
     rows[-1].set_xlabel("time (s)")
@@ -129,9 +130,6 @@ def _units(run: Run, topic: str) -> dict[str, str]:
     schema = run.schemas.get(topic)
     return {f.name: f.unit for f in schema.fields} if schema is not None else {}
 
-
-def _label(name: str, unit: str) -> str:
-    return f"{name} ({unit})" if unit else name
 
 
 class Session(Struct, frozen=True, kw_only=True):

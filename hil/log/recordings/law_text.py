@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
+from hil.files.toml_text import toml_lines
 from transport.law_fit.law_fit import LawFit
 from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals
@@ -17,19 +17,6 @@ WORDS = {
     "semi-markov": "ages that are a semi-Markov chain",
     "none": "none of the laws",
 }
-
-
-def toml_value(value: Any) -> str:
-    """Return a value as TOML writes it.
-
-    >>> toml_value({"dist": "gamma", "a": 2.0, "p": [1, True]})
-    '{ dist = "gamma", a = 2.0, p = [1, true] }'
-    """
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {toml_value(entry)}" for key, entry in value.items()) + " }"
-    if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(toml_value, value)) + "]"
-    return repr(float(value)) if isinstance(value, float) else json.dumps(value)
 
 
 def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:
@@ -84,14 +71,6 @@ def law_text(fit: LawFit, said: dict[str, Any]) -> str:
     """
     head = f"# {WORDS[fit.law_class]}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
     head += '# In an experiment: law = { file = "NAME.toml" }\n'
-    law = "".join(f"{key} = {toml_value(value)}\n" for key, value in fit.spec.items())
-    rows = {key: value for key, value in said.items() if key != "tried"}
-    quoted = "".join(
-        f"{key} = {toml_value({json.dumps(k): v for k, v in value.items()} if isinstance(value, dict) else value)}\n"
-        for key, value in rows.items()
-    )
-    tried = "".join(
-        f"\n[[fit.tried]]\n{''.join(f'{key} = {toml_value(entry)}{chr(10)}' for key, entry in each.items())}"
-        for each in said["tried"]
-    )
-    return f"{head}\n{law}\n[fit]\n{quoted}{tried}"
+    rows = toml_lines({key: value for key, value in said.items() if key != "tried"})
+    tried = "".join(f"\n[[fit.tried]]\n{toml_lines(each)}" for each in said["tried"])
+    return f"{head}\n{toml_lines(fit.spec)}\n[fit]\n{rows}{tried}"

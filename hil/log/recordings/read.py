@@ -13,7 +13,7 @@ from hil.errors import HilError
 from hil.files.can_logs import can_frames
 from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import read_run
-from hil.log.recordings.packet_files import LATEST_S
+from hil.log.recordings.packet_files import LATEST_S, read_captured_frames, read_latencies, read_ping_capture
 from hil.log.recordings.recording import BACK, THERE, Recording, Way
 from hil.log.run import Run
 from hil.log.topics import CA, PROBE, SC
@@ -54,11 +54,8 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
             raise HilError(
                 f"{said}: a CAN log has no latencies by itself; expected two of one bus: the sender's, then the receiver's"
             )
-
         return read_can_pair(paths[0], paths[1], can_id, clocks=1 if one_clock else 2)
     if endings == {".csv"} and len(paths) == 2:
-        from hil.log.recordings.packet_files import read_latencies
-
         there, back = (read_latencies(path, one_clock=one_clock) for path in paths)
         if any(len(each.ways) != 1 or THERE not in each.ways for each in (there, back)):
             raise HilError(f"{said}: two tables are both directions; expected latencies or time stamps, and no round trips")
@@ -67,14 +64,9 @@ def read_recording(paths: Sequence[Path], *, can_id: int | None = None, one_cloc
     if len(paths) != 1:
         raise HilError(f"{said}: expected one file, or two CAN logs of one bus, or two tables (.csv) of both directions")
     if endings == {".csv"}:
-        from hil.log.recordings.packet_files import read_latencies
-
         return read_latencies(paths[0], one_clock=one_clock)
     if endings == {".pcap"}:
-        from hil.log.recordings.packet_files import read_captured_frames, read_ping_capture
-
         return read_captured_frames(paths[0]) or read_ping_capture(paths[0])
-
     return read_own_log(paths[0])
 
 

@@ -1,13 +1,13 @@
 """What a page can show, as plain data: figures, bars, histograms, matrices, tables, text, badges, tiles.
 
 These dataclasses know nothing of HTML, of a run or of an experiment. Whoever has something to show builds a list of
-`Section` of them and gives it to `hil.pages.html.page.render_page`, which is the one place that draws:
+`Section` of them and gives it to `hil.pages.html.page.Page`, which is the one place that draws:
 
-    >>> from hil.pages.html.page import render_page
+    >>> from hil.pages.html.page import Page
     >>> import numpy as np
     >>> t = np.linspace(0.0, 1.0, 5)
     >>> panel = Figure(title="Angle", y_label="angle", y_unit="rad", series=(Series(label="angle", x=t, y=t**2),))
-    >>> page = render_page("Example", [Section(title="Tracking", blocks=(panel,))])
+    >>> page = Page("Example", [Section(title="Tracking", blocks=(panel,))]).html()
     >>> page.startswith("<!doctype html>")
     True
 

@@ -31,6 +31,15 @@ def share_text(value: float) -> str:
     return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
 
 
+def can_id_text(can_id: int, *, extended: bool = False) -> str:
+    """Return a CAN identifier as tools for CAN write it.
+
+    >>> can_id_text(0x1F), can_id_text(0x1F, extended=True)
+    ('01F', '0000001F')
+    """
+    return f"{can_id:08X}" if extended else f"{can_id:03X}"
+
+
 def _float_text(value: float, digits: int) -> str:
     if math.isnan(value):
         return "–"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
 from html import escape
 from importlib.resources import files
 from typing import Final
@@ -21,19 +22,9 @@ SCRIPTS: Final = ("save.js", "save_curves.js", "save_still.js", "page.js")
 """Ours, in the order in which the later ones need the earlier."""
 
 
-def render_page(
-    title: str,
-    sections: Sequence[Section],
-    *,
-    kicker: str = "hilrig",
-    subtitle: str = "",
-    badges: Sequence[Badge] = (),
-    tiles: Sequence[Tile] = (),
-    facts: Sequence[tuple[str, str]] = (),
-    footer: str = "",
-    scripts: Sequence[str] = (),
-) -> str:
-    """Return one self-contained HTML page.
+@dataclass(frozen=True, slots=True)
+class Page:
+    """One self-contained HTML page; all strings are shown literally.
 
     Args:
         title: heading and window title.
@@ -45,55 +36,60 @@ def render_page(
         facts: (name, value) pairs in the head, e.g. ("seed", "0").
         footer: a closing line, e.g. the version that wrote the page.
         scripts: more of ours that this page needs, names of assets.
-
-    Returns:
-        HTML text; all strings given are shown literally.
-
-    Raises:
-        ValueError: if a series' x and y differ in shape.
-        TypeError: for an unknown block.
     """
-    payload = Payload()
-    body = "".join(_section(i, section, payload) for i, section in enumerate(sections))
-    library, script = _asset("uPlot.iife.min.js"), "\n".join(map(_asset, (*SCRIPTS, *scripts)))
-    policy = (
-        "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
-        f"script-src {_digest(library)} {_digest(script)}"
-    )
-    links = "".join(f'<a href="#s{i}">{escape(s.title)}</a>' for i, s in enumerate(sections))
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n'
-        f"<title>{escape(title)}</title>\n<style>{_asset('uPlot.min.css')}\n{_asset('page.css')}</style>\n</head>\n<body>\n"
-        f'{_header(title, kicker, subtitle, badges, tiles, facts)}\n<nav aria-label="Sections"><div>{links}'
-        '<button id="reset" type="button" hidden>Reset zoom</button></div></nav>\n'
-        f"<main>\n<noscript><p>The curves of this page are drawn by a script inside it.</p></noscript>\n{body}</main>\n"
-        f"<footer>{escape(footer)}</footer>\n"
-        f'<script type="application/json" id="hil-data">{payload.json()}</script>\n'
-        f"<script>{library}</script>\n<script>{script}</script>\n</body>\n</html>\n"
-    )
+
+    title: str
+    sections: Sequence[Section]
+    _: KW_ONLY
+    kicker: str = "hilrig"
+    subtitle: str = ""
+    badges: Sequence[Badge] = ()
+    tiles: Sequence[Tile] = ()
+    facts: Sequence[tuple[str, str]] = ()
+    footer: str = ""
+    scripts: Sequence[str] = ()
+
+    def html(self) -> str:
+        """Return its text.
+
+        Raises:
+            ValueError: a series has x and y of different shapes.
+            TypeError: a block is unknown.
+        """
+        payload = Payload()
+        body = "".join(_section(i, section, payload) for i, section in enumerate(self.sections))
+        library, script = _asset("uPlot.iife.min.js"), "\n".join(map(_asset, (*SCRIPTS, *self.scripts)))
+        policy = (
+            "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
+            f"script-src {_digest(library)} {_digest(script)}"
+        )
+        links = "".join(f'<a href="#s{i}">{escape(s.title)}</a>' for i, s in enumerate(self.sections))
+        return (
+            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n'
+            f"<title>{escape(self.title)}</title>\n<style>{_asset('uPlot.min.css')}\n{_asset('page.css')}</style>\n</head>\n<body>\n"
+            f'{_header(self)}\n<nav aria-label="Sections"><div>{links}'
+            '<button id="reset" type="button" hidden>Reset zoom</button></div></nav>\n'
+            f"<main>\n<noscript><p>The curves of this page are drawn by a script inside it.</p></noscript>\n{body}</main>\n"
+            f"<footer>{escape(self.footer)}</footer>\n"
+            f'<script type="application/json" id="hil-data">{payload.json()}</script>\n'
+            f"<script>{library}</script>\n<script>{script}</script>\n</body>\n</html>\n"
+        )
 
 
-def _header(
-    title: str,
-    kicker: str,
-    subtitle: str,
-    badges: Sequence[Badge],
-    tiles: Sequence[Tile],
-    facts: Sequence[tuple[str, str]],
-) -> str:
-    parts = [f'<div class="kicker">{escape(kicker)}</div>', f"<h1>{escape(title)}</h1>"]
-    if subtitle:
-        parts.append(f'<p class="subtitle">{escape(subtitle)}</p>')
-    if badges:
-        parts.append(f'<div class="badges">{"".join(map(badge_html, badges))}</div>')
-    if facts:
-        pairs = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in facts)
+def _header(page: Page) -> str:
+    parts = [f'<div class="kicker">{escape(page.kicker)}</div>', f"<h1>{escape(page.title)}</h1>"]
+    if page.subtitle:
+        parts.append(f'<p class="subtitle">{escape(page.subtitle)}</p>')
+    if page.badges:
+        parts.append(f'<div class="badges">{"".join(map(badge_html, page.badges))}</div>')
+    if page.facts:
+        pairs = "".join(f"<div><dt>{escape(name)}</dt><dd>{escape(value)}</dd></div>" for name, value in page.facts)
         parts.append(f'<dl class="facts">{pairs}</dl>')
-    if tiles:
-        parts.append(f'<div class="tiles">{"".join(map(tile_html, tiles))}</div>')
+    if page.tiles:
+        parts.append(f'<div class="tiles">{"".join(map(tile_html, page.tiles))}</div>')
     return f"<header>{''.join(parts)}</header>"
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.signals import with_unit
 from hil.pages.html.decimation import BUCKETS, WHOLE, bucket_extremes, step_ends
 from hil.pages.html.figures import (
     Badge,
@@ -132,8 +133,8 @@ def _figure(figure: Figure, payload: Payload) -> str:
             "series": curves,
             "bands": bands,
             "markers": [{"x": float(m.x), "label": m.label, "state": m.state} for m in figure.markers],
-            "xLabel": _axis(figure.x_label, figure.x_unit),
-            "yLabel": _axis(figure.y_label, figure.y_unit),
+            "xLabel": with_unit(figure.x_label, figure.x_unit),
+            "yLabel": with_unit(figure.y_label, figure.y_unit),
             "xLog": figure.x_log,
             "xAsinh": figure.x_asinh,
             "xTicks": list(figure.x_ticks) or None,
@@ -176,9 +177,6 @@ def _kept(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], series: Series
 def _reduced(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:
     return np.arange(x.size, dtype=np.intp) if x.size <= WHOLE else bucket_extremes(x, y, BUCKETS)
 
-
-def _axis(label: str, unit: str) -> str:
-    return f"{label} ({unit})" if unit else label
 
 
 def _legend(bars: Bars) -> str:

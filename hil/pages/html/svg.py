@@ -8,6 +8,7 @@ from html import escape
 
 import numpy as np
 
+from hil.measure.signals import with_unit
 from hil.pages.html.figures import Bars, Histogram, Marker, Scene, Shape
 from hil.pages.html.numbers import text_of
 
@@ -25,7 +26,7 @@ def draw_bars(bars: Bars) -> str:
     ]
     ticks = nice_ticks(0.0, max([v for v in tallest if math.isfinite(v)], default=1.0) or 1.0)
     y_of = _linear(ticks[0], ticks[-1], HEIGHT - BOTTOM, TOP)
-    parts = _frame(ticks, y_of, bars.x_label, _with_unit(bars.y_label, bars.y_unit))
+    parts = _frame(ticks, y_of, bars.x_label, with_unit(bars.y_label, bars.y_unit))
     slot = (WIDTH - LEFT - RIGHT) / max(len(bars.categories), 1)
     width = min(0.76 * slot / max(len(bars.groups), 1), 54.0)
     for i, category in enumerate(bars.categories):
@@ -72,7 +73,7 @@ def draw_histogram(histogram: Histogram) -> str:
     else:
         x_of = _linear(low, high, LEFT, WIDTH - RIGHT)
         x_ticks = [v for v in nice_ticks(low, high) if low <= v <= high]
-    parts = _frame(ticks, y_of, _with_unit(histogram.x_label, histogram.x_unit), histogram.y_label)
+    parts = _frame(ticks, y_of, with_unit(histogram.x_label, histogram.x_unit), histogram.y_label)
     parts += [_label("tick", x_of(v), HEIGHT - BOTTOM + 16, "middle", text_of(v, 3)) for v in x_ticks]
     style = _bar_class(histogram.colour or 0, False)
     for count, left, right in zip(counts, edges[:-1], edges[1:]):
@@ -128,9 +129,6 @@ def _svg(parts: Sequence[str], title: str) -> str:
 def _bar_class(colour: int, hollow: bool) -> str:
     return f"bar c{colour % 8}{' hollow' if hollow else ''}"
 
-
-def _with_unit(label: str, unit: str) -> str:
-    return f"{label} ({unit})" if unit else label
 
 
 def _linear(low: float, high: float, start: float, end: float) -> Callable[[float], float]:

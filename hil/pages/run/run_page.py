@@ -11,7 +11,7 @@ from hil.measure.summary import page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, State, Tile
 from hil.pages.html.numbers import text_of
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.pages.run.sections import sections_of
 
 
@@ -24,7 +24,7 @@ def render_report(view: RunView) -> str:
     run = view.run
     summary = view.once(page_summary)
     description = str(run.resolved.get("description", ""))
-    return render_page(
+    return Page(
         str(summary["experiment"] or "Run"),
         view.once(sections_of),
         kicker="hilrig · run report",
@@ -34,7 +34,7 @@ def render_report(view: RunView) -> str:
         facts=_facts(view, summary),
         footer=f"Written by hilrig {run.versions.get('hilrig', '')} from the log alone. Drag across a plot to zoom all "
         "time axes, double-click to reset.",
-    )
+    ).html()
 
 
 _COLOURS: Mapping[str, State] = {"certified": "good", "refused": "bad"}

@@ -9,7 +9,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hil.experiment import shipped
-from hil.files.toml_text import DEEPEST, parse_toml
+from hil.files.toml_text import DEEPEST, parse_toml, toml_value
 
 
 @pytest.mark.parametrize(
@@ -61,3 +61,14 @@ def test_any_text_is_read_as_tomllib_reads_it_or_refused(text: str) -> None:
             parse_toml(text)
     else:
         assert parse_toml(text) == expected
+
+
+VALUES = st.recursive(
+    st.booleans() | st.integers(-(2**62), 2**62) | st.floats(allow_nan=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text("ab _-é😀", min_size=1), inner, max_size=3),
+)
+
+
+@given(VALUES)
+def test_what_is_written_is_read_back(value: object) -> None:
+    assert tomllib.loads(f"v = {toml_value(value)}")["v"] == value

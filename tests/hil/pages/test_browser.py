@@ -8,7 +8,7 @@ import pytest
 
 from hil.measure.view import view_of
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.pages.run.run_page import render_report
 from tests.hil.pages import chromium
 from tests.hil.pages.runs import run_of
@@ -29,7 +29,7 @@ def page_of_panels() -> str:
     norm = Series(label="n", x=[0.01, 0.1, 1.0], y=[1.0, 2.0, 3.0])
     alone = Figure(title="Norm", series=(norm,), x_log=True, y_asinh=0.5, sync=None)
     text = "<script>document.title='owned'</script>"
-    return render_page(text, [Section(title="Panels", blocks=(angle, modes, alone))], subtitle=text)
+    return Page(text, [Section(title="Panels", blocks=(angle, modes, alone))], subtitle=text).html()
 
 
 INK = """[...document.querySelectorAll('.plot canvas')].map(c => {
@@ -128,7 +128,7 @@ def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Pa
     t = np.arange(0.0, 10.0, 0.1)
     file = tmp_path / "page.html"
     panel = Figure(title="Angle", series=(Series(label="angle", x=t, y=t),), markers=marks)
-    file.write_text(render_page("Marks", [Section(title="Panels", blocks=(panel,))]), encoding="utf-8")
+    file.write_text(Page("Marks", [Section(title="Panels", blocks=(panel,))]).html(), encoding="utf-8")
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert page.evaluate(LABELS) == ["safety", "step"]
@@ -165,7 +165,7 @@ def page_of_stills() -> str:
     chain = Matrix(title="Chain", rows=["0", "1"], columns=["0", "1"], values=[[0.1, 0.9], [0.4, 0.6]],
                    expected=[[0.15, 0.85], [0.35, 0.65]], row_label="from", column_label="to")  # fmt: skip
     ages = Bars(title="Ages", categories=["0", "1"], groups=groups, x_label="age")
-    return render_page("Still", [Section(title="Plots", blocks=(late, ages, chain))])
+    return Page("Still", [Section(title="Plots", blocks=(late, ages, chain))]).html()
 
 
 SAVE = """((place, kind) => new Promise(done => {

@@ -12,6 +12,7 @@ from hil.log.topics.bus import EXTENDED
 from hil.measure.bus_load import BusLoad, MessageOnBus, bus_of
 from hil.measure.view import RunView
 from hil.pages.html.figures import Cell, Figure, Section, Series, Table
+from hil.pages.html.numbers import can_id_text
 
 SHOWN: Final = 60
 """Frames of the time line on either side of the longest wait of a packet of the rig."""
@@ -35,16 +36,11 @@ def section(view: RunView) -> Section | None:
 SECTIONS = (section,)
 
 
-def said(message: MessageOnBus) -> str:
-    """Return the identifier of a message as tools for CAN write it."""
-    return f"{message.can_id:08X}" if message.extended else f"{message.can_id:03X}"
-
-
 def _table(found: BusLoad) -> Table:
     rows: list[list[Cell]] = [
         [
-            said(each), each.name, each.frames, each.errors, 100 * each.load, each.waited_ms, each.waited_worst_ms,
-            each.response_worst_ms, each.bound_ms,
+            can_id_text(each.can_id, extended=each.extended), each.name, each.frames, each.errors, 100 * each.load,
+            each.waited_ms, each.waited_worst_ms, each.response_worst_ms, each.bound_ms,
         ]
         for each in found.messages
     ]  # fmt: skip

@@ -22,7 +22,7 @@ from hil.pages.html.figures import (
     Text,
     Tile,
 )
-from hil.pages.html.page import render_page
+from hil.pages.html.page import Page
 from hil.pages.html.svg import draw_bars
 
 HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&"\''
@@ -67,7 +67,7 @@ def page_with_every_block(text: str) -> str:
         Text(title=text, text=text, code=True, folded=True),
         Badge(label=text, detail=text, state="good"),
     )  # fmt: skip
-    return render_page(
+    return Page(
         text,
         [Section(title=text, intro=text, blocks=blocks, columns=2)],
         kicker=text,
@@ -76,7 +76,7 @@ def page_with_every_block(text: str) -> str:
         tiles=[Tile(label=text, value=text, unit=text, note=text)],
         facts=[(text, text)],
         footer=text,
-    )
+    ).html()
 
 
 def test_hostile_text_adds_no_element_and_no_attribute() -> None:
@@ -107,26 +107,26 @@ def test_policy_allows_exactly_the_scripts_of_the_page() -> None:
 def test_series_of_unequal_length_is_refused_by_its_label() -> None:
     figure = Figure(title="f", series=(Series(label="angle", x=[0.0, 1.0], y=[0.0]),))
     with pytest.raises(ValueError, match="series 'angle'"):
-        render_page("t", [Section(title="s", blocks=(figure,))])
+        Page("t", [Section(title="s", blocks=(figure,))]).html()
 
 
 def test_equal_arrays_are_stored_once() -> None:
     x = np.linspace(0, 1, 1001)
     one = Figure(title="f", series=(Series(label="a", x=x, y=x**2),))
-    sizes = [len(render_page("t", [Section(title="s", blocks=(one,) * n)])) for n in (1, 2)]
+    sizes = [len(Page("t", [Section(title="s", blocks=(one,) * n)]).html()) for n in (1, 2)]
     assert sizes[1] - sizes[0] < 1000
 
 
 def test_not_finite_values_become_gaps() -> None:
     figure = Figure(title="f", series=(Series(label="a", x=[0, 1, 2, 3], y=[1.0, np.inf, np.nan, 2.0]),))
-    assert "Infinity" not in render_page("t", [Section(title="s", blocks=(figure,))]).split('id="hil-data"')[1][:900]
+    assert "Infinity" not in Page("t", [Section(title="s", blocks=(figure,))]).html().split('id="hil-data"')[1][:900]
 
 
 @pytest.mark.parametrize("y_log", [False, True])
 @pytest.mark.parametrize("x_log", [False, True])
 def test_histogram_draws_every_filled_bin(x_log: bool, y_log: bool) -> None:
     histogram = Histogram(title="h", edges=[1.0, 2.0, 3.0, 40.0], counts=[3, 0, 400], x_log=x_log, y_log=y_log)
-    assert render_page("t", [Section(title="s", blocks=(histogram,))]).partition("<script")[0].count("<rect") == 2
+    assert Page("t", [Section(title="s", blocks=(histogram,))]).html().partition("<script")[0].count("<rect") == 2
 
 
 def test_whiskers_end_at_their_values_and_not_below_the_axis() -> None:
@@ -146,7 +146,7 @@ def test_empty_blocks_are_drawn_empty() -> None:
         Histogram(title="h", edges=[], counts=[]),
         Table(columns=["a"], rows=[]),
     )
-    assert "<table" in render_page("t", [Section(title="s", blocks=blocks)])
+    assert "<table" in Page("t", [Section(title="s", blocks=blocks)]).html()
 
 
 def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
@@ -157,7 +157,7 @@ def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
         Matrix(title="m", rows=["0"], columns=["0", "1"], values=[[0.1, None]], expected=[[0.2, 0.3]], row_label="from"),
         Scene(title="s", shapes=(Shape(points=[(0.0, 1.0), (np.nan, 2.0)], label="way"),), x_label="y (mm)"),
     )
-    page = render_page("t", [Section(title="s", blocks=blocks)])
+    page = Page("t", [Section(title="s", blocks=blocks)]).html()
     tables = json.loads(page.split('id="hil-data">')[1].partition("</script")[0])["tables"]
     assert [page.count(f'data-numbers="{i}"') for i in range(5)] == [1, 1, 1, 1, 0]
     columns = [{column["name"]: column["values"] for column in table} for table in tables]
