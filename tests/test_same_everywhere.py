@@ -15,11 +15,10 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.cli.doctor import stand_ins
 from hil.experiment import load_experiment, shipped
 from hil.log.read.run import read_run
 from hil.log.run import records_sha256
-from tests.other_processors import together
+from tests.other_processors import stand_ins, together
 from tests.records_sha256 import FILE, found
 
 TOGETHER = {"as it is": {}, **together()}

@@ -13,8 +13,7 @@ from msgspec import Struct, field
 
 from hil.log.append_column import ROWS, pieces
 from hil.log.events import decode_events
-from hil.log.read.arrays import StructuredArray, assemble
-from hil.log.read.named_fields import Records
+from hil.log.read.arrays import Records, StructuredArray, assemble
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.topics import missing
 from hil.log.write.sinks import MemorySink

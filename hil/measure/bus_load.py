@@ -124,27 +124,18 @@ def bus_of(view: RunView) -> BusLoad | None:
         each.message.name: each.response_ns for each in response_times([*stated.values()], rates)
     }  # fmt: skip
     span = int(records["idle_ns"][-1])
-    messages = []
-    for key, message in sorted(stated.items(), key=lambda each: each[1].key()):
+
+    def message(name: str, key: tuple[bool, int]) -> MessageOnBus:
         own = counted.get(key, _Counted())
-        messages.append(
-            MessageOnBus(
-                name=message.name, can_id=message.identifier, extended=message.extended,
-                node=names[own.node] if own.node >= 0 else "", frames=own.frames, errors=own.errors, load=own.used_ns / span,
-                waited_ms=own.waited_ns / own.frames / 1e6 if own.frames else None, waited_worst_ms=_ms(own.waited_worst_ns),
-                response_worst_ms=_ms(own.response_worst_ns), bound_ms=_ms(bounds.get(message.name)),
-            )
+        return MessageOnBus(
+            name=name, can_id=key[1], extended=key[0], node=names[own.node] if own.node >= 0 else "", frames=own.frames,
+            errors=own.errors, load=own.used_ns / span, waited_ms=own.waited_ns / own.frames / 1e6 if own.frames else None,
+            waited_worst_ms=_ms(own.waited_worst_ns), response_worst_ms=_ms(own.response_worst_ns),
+            bound_ms=_ms(bounds.get(name)),
         )  # fmt: skip
-    for (extended, identifier), own in sorted(counted.items()):
-        if (extended, identifier) not in stated:  # of a recording
-            messages.append(
-                MessageOnBus(
-                    name=f"recorded {identifier:#x}", can_id=identifier, extended=extended, node=names[own.node],
-                    frames=own.frames, errors=own.errors, load=own.used_ns / span,
-                    waited_ms=own.waited_ns / own.frames / 1e6 if own.frames else None,
-                    waited_worst_ms=_ms(own.waited_worst_ns), response_worst_ms=_ms(own.response_worst_ns), bound_ms=None,
-                )
-            )  # fmt: skip
+
+    messages = [message(each.name, key) for key, each in sorted(stated.items(), key=lambda item: item[1].key())]
+    messages += [message(f"recorded {key[1]:#x}", key) for key in sorted(counted) if key not in stated]
     every = list(counted.values())
     senders = tuple(packet.sender for packet in own_packets(rig, bus))
     own_nodes = [each for each in every if names[each.node] in senders]

@@ -4,58 +4,32 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from hil.log import topics
 from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.topics import panels
 
 COLOURS: Final = ("#1f77b4", "#7f7f7f", "#17becf", "#d62728", "#2ca02c", "#9467bd")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Panel:
-    """One plot over time.
-
-    Args:
-        title: what it shows.
-        curves: topic and field of each curve.
-    """
-
-    title: str
-    curves: tuple[tuple[str, str], ...]
-
-
-def panels(schemas: Mapping[str, Schema]) -> list[Panel]:
-    """Return the plots of a log, as its topics say.
-
-    Args:
-        schemas: topic to schema, of a log or of an experiment's channels.
-    """
-    return [
-        Panel(title=title, curves=tuple((topic, curve.field) for topic, curve in curves))
-        for title, curves in topics.panels(schemas).items()
-    ]
 
 
 def foxglove(schemas: Mapping[str, Schema]) -> str:
     """Return a layout of Foxglove and Lichtblick, JSON: a plot above the other, the events beside them.
 
     Args:
-        schemas: see `panels`.
+        schemas: topic to schema, of a log or of an experiment's channels.
 
     Reference:
         Lichtblick, packages/suite-base/src: context/CurrentLayoutContext/actions.ts (`LayoutData`), panels/Plot/utils/config.ts
         (`PlotConfig`, `PlotPath`), panels/RawMessages/types.ts; packages/message-path/src/grammar.ne (the paths).
     """
     configs: dict[str, Any] = {}
-    for i, panel in enumerate(panels(schemas)):
+    for i, (title, curves) in enumerate(panels(schemas).items()):
         configs[f"Plot!{i}"] = {
-            "foxglovePanelTitle": panel.title,
+            "foxglovePanelTitle": title,
             "paths": [
-                {"value": f"{topic}.{name}", "label": f"{topic} {name}", "enabled": True, "timestampMethod": "receiveTime"}
-                for topic, name in panel.curves
+                {"value": f"{topic}.{c.field}", "label": f"{topic} {c.field}", "enabled": True, "timestampMethod": "receiveTime"}
+                for topic, c in curves
             ],
             "showXAxisLabels": True, "showYAxisLabels": True, "showLegend": True, "legendDisplay": "floating",
             "showPlotValuesInLegend": True, "isSynced": True, "xAxisVal": "timestamp", "sidebarDimension": 240,
@@ -78,7 +52,7 @@ def plotjuggler(schemas: Mapping[str, Schema]) -> str:
     """Return a layout of PlotJuggler, XML: one tab, a plot above the other, times from the beginning of the log.
 
     Args:
-        schemas: see `panels`.
+        schemas: topic to schema, of a log or of an experiment's channels.
 
     Reference:
         PlotJuggler, plotjuggler_app: mainwindow.cpp, plot_docker.cpp and plotwidget.cpp, each `xmlLoadState`.
@@ -89,12 +63,12 @@ def plotjuggler(schemas: Mapping[str, Schema]) -> str:
     container = ElementTree.SubElement(ElementTree.SubElement(tabs, "Tab", tab_name="hilrig", containers="1"), "Container")
     sizes = ";".join([f"{1 / len(found):.6f}"] * len(found))
     splitter = ElementTree.SubElement(container, "DockSplitter", orientation="-", count=str(len(found)), sizes=sizes)
-    for panel in found:
-        area = ElementTree.SubElement(splitter, "DockArea", name=panel.title)
+    for title, curves in found.items():
+        area = ElementTree.SubElement(splitter, "DockArea", name=title)
         plot = ElementTree.SubElement(area, "plot", mode="TimeSeries", style="Lines", flip_x="false", flip_y="false")
         ElementTree.SubElement(plot, "limitY")
-        for i, (topic, name) in enumerate(panel.curves):
-            ElementTree.SubElement(plot, "curve", name=f"{topic}/{name}", color=COLOURS[i % len(COLOURS)])
+        for i, (topic, curve) in enumerate(curves):
+            ElementTree.SubElement(plot, "curve", name=f"{topic}/{curve.field}", color=COLOURS[i % len(COLOURS)])
     ElementTree.SubElement(tabs, "currentTabIndex", index="0")
     ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
     ElementTree.indent(root, " ")

@@ -8,12 +8,28 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.errors import HilError, unknown_name
 from hil.log.records import CDR_HEADER, TIME_FIELD, Schema
 
 StructuredArray = np.ndarray[Any, np.dtype[np.void]]
 _CDR: Final = int.from_bytes(CDR_HEADER, "little")
 _LENGTH: Final = Struct("<I")
+
+
+class Records(np.ndarray[Any, np.dtype[np.void]]):
+    """Records of a topic; a field of them is a plain array."""
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a field by its name, else what numpy returns.
+
+        Raises:
+            UnknownName: no field is called so.
+        """
+        if not isinstance(key, str):
+            return super().__getitem__(key)
+        if key not in (self.dtype.names or ()):
+            raise unknown_name("field of this topic", key, self.dtype.names or ())
+        return self.view(np.ndarray)[key]
 
 
 def run_dtype(schema: Schema) -> np.dtype[np.void]:
