@@ -100,7 +100,7 @@ class ShiftStates:
         factors: two chains, whose Kronecker product W is row-stochastic or the transpose of such a matrix.
     """
 
-    __slots__ = ("columns", "factors", "free", "inverse", "order", "rows", "scale", "shape", "stages", "top", "turned")
+    __slots__ = ("factors", "free", "inverse", "order", "origins", "places", "scale", "shape", "stages", "top", "turned")
 
     def __init__(self, M: Array, factors: Factors) -> None:
         self.order, self.free, levels = plan_of(M)
@@ -110,9 +110,12 @@ class ShiftStates:
         inside = self.arranged(M)
         self.turned = np.ascontiguousarray(inside.transpose(0, 2, 1))
         self.top = np.ascontiguousarray(inside[:, :f])
-        rows, columns = np.triu_indices(n)
-        self.rows, self.columns = rows[rows < f], columns[rows < f]
-        self.scale = np.where(self.rows == self.columns, 1.0, np.sqrt(2.0))
+        rows, columns = (index[: f * n - f * (f - 1) // 2] for index in np.triu_indices(n))
+        self.scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
+        self.places = rows * n + columns  # of each coordinate, and the coordinate of each place
+        origins = np.empty((n, n), dtype=np.intp)
+        origins[rows, columns] = origins[columns, rows] = np.arange(len(rows))
+        self.origins = origins[:f].ravel()
         self.stages = []
         if levels:
             acts = (inside != 0.0).any(axis=0)
@@ -140,16 +143,12 @@ class ShiftStates:
 
     def pack(self, top: Array) -> Array:
         """Coordinates (N u) of the rows in F (N, f, n), every entry of the symmetric family once; an isometry."""
-        return np.asarray(top[:, self.rows, self.columns] * self.scale).ravel()
+        return np.asarray(top.reshape(len(top), -1).take(self.places, axis=1) * self.scale).ravel()
 
     def unpack(self, vector: Array) -> Array:
         """Rows in F (N, f, n) of coordinates."""
         values = vector.reshape(self.shape[0], -1) / self.scale
-        top = np.empty(self.shape)
-        top[:, self.rows, self.columns] = values
-        inner = self.columns < self.free
-        top[:, self.columns[inner], self.rows[inner]] = values[:, inner]
-        return top
+        return values.take(self.origins, axis=1).reshape(self.shape)
 
     def expand(self, top: Array, G: Array | None = None) -> Array:
         """Return all of Y (N, n, n), in the plan's order, from its rows in F (N, f, n)."""
@@ -228,8 +227,10 @@ def solve_bordered(
 
     def product(vector: Array) -> Array:
         Y = states.expand(states.unpack(vector[:-1]), vector[-1] * G1 if states.stages else None)
-        rows = vector[:-1] - states.pack(states.moved(Y)) - vector[-1] * along
-        return np.append(rows, vector[-1] * level[1] - np.vdot(H, Y))
+        found = np.empty_like(vector)
+        np.subtract(vector[:-1] - states.pack(states.moved(Y)), vector[-1] * along, out=found[:-1])
+        found[-1] = vector[-1] * level[1] - np.vdot(H, Y)
+        return found
 
     known, offset = G0[:, :f], -level[0]
     if states.stages:

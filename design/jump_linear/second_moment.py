@@ -40,29 +40,29 @@ class _Basis(NamedTuple):
     columns: npt.NDArray[np.intp]
     scale: Array
     half: Array
+    places: npt.NDArray[np.intp]  # of each coordinate in a matrix, and the coordinate of each place
+    origins: npt.NDArray[np.intp]
 
 
 @lru_cache(maxsize=32)
 def _basis(n: int) -> _Basis:
     rows, columns = np.triu_indices(n)
     scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    return _Basis(rows, columns, scale, 0.5 * np.outer(scale, scale))
+    origins = np.empty((n, n), dtype=np.intp)
+    origins[rows, columns] = origins[columns, rows] = np.arange(len(rows))
+    return _Basis(rows, columns, scale, 0.5 * np.outer(scale, scale), rows * n + columns, origins.ravel())
 
 
 def to_vector(matrices: Array) -> Array:
     """Coordinates (..., n (n+1)/2) of symmetric matrices (..., n, n); an isometry of the Frobenius norm."""
     basis = _basis(matrices.shape[-1])
-    return np.asarray(matrices[..., basis.rows, basis.columns] * basis.scale)
+    return np.asarray(matrices.reshape(*matrices.shape[:-2], -1).take(basis.places, axis=-1) * basis.scale)
 
 
 def to_matrix(vectors: Array, n: int) -> Array:
     """Symmetric matrices (..., n, n) of their coordinates (..., n (n+1)/2)."""
     basis = _basis(n)
-    values = vectors / basis.scale
-    matrices = np.empty((*vectors.shape[:-1], n, n))
-    matrices[..., basis.rows, basis.columns] = values
-    matrices[..., basis.columns, basis.rows] = values
-    return matrices
+    return (vectors / basis.scale).take(basis.origins, axis=-1).reshape(*vectors.shape[:-1], n, n)
 
 
 def expect(transition: Array, family: Array) -> Array:
@@ -82,7 +82,7 @@ def forward(A: Array, transition: Array, family: Array) -> Array:
 
 def congruence_matrices(A: Array) -> Array:
     """(N, s, s) matrices of S -> A_i' S A_i in coordinates, s = n (n+1)/2."""
-    rows, columns, _, half = _basis(A.shape[-1])
+    rows, columns, _, half, *_ = _basis(A.shape[-1])
     left, right = A[:, :, rows], A[:, :, columns]
     product = left[:, rows] * right[:, columns]
     product += left[:, columns] * right[:, rows]

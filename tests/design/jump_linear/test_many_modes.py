@@ -86,7 +86,7 @@ def test_where_both_delays_reach_eight_ninety_three_numbers_a_mode_are_unknown()
     A = structure.matrices(gains_of(structure))
     states = ShiftStates(A, factors_of(structure.transition))
     assert A.shape == (81, 47, 47)
-    assert (states.free, states.rows.size, [len(w) for w in states.factors]) == (2, 93, [9, 9])
+    assert (states.free, states.places.size, [len(w) for w in states.factors]) == (2, 93, [9, 9])
 
 
 def test_two_independent_chains_are_distinguished_from_one_that_is_not() -> None:
