@@ -101,20 +101,25 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
     )
 
 
+def _shares(
+    title: str, counted: npt.NDArray[np.float64], stated: tuple[str, npt.NDArray[np.float64]] | None, x_label: str, *,
+    of: str = "slots", label: str = "counted", note: str = "", categories: Sequence[str] = (),
+) -> Bars:  # fmt: skip
+    """Return shares as they were counted, and hollow beside them what a law states, named, where it states as many."""
+    groups = [BarGroup(label=label, values=counted.tolist(), colour=0)]
+    if stated is not None and len(stated[1]) == len(counted):
+        groups.append(BarGroup(label=stated[0], values=stated[1].tolist(), colour=7, hollow=True))
+    return Bars(
+        title=title, categories=categories or [str(i) for i in range(len(counted))], groups=tuple(groups), x_label=x_label,
+        y_label=f"share of {of}", note=note,
+    )  # fmt: skip
+
+
 def _frequencies(found: Mapping[str, Any], law: NetworkLaw | None, title: str, what: str) -> Bars:
     counts = np.asarray(found["mode_counts"], dtype=np.float64)
-    groups = [BarGroup(label="counted", values=(counts / max(counts.sum(), 1.0)).tolist(), colour=0)]
-    stated = expected_frequencies(law)
-    if stated is not None and len(stated) == len(counts):
-        groups.append(BarGroup(label="stationary law", values=stated.tolist(), colour=7, hollow=True))
-    return Bars(
-        title=title,
-        categories=[str(i) for i in range(len(counts))],
-        groups=tuple(groups),
-        x_label=what,
-        y_label="share of slots",
-        note=f"{text_of(int(counts.sum()))} slots.",
-    )
+    frequencies = expected_frequencies(law)
+    stated = None if frequencies is None else ("stationary law", frequencies)
+    return _shares(title, counts / max(counts.sum(), 1.0), stated, what, note=f"{text_of(int(counts.sum()))} slots.")
 
 
 def _transitions(found: Mapping[str, Any], law: NetworkLaw | None, title: str, symbol: str) -> Matrix:
@@ -155,18 +160,11 @@ def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
         hazard = hazards(sojourn, longest)
         stays = np.concatenate(([1.0], np.cumprod(1.0 - hazard)))
         stated = np.append(hazard * stays[:-1], stays[-1])
+        title, x_label = f"{_capital(way)}: how long mode {mode} lasted", f"slots with {symbol} in mode {mode}"
+        names = [*(str(n) for n in range(1, longest + 1)), f"> {longest}"]
+        note = f"{text_of(int(mine.size))} whole sojourns."
         blocks.append(
-            Bars(
-                title=f"{_capital(way)}: how long mode {mode} lasted",
-                categories=[*(str(n) for n in range(1, longest + 1)), f"> {longest}"],
-                groups=(
-                    BarGroup(label="counted", values=counted.tolist(), colour=0),
-                    BarGroup(label="sojourn law", values=stated.tolist(), colour=7, hollow=True),
-                ),
-                x_label=f"slots with {symbol} in mode {mode}",
-                y_label="share of sojourns",
-                note=f"{text_of(int(mine.size))} whole sojourns.",
-            )
+            _shares(title, counted, ("sojourn law", stated), x_label, of="sojourns", note=note, categories=names)
         )
     return blocks
 
@@ -185,13 +183,8 @@ def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[Network
         more[: len(counts)] += counts
         counts = more
     way, symbol = DIRECTIONS[side]
-    return Bars(
-        title=f"{_capital(way)}: age of what was used",
-        categories=[str(i) for i in range(len(counts))],
-        groups=(BarGroup(label="measured", values=(counts / max(counts.sum(), 1)).tolist(), colour=0),),
-        x_label=f"{symbol} (samples)",
-        y_label="share of slots",
-    )
+    title, shares = f"{_capital(way)}: age of what was used", counts / max(counts.sum(), 1)
+    return _shares(title, shares, None, f"{symbol} (samples)", label="measured")
 
 
 def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:

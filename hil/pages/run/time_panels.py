@@ -5,7 +5,7 @@ A curve is made from its records block by block: a page of a long run holds no m
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
@@ -94,6 +94,14 @@ def follows_reference(view: RunView) -> bool:
     return judged or any((piece[name] != 0.0).any() for piece in pieces(reference) for name in view.signals.tracked)
 
 
+def _panel(name: str, unit: str, series: Sequence[Series], marks: tuple[Marker, ...], height_px: int, title: str = "") -> Figure:
+    """Return a panel over time of what a signal's name says."""
+    words = _words(name)
+    return Figure(
+        title=title or words.capitalize(), y_label=words, y_unit=unit, series=tuple(series), markers=marks, height_px=height_px
+    )
+
+
 def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return one panel per output: what was measured, the true state where it differs, and the reference where one is followed.
 
@@ -111,17 +119,9 @@ def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
                 replace(series[0], label=f"{_words(name)}, measured", halo=True),
                 curve(state, name, label=f"{_words(name)}, true", style=style, colour=0),
             ]
-        asked = curve(reference, name, label="reference", style="dashed-step", colour=7)
-        panels.append(
-            Figure(
-                title=_title(name),
-                y_label=_words(name),
-                y_unit=unit,
-                series=(*([asked] if followed and name in tracked else []), *series),
-                markers=marks,
-                height_px=300 if len(panels) == 0 else 220,
-            )
-        )
+        if followed and name in tracked:
+            series.insert(0, curve(reference, name, label="reference", style="dashed-step", colour=7))
+        panels.append(_panel(name, unit, series, marks, 220 if panels else 300))
     return panels
 
 
@@ -130,38 +130,23 @@ def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     state = view.run.arrays.get(STATE.name)
     if state is None or not len(state):
         return []
-    return [
-        Figure(
-            title=_title(name),
-            y_label=_words(name),
-            y_unit=view.unit(STATE.name, name),
-            series=(curve(state, name, label=_words(name), colour=2),),
-            markers=marks,
-            height_px=190,
-        )
-        for name in signal_names(view.run, STATE.name)
-        if name not in view.signals.outputs
-    ]
+    names = [name for name in signal_names(view.run, STATE.name) if name not in view.signals.outputs]
+    curves = {name: curve(state, name, label=_words(name), colour=2) for name in names}
+    return [_panel(name, view.unit(STATE.name, name), [own], marks, 190) for name, own in curves.items()]
 
 
 def topic_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
     """Return the panels of topics that no section of the page draws, as the topics say that they are plotted."""
-    own = [name for name, topic in topics.TOPICS.items() if not topic.paged and name in view.run.arrays]
-    return [
-        Figure(
-            title=_title(title),
-            y_label=_words(title),
-            y_unit=view.unit(curves[0][0], curves[0][1].field),
-            series=tuple(
-                curve(view.run.arrays[name], each.field, label=_words(each.field), style="step", colour=number)
+    arrays, found = view.run.arrays, []
+    own = [name for name, topic in topics.TOPICS.items() if not topic.paged and name in arrays]
+    for title, curves in topics.panels(view.run.schemas, own).items():
+        if all(len(arrays[name]) for name, _ in curves):
+            series = [
+                curve(arrays[name], each.field, label=_words(each.field), style="step", colour=number)
                 for number, (name, each) in enumerate(curves)
-            ),
-            markers=marks,
-            height_px=190,
-        )
-        for title, curves in topics.panels(view.run.schemas, own).items()
-        if all(len(view.run.arrays[name]) for name, _ in curves)
-    ]
+            ]
+            found.append(_panel(title, view.unit(curves[0][0], curves[0][1].field), series, marks, 190))
+    return found
 
 
 def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
@@ -173,16 +158,7 @@ def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
         w = f"w_{name}"
         if w in (applied.dtype.names or ()) and any((piece[w] != 0.0).any() for piece in pieces(applied)):
             series.insert(0, curve(applied, w, label="disturbance", style="step", colour=4))
-        panels.append(
-            Figure(
-                title=f"Input: {_words(name)}",
-                y_label=_words(name),
-                y_unit=unit,
-                series=tuple(series),
-                markers=marks,
-                height_px=200,
-            )
-        )
+        panels.append(_panel(name, unit, series, marks, 200, title=f"Input: {_words(name)}"))
     return panels
 
 
@@ -271,10 +247,6 @@ def _is_age_law(run: Run, side: str) -> bool:
 
 def _equal(a: Records, b: Records, name: str) -> bool:
     return all(np.array_equal(one[: len(other)][name], other[: len(one)][name]) for one, other in zip(pieces(a), pieces(b)))
-
-
-def _title(name: str) -> str:
-    return _words(name).capitalize()
 
 
 def _words(name: str) -> str:
