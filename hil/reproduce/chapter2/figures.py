@@ -42,6 +42,12 @@ def _time(points: int) -> FloatArray:
     return np.asarray(np.arange(points) * DT_S)
 
 
+def _beside(title: str, y_label: str, t: FloatArray, ours: FloatArray, other: FloatArray) -> Figure:
+    """Return (2.27) beside [1, 2] over time."""
+    curves = (Series(label="(2.27)", x=t, y=ours), Series(label="[1, 2]", x=t, y=other, style="dashed"))
+    return Figure(title=title, y_label=y_label, series=curves)
+
+
 def one_run(published: JumpLoop, reference: JumpLoop, seed: int = 3) -> Plot:
     """Figure 2.2: one run under the same switching, and 20 runs of (2.27)."""
     first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=seed)[0]
@@ -49,24 +55,11 @@ def one_run(published: JumpLoop, reference: JumpLoop, seed: int = 3) -> Plot:
     many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=seed)
     t = _time(first.shape[0])
     panels = [
-        Figure(
-            title=f"2.2a: x{n + 1}(t), same switching instants",
-            y_label=f"x{n + 1}",
-            series=(
-                Series(label="(2.27)", x=t, y=first[:, n]),
-                Series(label="[1, 2]", x=t, y=other[:, n], style="dashed"),
-            ),
-        )
-        for n in (0, 1)
+        _beside(f"2.2a: x{n + 1}(t), same switching instants", f"x{n + 1}", t, first[:, n], other[:, n]) for n in (0, 1)
     ]
-    panels += [
-        Figure(
-            title=f"2.2b: x{n + 1}(t), 20 runs of (2.27)",
-            y_label=f"x{n + 1}",
-            series=tuple(Series(label="single runs", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20)),
-        )
-        for n in (0, 1)
-    ]
+    for n in (0, 1):
+        runs = tuple(Series(label="single runs", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20))
+        panels.append(Figure(title=f"2.2b: x{n + 1}(t), 20 runs of (2.27)", y_label=f"x{n + 1}", series=runs))
     return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
 
 
@@ -75,14 +68,7 @@ def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settl
     ours = mean_states(published, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
     other = mean_states(reference, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
     panels: list[Figure | Histogram] = [
-        Figure(
-            title=f"2.3a: mean of x{n + 1}, {runs} runs",
-            y_label=f"E x{n + 1}",
-            series=(
-                Series(label="(2.27)", x=ours.time_s, y=ours.mean[:, n]),
-                Series(label="[1, 2]", x=other.time_s, y=other.mean[:, n], style="dashed"),
-            ),
-        )
+        _beside(f"2.3a: mean of x{n + 1}, {runs} runs", f"E x{n + 1}", ours.time_s, ours.mean[:, n], other.mean[:, n])
         for n in (0, 1)
     ]
     for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):

@@ -2,28 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import numpy.typing as npt
 
 from design.processes.lifetimes import ColdStandbyRate, KOutOfNRate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from hil.pages.html.figures import Figure, Histogram, Series
 from hil.reproduce.chapter import Plot
+from hil.reproduce.noisy_runs import NoisyRuns
 
-FloatArray = npt.NDArray[np.float64]
 STATES = (("x1", "horizontal velocity", "knot"), ("x2 = y", "vertical velocity", "knot"), ("x3", "pitch rate", "deg/s"),
           ("x4", "pitch angle", "deg"))  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ensemble:
-    """Runs of one controller: ``x`` (runs, G, 4), ``ratio`` ||y|| / ||w|| per run."""
-
-    time_s: FloatArray
-    x: FloatArray
-    ratio: FloatArray
 
 
 def lifetimes() -> Plot:
@@ -60,7 +48,7 @@ def detection_fault(process: FaultDetection, seed: int = 2) -> Plot:
     return Plot(title="Figure 4.3", panels=(panel,))
 
 
-def single_runs(ensembles: dict[str, Ensemble]) -> Plot:
+def single_runs(ensembles: dict[str, NoisyRuns]) -> Plot:
     """Figures 4.4 and 4.5: one run of each controller, same jumps and noise."""
     return Plot(
         title="Figures 4.4 and 4.5",
@@ -69,13 +57,13 @@ def single_runs(ensembles: dict[str, Ensemble]) -> Plot:
     )
 
 
-def averages(ensembles: dict[str, Ensemble]) -> Plot:
+def averages(ensembles: dict[str, NoisyRuns]) -> Plot:
     """Figures 4.6 and 4.7: average trajectories."""
     count = min(e.x.shape[0] for e in ensembles.values())
     return Plot(title="Figures 4.6 and 4.7", panels=_states(ensembles, None), intro=f"Averages of {count} runs.")
 
 
-def _states(ensembles: dict[str, Ensemble], run: int | None) -> tuple[Figure, ...]:
+def _states(ensembles: dict[str, NoisyRuns], run: int | None) -> tuple[Figure, ...]:
     panels = []
     for n, (title, name, unit) in enumerate(STATES):
         series = tuple(
@@ -86,7 +74,7 @@ def _states(ensembles: dict[str, Ensemble], run: int | None) -> tuple[Figure, ..
     return tuple(panels)
 
 
-def ratios(ensembles: dict[str, Ensemble]) -> Plot:
+def ratios(ensembles: dict[str, NoisyRuns]) -> Plot:
     """Figure 4.8: ||y|| / ||w|| of every run."""
     series = tuple(
         Series(label=label, x=np.arange(1.0, e.ratio.size + 1), y=e.ratio, style="points") for label, e in ensembles.items()
@@ -101,7 +89,7 @@ def ratios(ensembles: dict[str, Ensemble]) -> Plot:
     return Plot(title="Figure 4.8", panels=tuple(panels))
 
 
-def text_rule(diverging: Ensemble, calm: Ensemble) -> Plot:
+def text_rule(diverging: NoisyRuns, calm: NoisyRuns) -> Plot:
     """The printed gains used as K(r, h): (4.30) leaves, (4.31) stays."""
     panels = []
     for title, e in (("(4.30) as K_kk", diverging), ("(4.31) as K_kk,m", calm)):

@@ -28,7 +28,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolera
 from design.semi_markov_loop.period_moments import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
-from hil.reproduce.chapter4.figures import Ensemble, averages, detection_fault, lifetimes, ratios, single_runs, text_rule
+from hil.reproduce.chapter4.figures import averages, detection_fault, lifetimes, ratios, single_runs, text_rule
 from hil.reproduce.chapter4.further import CONSTRAINTS, SENSOR_FAULT, constraints, sensor_fault
 from hil.reproduce.noisy_runs import NoisyRuns, fault_runs
 from hil.reproduce.statements import Statement, above, below, exactly, run, says
@@ -105,14 +105,13 @@ def _simulations(report_progress: ReportProgress) -> dict[str, Any]:
     for n, (name, gain) in enumerate([*gains.items(), *([("ours, sees r, |K| <= 2", ours)] if ours is not None else [])]):
         report_progress(f"{RUNS} runs, {name}", n, len(gains) + 1)
         runs[name if n > 1 else f"{name}, fault known"] = _simulate(gain)
-    ensembles = {name: Ensemble(time_s=r.time_s, x=r.x, ratio=r.ratio) for name, r in runs.items()}
     single, parts, *_ = runs.values()
     other = [_simulate(gain, noise_s=OTHER_NOISE_S).ratio for gain in gains.values()]
     less = parts.ratio - single.ratio
     error = float(less.std()) / RUNS**0.5
     over = [float(np.abs(r.x[:, :, 1]).max(axis=1).mean()) - 1.0 for r in (single, parts)]
     return {
-        "figures": (single_runs(ensembles), averages(ensembles), ratios(ensembles)),
+        "figures": (single_runs(runs), averages(runs), ratios(runs)),
         "ratio": [[single.ratio, other[0]], [parts.ratio, other[1]]],
         "largest": [r.ratio.max() for r in (single, parts)], "less": less.mean(), "error": error,
         "surely": float(less.mean()) + 4.0 * error, "quotient": single.ratio.mean() / parts.ratio.mean(),
@@ -127,7 +126,7 @@ def _simulations(report_progress: ReportProgress) -> dict[str, Any]:
 def _text_rule(report_progress: ReportProgress) -> dict[str, Any]:
     """The printed gains as the text prescribes their use: the controller sees the detection only."""
     runs = [_simulate(chapter4_seen_gain(partitioned=parts), runs=20) for parts in (False, True)]
-    return {"figures": (text_rule(*(Ensemble(time_s=r.time_s, x=r.x, ratio=r.ratio) for r in runs)),)}
+    return {"figures": (text_rule(*runs),)}
 
 
 def _ours() -> JumpCertificate:

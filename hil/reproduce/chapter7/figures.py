@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.networked_loop.prediction import predict_tracking
+from design.networked_loop.prediction import Prediction, predict_tracking
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_measure import BatchView, tracking_of_batch
@@ -41,6 +41,13 @@ def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     return measured["tick"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
 
 
+def _band(predicted: Prediction, target: float, period_s: float, where: str = "") -> Band:
+    """Two standard deviations on either side of the predicted output."""
+    mean, sd = predicted.error_mean[:, 0] + target, predicted.error_sd[:, 0]
+    x = np.arange(len(mean)) * period_s
+    return Band(label=f"predicted mean +- 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
+
+
 def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[Plot]:
     """Figures 7.6 to 7.8: simulation, fitted motor, and what the recursion predicts."""
     plots = []
@@ -55,12 +62,9 @@ def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[P
             Series(label="fitted motor, T = 0.05 s", x=t_lab, y=lab),
             Series(label="simulation, T = 0.025 s", x=t_fast, y=fast, style="dashed"),
         ]
-        bands: tuple[Band, ...] = ()
         period_s = 0.025 if kind == "local" else 0.05
         predicted = motor_prediction(*CONTROLLERS[name], period_s)
-        mean, sd = predicted.error_mean[:, 0] + 3.0, predicted.error_sd[:, 0]
-        x = np.arange(len(mean)) * period_s
-        bands = (Band(label=f"predicted mean +- 2 sd, T = {period_s} s", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd),)
+        bands = (_band(predicted, 3.0, period_s, f", T = {period_s} s"),)
         note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
         plots.append(
             Plot(
@@ -178,12 +182,11 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
         disturbance[300] = 1.0
         predicted = predict_tracking(*plant, *NETWORK, gains, "generated", reference, period_s=0.01, disturbance=disturbance)
         local = predict_tracking(*plant, *NETWORK, everywhere(VTOL_LOCAL), "constant", reference[:60], period_s=0.01)
-        mean, sd = predicted.error_mean[:, 0] + 1.0, predicted.error_sd[:, 0]
         panels = (
             Figure(
                 title="Vertical velocity", y_label="velocity", y_unit="kn", sync="vtol",
                 series=(Series(label="published gains, one run", x=t, y=measured["vertical_velocity"]),),
-                bands=(Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd),),
+                bands=(_band(predicted, 1.0, loop.model.period_s),),
                 markers=(Marker(x=3.0, label="impulse"),),
             ),
             Figure(
