@@ -175,13 +175,10 @@ def show(shell: str | None) -> None:
 @click.argument("shell", type=click.Choice(SHELLS), required=False)
 def install(shell: str | None) -> None:
     """Write the script to the folder of SHELL, by default the running one; hil changes nothing outside your home."""
-    from hil.files.outputs import write_output
+    from hil.files.outputs import made_folder, write_output
 
     chosen = shell or running_shell()
     path = completion_path(chosen)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise HilError(f"{path}: cannot be written: {e.strerror}") from e
+    made_folder(path.parent)
     write_output(path, script(chosen))
     print(f"written: {path}\n{NEXT[chosen].format(path=path, folder=path.parent)}")

@@ -61,13 +61,9 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
 def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from cantools.database.can.c_source import generate
 
-    from hil.files.outputs import check_output, write_output
+    from hil.files.outputs import check_output, made_folder, write_output
 
-    header, source = (folder / f"{NAME}.{ending}" for ending in ("h", "c"))
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as e:
-        raise HilError(f"{folder}: cannot be made: {e.strerror}") from e
+    header, source = (made_folder(folder) / f"{NAME}.{ending}" for ending in ("h", "c"))
     for path in (header, source):
         check_output(path, fresh=not force, remedy="choose another --c or add --force")
     texts = generate(database, NAME, header.name, source.name, "")

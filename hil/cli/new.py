@@ -39,7 +39,7 @@ def command(
     With --language a controller is a program that needs nothing of hilrig:
     hil new controller drive --language c --for dc-motor-h2
     """
-    from hil.files.outputs import written_whole
+    from hil.files.outputs import made_folder, written_whole
 
     if not re.fullmatch(r"[a-z][a-z0-9_-]{0,63}", name, re.ASCII):
         raise HilError(f"NAME: {name!r:.80}: expected lower-case letters, digits, _ or -: hil new {part} my_{part}")
@@ -55,10 +55,7 @@ def command(
     there = [path for path in texts if path.exists() or path.is_symlink()]
     if there and not force:
         raise HilError(f"{there[0]}: exists already; choose another name, or add --force")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise HilError(f"{folder}: cannot be made: {error.strerror or error}") from error
+    made_folder(folder)
     for path, text in texts.items():
         with written_whole(path, replace=force) as new:
             new.write_text(text, encoding="utf-8")

@@ -22,7 +22,7 @@ def command(experiments: tuple[str, ...]) -> None:
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment
-    from hil.files.outputs import write_output
+    from hil.files.outputs import made_folder, write_output
 
     for name in experiments:
         experiment = load_experiment(name)
@@ -31,6 +31,6 @@ def command(experiments: tuple[str, ...]) -> None:
         if found is None:
             raise HilError(f"{name}: its gains are given; there is nothing to solve")
         path = gains_file(experiment)
-        path.parent.mkdir(exist_ok=True)
+        made_folder(path.parent)
         write_output(path, gains_text(experiment, *found), replace=True)
         print(f"{path}: gains of {experiment.name} ({found[0].kind})")

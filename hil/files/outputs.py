@@ -128,6 +128,19 @@ def check_page(path: Path, *, force: bool = False, remedy: str = "choose another
     return check_output(path, page=not force, remedy=remedy)
 
 
+def made_folder(folder: Path) -> Path:
+    """Make a folder and those above it, where they are not there; return it.
+
+    Raises:
+        HilError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise HilError(f"{folder}: cannot be made: {error.strerror or error}") from error
+    return folder
+
+
 def write_output(path: Path, text: str, *, replace: bool = True) -> None:
     """Write a file in one step: there is the old file or the new one, never half of it.
 

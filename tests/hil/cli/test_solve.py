@@ -174,3 +174,9 @@ def test_a_problem_with_a_function_in_it_has_no_digest() -> None:
     task = DesignTask(model=compose(experiment, certify=False).model, jump_process=process)
     with pytest.raises(NoDigest, match="function"):
         problem_digest(experiment.controller, task)  # type: ignore[arg-type]
+
+
+def test_a_file_in_the_place_of_the_folder_of_gains_is_one_message(cli: Hil, own: Path) -> None:
+    (own.parent / "gains").write_text("")
+    status, out, err = cli("solve", own)
+    assert (status, out) == (2, "") and "gains: cannot be made: File exists" in err and "Traceback" not in err
