@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import os
+import re
 import resource
 import signal
 from collections.abc import Collection, Iterator, Sequence
@@ -13,7 +15,7 @@ from types import TracebackType
 from tests.changed import chosen_for
 from tests.mutations.copies import environment
 from tests.mutations.faults import ROOT
-from tests.mutations.probe import LIMIT, ORDER
+from tests.mutations.probe import LIMIT, NAMES, ORDER, rank
 from tests.mutations.random_faults import Place
 from tests.mutations.reach import Reach
 from tests.mutations.warm import Warm
@@ -24,7 +26,7 @@ WALL_S = 600.0
 """For all tests of a fault, however busy the machine is: what waits for ever ends here."""
 LIMITS = {resource.RLIMIT_CPU: 60, resource.RLIMIT_DATA: 6 << 30}
 """In s and bytes: what one process of faulty code may take: a loop that has no end any more is killed, and so is its fault."""
-NEAREST = 16
+NEAREST, NEAREST_FILES = 16, 3
 """Tests that are asked first, for themselves: most faults are seen by one of them, and few files are imported for it."""
 
 
@@ -62,20 +64,29 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
 def own_tests(place: Place, root: Path = ROOT) -> list[str]:
     """Return the test files of a fault where no map says what reaches it: those of its file, room and package, nearest first.
 
-    Nearest are those named after the file, then those that name its function or class, then those that name its module.
+    Nearest are those named after the file, then those that hold its names; behind them those named after what imports it.
     """
-    path = Path(place.file)
-    function = place.block.partition("#")[0].rpartition(".")[2] or path.stem
+    path, names = Path(place.file), names_of(place, root)
+    module = ".".join(path.with_suffix("").parts)
+    said = re.compile(rf"^\s*(from {re.escape(module)} |import {re.escape(module)}\b)", re.M)
+    users = {f"test_{file.stem}.py" for file in (root / path.parts[0]).rglob("*.py") if said.search(file.read_text())}
     chosen = [root / each for each in chosen_for([place.file], root)]
     files = [file for each in chosen for file in (sorted(each.rglob("test_*.py")) if each.is_dir() else [each])]
     files += sorted((root / "tests" / path.parts[0]).glob("test_*.py"))  # of what the whole package does
+    files += sorted(file for file in (root / "tests").rglob("test_*.py") if file.name in users)
 
-    def rank(file: Path) -> tuple[bool, bool, bool, bool]:
-        text = file.read_text()
-        named = file.name == f"test_{path.stem}.py" or file == root / path
-        return not named, function not in text, path.stem not in text, file == root / path
+    def near(file: Path) -> tuple[bool, int, bool]:
+        return file.name != f"test_{path.stem}.py" and file != root / path, rank(file.read_text(), names), file.name not in users
 
-    return [file.relative_to(root).as_posix() for file in sorted(dict.fromkeys(files), key=rank)]
+    return [file.relative_to(root).as_posix() for file in sorted(dict.fromkeys(files), key=near)]
+
+
+def names_of(place: Place, root: Path = ROOT) -> str:
+    """Return the names by which a test may call a fault's code, nearest first: its function, what holds that, its module's."""
+    inner = [name for name in place.block.partition("#")[0].split(".") if not name.startswith("__")]
+    tree = ast.parse((root / place.file).read_text())
+    others = [each.name for each in tree.body if isinstance(each, ast.FunctionDef | ast.ClassDef)]
+    return "\n".join(" ".join(line) for line in (inner[-1:], inner[:-1], [Path(place.file).stem, *others]) if line)
 
 
 class Judge:
@@ -113,21 +124,22 @@ class Judge:
 
     def killer(self, place: Place, tests: Sequence[str]) -> str | None:
         """Return the first test that fails with the fault, and passes without it if it runs in real time; None if none does."""
+        names = names_of(place, self._folder)
         while tests:
             with self._with(place):
-                near = NEAREST if "::" in tests[0] else 1
-                failed = self._failing(tests[:near]) or self._failing(tests[near:])
-            if failed not in self._doubtful or self._failing([failed]) is None:
+                near = NEAREST if "::" in tests[0] else NEAREST_FILES
+                failed = self._failing(tests[:near], names) or self._failing(tests[near:], names)
+            if failed not in self._doubtful or self._failing([failed], names) is None:
                 return failed
             tests = tests[tests.index(failed) + 1 :]  # it fails without the fault too
         return None
 
-    def _failing(self, tests: Sequence[str]) -> str | None:
+    def _failing(self, tests: Sequence[str], names: str) -> str | None:
         """Return the first of the tests that fails, or how pytest ended where none could."""
         files = [file for file in dict.fromkeys(test.partition("::")[0] for test in tests) if (self._folder / file).exists()]
         if not files:  # they have moved since they were measured
             return None
-        env, choose = {LIMIT: str(BUDGET_S)}, ["-m", "not realtime"]
+        env, choose = {LIMIT: str(BUDGET_S), NAMES: names}, ["-m", "not realtime"]
         if any("::" in test for test in tests):
             order = self._folder.parent / "order"
             order.write_text("\n".join(tests))

@@ -6,12 +6,15 @@ A process of its own that a test starts writes too: pytest says in the environme
 
 from __future__ import annotations
 
+import inspect
 import os
+import re
 from pathlib import Path
 from typing import Any
 
-FOLDER, ORDER, LIMIT = "HILRIG_REACHED", "HILRIG_ORDER", "HILRIG_LIMIT"
-"""Environment: the folder where each process writes a file of its own; the list of tests in order; their CPU time in s."""
+FOLDER, ORDER, LIMIT, NAMES = "HILRIG_REACHED", "HILRIG_ORDER", "HILRIG_LIMIT", "HILRIG_NAMES"
+"""Environment: the folder where each process writes a file of its own; the list of tests in order; their CPU time in s; lines of
+words: tests that hold one of an earlier line come first."""
 seen: set[int] = set()
 _out: dict[int, tuple[int, os.stat_result]] = {}  # of this process: one open file, and which it is
 
@@ -76,7 +79,27 @@ def pytest_runtest_logfinish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[Any]) -> None:
-    """Keep the tests of the list, in its order."""
+    """Keep the tests of the list, in its order; or bring those to the front that hold the words."""
     if ORDER in os.environ:
         place = {name: n for n, name in enumerate(Path(os.environ[ORDER]).read_text().splitlines())}
         items[:] = sorted((item for item in items if item.nodeid in place), key=lambda item: place[item.nodeid])
+    elif NAMES in os.environ:
+        items.sort(key=lambda item: rank(_source(item), os.environ[NAMES]))
+
+
+def rank(text: str, names: str) -> int:
+    """Return the first line of which a text holds a word; their number if none.
+
+    >>> [rank(text, "inner\\nouter Class") for text in ("inner()", "a Class", "the_inner")]
+    [0, 1, 2]
+    """
+    lines = [line.split() for line in names.splitlines()]
+    held = {*re.findall(r"\w+", text)}
+    return next((n for n, words in enumerate(lines) if not held.isdisjoint(words)), len(lines))
+
+
+def _source(item: Any) -> str:
+    try:
+        return inspect.getsource(item.obj)
+    except (AttributeError, OSError, TypeError):  # a doctest
+        return os.environ[NAMES]
