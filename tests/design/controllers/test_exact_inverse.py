@@ -34,6 +34,7 @@ def test_of_a_matrix_without_full_rank_it_is_the_pseudo_inverse() -> None:
 
 def test_products_are_summed_in_their_order() -> None:
     rng = np.random.default_rng(1)
+    assert product_of_batch([[2.0], [3.0]], np.array([[0.5, 7.0]])).tolist() == [[1.0, 14.0], [1.5, 21.0]]
     rows, x = rng.standard_normal((3, 5)).tolist(), rng.standard_normal((5, 7))
     many = product_of_batch(rows, x)
     for run in range(7):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
-from errno import EIO, ENETDOWN, ENOBUFS, ENODEV
+from errno import EAFNOSUPPORT, EIO, ENETDOWN, ENOBUFS, ENODEV, EPERM
 from itertools import permutations
 from pathlib import Path
 from time import monotonic
@@ -15,6 +15,7 @@ import can
 import pytest
 
 from transport import Role, TransportError, open_link
+from transport.links import can_open
 from transport.links.can_link import CanLink
 from transport.links.can_open import open_can
 from transport.links.contract import control, sensor
@@ -278,6 +279,28 @@ def test_an_interface_that_is_down_or_too_narrow_is_refused_with_the_remedy(
     (tmp_path / "vcan9" / "flags").write_text(flags)
     with pytest.raises(TransportError, match=remedy):
         open_link("can:socketcan:vcan9", "rig")
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "error", "remedy"),
+    [
+        ("socketcan", "vcan0", OSError(EAFNOSUPPORT, ""), "; this kernel has no CAN: use can:hil:rig0, or run inside"),
+        ("socketcan", "vcan0", OSError(ENODEV, ""), "; make it as root: ip link add dev vcan0 type vcan && ip link set "),
+        ("socketcan", "can0", OSError(ENODEV, ""), "; is can0 there? (ip link)"),
+        ("socketcan", "can0", can.CanError("", ENODEV), "; is can0 there? (ip link)"),
+        ("socketcan", "can0", OSError(EPERM, ""), None),
+        ("udp_multicast", "239.0.0.1", OSError(ENODEV, ""), "; needs a multicast route: "),
+        ("virtual", "a", OSError(ENODEV, ""), None),
+        ("kvaser", "0", ValueError("bitrate"), None),
+        ("kvaser", "0", TypeError("bitrate"), None),
+        ("kvaser", "0", OSError(EAFNOSUPPORT, ""), "; is the driver of kvaser installed, and its device there?"),
+    ],
+)
+def test_what_an_interface_says_is_followed_by_what_helps(
+    interface: str, channel: str, error: Exception, remedy: str | None
+) -> None:  # fmt: skip
+    said = can_open._remedy(interface, channel, error)
+    assert said.startswith(remedy) if remedy else said == ""
 
 
 @pytest.mark.parametrize("options", ["", "?fd=0"], ids=["fd", "classic"])
