@@ -24,38 +24,41 @@ pytestmark = pytest.mark.skipif(
 )
 SOURCE = """
 #include <stdlib.h>
-typedef struct { double u, x, v, m, d; } Cart;
+typedef struct { double u, x, v, m, d, t; int state; } Cart;  /* one that is asked out of the standard's order fails */
+static int go(Cart *c, int from, int to) { if (c->state != from) return 3; c->state = to; return 0; }
 static void *make(void) { Cart *c = calloc(1, sizeof *c); c->m = 1.0; c->d = 2.0; return c; }
 static double *at(Cart *c, unsigned r) { double *all[] = {&c->u, &c->x, &c->v, &c->m, &c->d}; return all[r]; }
-static int put(void *c, const unsigned *r, size_t n, const double *v) {
-  for (size_t i = 0; i < n; i++) *at(c, r[i]) = v[i];
+static int put(Cart *c, const unsigned *r, size_t n, const double *v) {
+  for (size_t i = 0; i < n; i++) { if (r[i] > 2 && c->state == 3) return 3; *at(c, r[i]) = v[i]; }
   return 0; }
 static int get(void *c, const unsigned *r, size_t n, double *v) {
   for (size_t i = 0; i < n; i++) v[i] = *at(c, r[i]);
   return 0; }
-static int step(Cart *c, double h) {  /* x' = v, m v' = u - d v, by Euler's steps of 1 ms */
+static int step(Cart *c, double t, double h) {  /* x' = v, m v' = u - d v, by Euler's steps of 1 ms */
+  if (c->state != 3 || t - c->t > 1e-12 || c->t - t > 1e-12) return 3;
+  c->t = t + h;
   long n = (long)(h * 1e3 + 0.5);
   for (long i = 0; i < n; i++) { double a = (c->u - c->d * c->v) / c->m; c->x += 1e-3 * c->v; c->v += 1e-3 * a; }
   return 0; }
 void *fmi2Instantiate(const char *n, int t, const char *g, const char *r, const void *f, int v, int l) { return make(); }
 void fmi2FreeInstance(void *c) { free(c); }
-int fmi2SetupExperiment(void *c, int d, double tol, double t0, int s, double t1) { return 0; }
-int fmi2EnterInitializationMode(void *c) { return 0; }
-int fmi2ExitInitializationMode(void *c) { return 0; }
+int fmi2SetupExperiment(void *c, int d, double tol, double t0, int s, double t1) { return t0 ? 3 : go(c, 0, 1); }
+int fmi2EnterInitializationMode(void *c) { return go(c, 1, 2); }
+int fmi2ExitInitializationMode(void *c) { return go(c, 2, 3); }
 int fmi2Terminate(void *c) { return 0; }
 int fmi2SetReal(void *c, const unsigned *r, size_t n, const double *v) { return put(c, r, n, v); }
 int fmi2GetReal(void *c, const unsigned *r, size_t n, double *v) { return get(c, r, n, v); }
-int fmi2DoStep(void *c, double t, double h, int no) { return step(c, h); }
+int fmi2DoStep(void *c, double t, double h, int no) { return step(c, t, h); }
 void *fmi3InstantiateCoSimulation(const char *n, const char *t, const char *r, _Bool v, _Bool l, _Bool e, _Bool early,
   const unsigned *req, size_t nr, void *env, void *log, void *up) { return make(); }
 void fmi3FreeInstance(void *c) { free(c); }
-int fmi3EnterInitializationMode(void *c, _Bool td, double tol, double t0, _Bool sd, double t1) { return 0; }
-int fmi3ExitInitializationMode(void *c) { return 0; }
+int fmi3EnterInitializationMode(void *c, _Bool td, double tol, double t0, _Bool sd, double t1) { return go(c, 0, 2); }
+int fmi3ExitInitializationMode(void *c) { return go(c, 2, 3); }
 int fmi3Terminate(void *c) { return 0; }
 int fmi3SetFloat64(void *c, const unsigned *r, size_t n, const double *v, size_t nv) { return put(c, r, n, v); }
 int fmi3GetFloat64(void *c, const unsigned *r, size_t n, double *v, size_t nv) { return get(c, r, n, v); }
 int fmi3DoStep(void *c, double t, double h, _Bool no, _Bool *ev, _Bool *term, _Bool *early, double *last) {
-  *ev = *term = *early = 0; *last = t + h; return step(c, h); }
+  *ev = *term = *early = 0; *last = t + h; return step(c, t, h); }
 """
 REAL = '<ScalarVariable name="{0}" valueReference="{1}" causality="{2}" {3}><Real {4}/></ScalarVariable>'
 FLOAT = '<Float64 name="{0}" valueReference="{1}" causality="{2}" {3} {4}/>'
