@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.as_printed.examples import chapter4_process
 from hil.reproduce import Reproduction, Row, Step, reproduce
 from hil.reproduce.chapter2.feasibility import FEASIBILITY, feasibility
+from hil.reproduce.chapter4.figures import detection_fault, lifetimes
 from hil.reproduce.pages import chapter_page
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
@@ -105,3 +108,23 @@ def test_unknown_chapter_is_refused_with_the_known_ones() -> None:
 
     outcome = CliRunner().invoke(command, ["ch99"])
     assert outcome.exit_code == 2 and "ch2" in outcome.output and "ch4" in outcome.output and "all" in outcome.output
+
+
+def test_figures_4_1_and_4_2_show_the_lifetimes_of_components_that_fail_once_a_second() -> None:
+    density, rate = lifetimes().panels
+    h = np.linspace(0.0, 5.0, 400)
+    e = np.exp(-h)
+    laws = [(n * e * (1.0 - e) ** (n - 1), 1.0 - (1.0 - e) ** n) for n in (1, 2, 3)] + [(h * e, (1.0 + h) * e)]
+    assert [each.label for each in rate.series] == ["one component", "one of two", "one of three", "one and a cold spare"]
+    for (own, left), drawn, falls in zip(laws, density.series, rate.series, strict=True):
+        np.testing.assert_array_equal(drawn.x, h)
+        np.testing.assert_allclose(drawn.y, own, atol=1e-12)
+        np.testing.assert_allclose(falls.y, own / left, atol=1e-12)
+
+
+def test_figure_4_3_shows_19_s_of_the_fault_and_its_detection() -> None:
+    (panel,) = detection_fault(chapter4_process(failure_restarts_detection_clock=False)).panels
+    assert [each.label for each in panel.series] == ["eta (fault)", "r (detection)"] and panel.integer_y
+    for path in panel.series:
+        assert path.style == "step" and path.x[0] == 0.0 and path.x[-1] == 19.0 and (np.diff(path.x) >= 0.0).all()
+        assert {*path.y} == {1.0, 2.0} and path.y[0] == 1.0 and path.y[-1] == path.y[-2]
