@@ -40,7 +40,8 @@ def random_run(
     Returns:
         1 if so few were seen that the wanted share is not to be believed, else 0.
     """
-    files = [file for file in product_files() if since is None or file in differences.changed(since=since)]
+    changed = None if since is None else {*differences.changed(since=since)}
+    files = [file for file in product_files() if changed is None or file in changed]
     places = [place for place in drawn(files, number, seed)[:number] if not words or any(word in str(place) for word in words)]
     if not places:
         print(f"no faults to try: no product file differs from {since}" if since else "no fault is drawn that is called so")
