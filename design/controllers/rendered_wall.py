@@ -84,6 +84,13 @@ Matrix = tuple[tuple[float, ...], ...]
 
 
 @runtime_checkable
+class RendersWall(Protocol):
+    """A controller that renders a wall, or asks for one that does."""
+
+    wall: Wall
+
+
+@runtime_checkable
 class WallController(Protocol):
     """A controller that renders a wall through a coupler; over a device with a hand its loop can be certified passive."""
 

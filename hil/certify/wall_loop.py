@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import math
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec.structs import replace
 
+from design.controllers import packet_samples
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import HasPassiveElements
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
 
 
 def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
@@ -32,13 +37,23 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     port = loop.port
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
+    if loop.sc is None or loop.ca is None:
+        return undecided(loop, "passivity", loop.no_chain())
     from design.passivity.certificate import certify_wall
     from design.passivity.loop import HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     elements = tuple(loop.plant.passive_elements()) if isinstance(loop.plant, HasPassiveElements) else ()
+    sc: DelayChain | int = loop.sc
+    ca: DelayChain | int = loop.ca
+    if controller.equalise:  # both ends wait for the largest delay that they have rows for, even if the law has none so large
+        sc, ca = loop.model.tau_max, loop.model.d_max
+        needed, has = 1 + sc - int(loop.sc.delay.min()), packet_samples(controller)
+        if has < needed:
+            short = f"[controller] equalises delays of {loop.sc.delay.min()} to {sc} slots, which takes {needed} samples a packet"
+            return undecided(loop, "passivity", f"{short}; it has {has}")
     verdict = certify_wall(
-        device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=loop.sc, ca=loop.ca,
+        device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=sc, ca=ca,
         equalised=controller.equalise, material_chain=controller.wall.chain,
         saturates_n=min((e.largest for e in elements if e.largest is not None), default=math.inf),
     )  # fmt: skip
@@ -63,8 +78,9 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
         return None
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
-    sides = [None if chain is None else {int(d) for d in chain.delay} for chain in (loop.sc, loop.ca)]
-    if any(side is None or len(side) > 1 for side in sides):
+    if loop.sc is None or loop.ca is None:
+        return undecided(loop, "passivity", loop.no_chain())
+    if any(len(set(chain.delay.tolist())) > 1 for chain in (loop.sc, loop.ca)):
         return undecided(loop, "passivity", "no certificate covers model following with delays that change")
     from design.passivity.loop import HeldDevice
     from design.passivity.model_following import contact_matrices

@@ -90,8 +90,13 @@ def _problem(
     found = loop_chains(rig, chains, controller, model)
     sc, ca, chainless = found.sc, found.ca, found.chainless
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):
+        holds = next((name for name, chain in (("sc", sc), ("ca", ca)) if chain is not None and without_held(chain) is None), "")
         sc, ca = without_held(sc), without_held(ca)
-        chainless = chainless or chains.why_none or "the theory of this controller has no packet laws"
+        chainless = chainless or (
+            f"over network.{holds} a receiver may keep what it had before, and the theory of this controller has ages alone"
+        )
+        if sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None):
+            sc, chainless = None, "both directions repeat, and the theory of this controller does not know which phases meet"
     known = sc is not None and ca is not None
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,

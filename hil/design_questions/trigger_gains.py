@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.blas_threads import one_blas_thread
+from design.controllers.rendered_wall import RendersWall
 from design.errors import DesignError
 from design.networked_loop.uncertainty import robust_h2
 from design.requests.tracking import solve_tracking
@@ -78,7 +79,7 @@ def trigger_question(name: str) -> TriggerQuestion:
         name: of an experiment.
 
     Raises:
-        HilError: several nodes, a trigger without bound, or a network that is no chain of delays.
+        HilError: several nodes, a trigger without bound, a plant that jumps, a wall, or a network that is no chain of delays.
     """
     experiment = load_experiment(name, ("allow_uncertified=true",))
     nodes = experiment.network.nodes
@@ -91,6 +92,8 @@ def trigger_question(name: str) -> TriggerQuestion:
         )
     if isinstance(experiment.plant, JumpPlant):
         raise HilError(f"{name}: --trigger: its plant jumps between modes; such gains are sought for one linear plant")
+    if isinstance(experiment.controller, RendersWall):
+        raise HilError(f"{name}: --trigger: its controller renders a wall, and follows no reference as these gains do")
     node = next(iter(nodes), "sensor")
     kind, thresholds = _tried(name, experiment, node)
     path = f"network.nodes.{node}.trigger"

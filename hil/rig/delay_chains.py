@@ -229,8 +229,18 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
 
 
 def without_held(chain: DelayChain | None) -> DelayChain | None:
-    """Return a chain for a theory that has no receiver that holds what it had; None where there is such a receiver."""
-    return None if chain is None or chain.held is not None else chain
+    """Return a chain for a theory that has no receiver that holds what it had; None where there is such a receiver.
+
+    A chain that says where a receiver holds, and that it never does, is that of its delays. Its modes of the first slots, in
+    which nothing had time to come, are left out: to them no mode leads back.
+    """
+    if chain is None or chain.held is None:
+        return chain
+    reach = chain.bounds[1] > 0.0
+    for _ in range(chain.modes.bit_length()):
+        reach |= reach @ reach
+    lasting = within_reach(chain, reach.diagonal().astype(np.float64))
+    return None if lasting.holds.any() else replace(lasting, held=None, labels=None)
 
 
 def gains_over(controller: GainTable, model: LoopModel, sc: DelayChain, ca: DelayChain) -> NDArray[np.float64]:

@@ -80,11 +80,10 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
         distinguished = _distinguished(controller, model)
-        slack, shares = _slack(rig) if distinguished == 1 and packet_samples(controller) == 1 else ((), ())
-        found = received_ages(rig, chains.arriving, distinguished, bands=bool(slack or shares))
+        found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
-        return LoopChains(*settled(found, ca), "", "", slack, shares)
+        return LoopChains(*settled(found, ca), "", "", *_slack(rig))
     return LoopChains(*settled(sc, ca), "", "")
 
 
@@ -99,15 +98,26 @@ def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopCha
     return LoopChains(*settled(*found), "", "")
 
 
+def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Sequence[int]) -> str:
+    """What keeps from being known how far a silent node's last packet is from what it measures, in words; empty: nothing."""
+    for medium in rig.media:
+        if medium.table.loss:
+            return f"network.media.{medium.name}.loss loses what a node sent last"
+        if medium.table.kind == "can-arbitration":
+            return f"network.media.{medium.name} lets others send sooner while a node is silent"
+    if not isinstance(controller, GainTable | LinearFeedback):
+        return "[controller] is judged over nodes that send in every slot"
+    if distinguished != 1:
+        return "[controller] has gains that know how old a sample is"
+    return "[controller] takes several samples of a packet" if packet_samples(controller) > 1 else ""
+
+
 def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """How far a silent node's last packet is from what it measures, at most, and as a share of it; empty where none has a band.
 
     A node that is silent was asked: no output differs from what it sent last by more than the threshold. So the controller has
-    what it would have if all had been sent, but for the threshold. It is not known where a packet may be lost, where silence lets
-    others send sooner, and where gains know ages.
+    what it would have if all had been sent, but for the threshold; see `_beside_bands` for where that is not known.
     """
-    if any(medium.table.loss or medium.table.kind == "can-arbitration" for medium in rig.media):
-        return (), ()
     found: dict[str, tuple[float, ...]] = {}
     for kind in BANDS:
         bands, slack = [s for s in rig.sensors if s.trigger.kind == kind], np.zeros(len(rig.outputs))
@@ -119,10 +129,10 @@ def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
 
 def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[int]:
     """How many ages a controller distinguishes, of the oldest sample or of every node's."""
-    if isinstance(controller, AgedFeedback):
-        return OLDEST_DISTINGUISHED
-    if not isinstance(controller, GainTable):
+    if isinstance(controller, LinearFeedback):
         return 1
+    if not isinstance(controller, GainTable):
+        return OLDEST_DISTINGUISHED
     if len(own := ages_distinguished(controller)) > 1:
         return own
     K = np.array(controller.table(model), dtype=float)

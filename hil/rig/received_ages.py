@@ -92,18 +92,18 @@ def law_states(way: Received) -> LawStates | str:
 
 
 def received_ages(
-    rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: bool = False
+    rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: str = ""
 ) -> DelayChain | str:
     """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
 
-    A node with a band around what it sent counts as one that sends whenever it may, where that is asked for.
+    A node with a band around what it sent counts as one that sends whenever it may, unless something keeps that from being known.
 
     Args:
         rig: its laws' files read.
         arriving: the law of each sensor node, as the controller meets it.
         distinguished: how many ages 0, 1, ... the controller distinguishes, of the oldest sample or of every node; the last for
             all beyond.
-        bands: whether nodes with a dead band or a relative trigger are known.
+        bands: what keeps nodes with a dead band or a relative trigger from being known, in words; empty: nothing does.
     """
     from design.processes.delay_chain import DelayChain
 
@@ -112,8 +112,11 @@ def received_ages(
         if medium.table.kind not in _MEDIA:
             return f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
     for sensor in sensors:
-        if sensor.trigger.kind != "every-slot" and not (bands and sensor.trigger.kind in BANDS):
-            return f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        kind, trigger = sensor.trigger.kind, f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
+        if kind in BANDS and bands:
+            return f"{bands}: {trigger}, and by how much the sample sent last is wrong is not known then"
+        if kind != "every-slot" and kind not in BANDS:
+            return f"{trigger}, and the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
         if sensor.clock.drawn:
             return f"{sensor.path}.clock draws when it sends"
     laws: list[LawStates] = []
@@ -142,6 +145,9 @@ def received_ages(
             else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, distinguished)], tuple(distinguished))
         )  # fmt: skip
         begins[i] = first
+    for sensor in sensors:
+        if held[:, list(sensor.outputs)].all():
+            return f"no sample of {sensor.path} ever comes to the controller: on its medium others send in every slot"
     exact = all(low == chance == high for _, _, (chance, low, high) in steps)
     matrices = np.zeros((3, len(states), len(states)))
     for i, j, chances in steps:

@@ -1,11 +1,14 @@
 """What is passive at the device: the wall's certificate holds with it, and it turns with what is not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Material, Wall
 from design.passivity.certificate import cut_off
+from hil.api.experiment_source import load_experiment as experiment_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.simulated import simulate
@@ -81,3 +84,24 @@ def test_what_is_behind_a_motor_that_saturates_and_not_covered_is_named():
     assert "one stiffness behind taps that never rise" in cut_off(two, coupler, 5.0)
     assert not cut_off(Wall(material=1), coupler, 5.0)
     assert cut_off(Wall(material=1), Coupler(taps_m_per_n=(0.1, 0.05, 0.06)), 5.0)
+
+
+def test_ends_that_equalise_are_judged_at_the_delay_that_they_wait_for():
+    """With rows and gains for an age of 7 they wait for 7 slots, though the law has none above 5: taps for ten fail at twelve."""
+    ten = compose(load_experiment("omni-wifi")).controller.coupler
+    taps = f"controller.coupler={{method='taps',taps_m_per_n={list(ten.taps_m_per_n)},equalise=true}}"
+    assert verdict(taps, name="omni-wifi").certified
+    late = verdict(taps, "network.sc.max_age=7", name="omni-wifi")
+    assert late.state == "refused" and "at a delay of 12 samples" in late.reason
+    made = verdict("network.sc.max_age=7", name="omni-wifi")
+    assert made.certified and "at 12 samples of delay" in made.reason
+
+
+def test_ends_that_have_too_few_samples_to_equalise_are_not_certified():
+    made = compose(load_experiment("omni-wifi")).controller
+    assert made.samples == 5
+    for samples, state in ((5, "certified"), (4, "undecided")):
+        own = replace(made, samples=samples)
+        found = compose(experiment_of("omni-wifi", controller=own, allow_uncertified=True)).verdict
+        assert found.state == state, found.reason
+    assert "takes 5 samples a packet; it has 4" in found.reason

@@ -271,3 +271,8 @@ def test_outputs_of_several_units_have_no_sum_of_squared_errors(tmp_path: Path, 
     monkeypatch.chdir(tmp_path)
     with pytest.raises(HilError, match=r"--trigger: its outputs have several units"):
         check_chains(trigger_question(str(tmp_path / "own.toml")))
+
+
+def test_a_wall_is_refused_before_anything_is_solved() -> None:
+    with pytest.raises(HilError, match="omni-push: --trigger: its controller renders a wall"):
+        trigger_question("omni-push")

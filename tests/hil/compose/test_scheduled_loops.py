@@ -71,6 +71,21 @@ SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
     [
         ({"network.nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "network.nodes.n0.clock draws when it sends"),
         ({"network.nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
+        (
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "relative", "threshold": 0.1}},
+             "network.media": {"bus": {"kind": "random", "nodes": ["n0"], "loss": 0.1}}},
+            "network: network.media.bus.loss loses what a node sent last: network.nodes.n0.trigger (relative) lets",
+        ),
+        (
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
+             "controller": {"kind": "send-all", "selection": "constant", "gains": [[[[-0.5]]], [[[-0.4]]], [[[-0.4]]]]}},
+            "[controller] has gains that know how old a sample is: network.nodes.n0.trigger (dead-band) lets",
+        ),
+        (
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
+             "controller": {"kind": "smith", "gain": [[-0.5]]}},
+            "[controller] is judged over nodes that send in every slot: network.nodes.n0.trigger (dead-band) lets",
+        ),
         ({"network.nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY}}, "packet law whose ages change"),
         ({"network.nodes.n0": ONE | {"clock": {"every": 1031, "phase": 5}}, "duration": "0.5 s"}, "more than 1024 states"),
         ({"network.nodes.n0": ONE | {"law": SHORT}, "duration": "0.2 s"}, "the recording ends after 3 slots"),
@@ -81,6 +96,38 @@ def test_what_is_not_known_says_why(change: dict[str, Any], why: str) -> None:
     made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-0.5]]}, **{"network.nodes": {}})
     loop = composed(made | change)
     assert loop.verdict is not None and loop.verdict.state == "undecided" and why in loop.verdict.reason
+
+
+def test_a_node_that_never_gets_the_bus_is_named() -> None:
+    """Its sample is held for ever, so that the radius is 1, whatever the gains are."""
+    plant = {"kind": "state-space", "A": [[-1.0, 0.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+    made = experiment(np.random.default_rng(0), plant, controller={"kind": "local", "gain": [[-0.5, -0.1]]})
+    bus = {"kind": "can-arbitration", "nodes": ["n0", "n1"]}
+    verdict = composed(made | {"network.media": {"bus": bus}}).verdict
+    assert verdict is not None and verdict.state == "undecided"
+    assert "no sample of network.nodes.n1 ever comes to the controller" in verdict.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "age", "same"),
+    [
+        ("vtol-fault", 1, '{ kind = "packet", latency = "1.4 ms" }'),
+        ("omni-push", 2, '{ kind = "packet", latency = "90 ms" }'),
+        ("omni-push", 2, '{ kind = "trace", ages = [2, 2] }'),
+    ],
+)
+def test_theories_of_ages_take_packets_and_recordings_of_constant_ages(name: str, age: int, same: str) -> None:
+    laws = (f'{{ kind = "constant", age = {age} }}', same)
+    made = [f"network.sc={{max_age = 2, law = {law}}}" for law in laws]
+    one, other = (compose(load_experiment(name, [each, "allow_uncertified=true"])).verdict for each in made)
+    assert one is not None and other is not None and one.state == "certified"
+    assert (one.state, one.number, one.reason) == (other.state, other.number, other.reason)
+
+
+def test_two_recordings_leave_a_theory_undecided_that_knows_no_phases() -> None:
+    laws = (f'network.{way}.law={{ kind = "trace", ages = {ages} }}' for way, ages in (("sc", [1, 2, 3, 1]), ("ca", [1, 2, 1])))
+    verdict = compose(load_experiment("omni-wifi", [*laws, "allow_uncertified=true"])).verdict
+    assert verdict is not None and verdict.state == "undecided" and "which phases meet" in verdict.reason
 
 
 def test_packets_of_a_constant_latency_are_a_constant_age_under_a_clock() -> None:
