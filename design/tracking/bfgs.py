@@ -21,6 +21,9 @@ Objective = Callable[[Array], tuple[float, Array]]
 ARMIJO = 1e-4
 CURVATURE = 0.5
 
+UNSEEN = 1e-14
+"""A step that promises less than this share of the value is not tried: rounding would hide what it gains."""
+
 
 class Descent(NamedTuple):
     """Where a descent ended: point, value, gradient, number of iterations and of evaluations, and why."""
@@ -73,6 +76,8 @@ def bfgs(
             H, fresh = _steepest(gradient, 1.0), True
             direction = -H @ gradient
             slope = float(gradient @ direction)
+        if -slope <= UNSEEN * abs(value):
+            return Descent(x, value, gradient, iteration - 1, evaluations, "no more gain")
         found, tried = _weak_wolfe(objective, x, value, slope, direction)
         evaluations += tried
         if found is None:
