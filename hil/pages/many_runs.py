@@ -16,7 +16,8 @@ from hil.pages.html.page import Page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import interval_of, within
+from hil.sweeps.shown import within
+from hil.sweeps.sweep import statistics
 
 CRUSHED = 20.0
 """Largest size above the smallest median size from which a linear axis shows no difference of the smaller ones."""
@@ -83,14 +84,10 @@ def compare_page(comparison: Comparison) -> str:
         axis = axis_for([found[name][metric] for name in names])
         rows: list[list[Any]] = []
         for name in names:
-            values = found[name][metric]
-            finite = values[np.isfinite(values)]
-            gap = comparison.difference(name, metric)
-            rows.append([
-                name, int(finite.size), *([float(finite.mean()), float(finite.std(ddof=1)) if finite.size > 1 else 0.0,
-                *map(float, np.percentile(finite, (5, 50, 95)))] if finite.size else [None] * 5),
-                *_difference(gap, name == names[0]),
-            ])  # fmt: skip
+            s, gap = statistics(found[name][metric]), comparison.difference(name, metric)
+            percentiles = (s["percentiles"].get(p) for p in ("5", "50", "95"))
+            gap_cells = (None, "-") if name == names[0] or gap.n < 2 else (gap.value, within(gap))
+            rows.append([name, s["n"], s["mean"], s["sd"], *percentiles, *gap_cells])
         blocks: tuple[Block, ...] = (
             Figure(
                 title=f"{title}: share of runs at or below",
@@ -123,29 +120,13 @@ def compare_page(comparison: Comparison) -> str:
 
 def _answer(comparison: Comparison) -> Section:
     """The verdicts in words, and one table of all quantities: how many runs have it, mean, difference, interval."""
-    rows: list[list[Any]] = []
-    for quantity in comparison.quantities:
-        for name in comparison.values:
-            values = comparison.values[name][quantity.name]
-            finite = values[np.isfinite(values)]
-            gap = comparison.difference(name, quantity.name)
-            rows.append([
-                with_unit(quantity.title, quantity.unit), name, int(finite.size), float(finite.mean()) if finite.size else None,
-                *_difference(gap, name == comparison.first),
-            ])  # fmt: skip
     verdicts = tuple(Text(text=comparison.verdict(name)) for name in list(comparison.values)[1:])
     table = Table(
-        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"), rows=rows,
+        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"), rows=comparison.rows(),
         note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number.",
     )  # fmt: skip
     cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())
     return Section(title="Answer", blocks=(*verdicts, *cautions, table))
-
-
-def _difference(gap: Interval, first: bool) -> tuple[float | None, str]:
-    if first or not np.isfinite(gap.half_width):
-        return None, "-"
-    return gap.value, f"{gap.low:.4g} to {gap.high:.4g}"
 
 
 def parameter_page(sweep: ParameterSweep) -> str:
@@ -159,7 +140,7 @@ def parameter_page(sweep: ParameterSweep) -> str:
     runs = max((columns["seed"].size for columns in sweep.columns), default=0)
     sections = [_answer_of_points(sweep)]
     for quantity in sweep.quantities:
-        found = [interval_of(columns[quantity.name]) for columns in sweep.columns]
+        found = sweep.intervals(quantity.name)
         if any(np.isfinite(i.value) for i in found):
             blocks = (*_pictures(sweep, quantity, found), _table(sweep, quantity, found))
             sections.append(Section(title=quantity.title, blocks=blocks))

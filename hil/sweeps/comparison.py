@@ -93,17 +93,21 @@ class Comparison(ShownResult):
         table |= {name: table[name].astype(np.int64) for name in ("seed", "stopped")}
         return data_frame(table, {q.name: q.unit for q in self.quantities})
 
-    def _result(self, quantity: str | None = None) -> Result:
-        rows: list[list[Any]] = []
+    def rows(self) -> list[list[Any]]:
+        """Return a row per quantity and experiment: runs that have it, mean, paired difference to the first and its interval."""
+        found: list[list[Any]] = []
         for each in self.quantities:
             for name, values in self.values.items():
-                found, gap = interval_of(values[each.name]), self.difference(name, each.name)
+                own, gap = interval_of(values[each.name]), self.difference(name, each.name)
                 gap_cells = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
-                rows.append([with_unit(each.title, each.unit), name, found.n, found.value if found.n else None, *gap_cells])
+                found.append([with_unit(each.title, each.unit), name, own.n, own.value if own.n else None, *gap_cells])
+        return found
+
+    def _result(self, quantity: str | None = None) -> Result:
         heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
         answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))
-        return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
+        return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=self.rows(), paint=paint)
 
     def __repr__(self) -> str:
         said = "; ".join(map(self.verdict, list(self.values)[1:]))
