@@ -81,11 +81,13 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
             right = isinstance(vector, tuple) and len(vector) == length
             _demand(right, f"{name}.{what}: {vector!r}, expected a tuple of {length}")
             _demand(all(type(v) is float and math.isfinite(v) for v in vector), f"{name}.{what}: {vector!r}, expected floats")
-        _demand(first.measure() == y and first.state == state, f"{name}.measure(): changes the plant at tick {k}")
-        _demand(second.state == state, f"{name}.start: same seed, another state at tick {k}")
+        _demand(first.measure() == y and first.state == state, f"{name}.measure(): changes the plant in slot {k}")
+        _demand(second.state == state, f"{name}.start: same seed, another state in slot {k}")
         size = max(1.0, *(abs(x) for x in state))
         apart = max(abs(a - b) for a, b in zip(cut.state, state))
-        _demand(apart <= tolerance * size, f"{name}.advance: cut in two, the state differs by {apart:.3g} at tick {k}")
+        steps = "integrate in short steps inside, by Runge-Kutta (hil guide own-plant-law-controller)"
+        said = f"{name}.advance: a slot in one step and in two ends in states that differ by {apart:.3g} (slot {k}); {steps}"
+        _demand(apart <= tolerance * size, said)
     return [f"{name} is a Plant: a rig can run it, and a design can be made for its model", *_further(plant, name)]
 
 

@@ -91,6 +91,7 @@ def test_python_of_a_page_runs(name: str, hil: Any, tmp_path: Path, monkeypatch:
 
 def test_plug_ins_of_the_guide_pass_their_checks(shown: dict[str, Any]) -> None:
     check_plant(shown["Damped"](rate=2.0))
+    check_plant(shown["Pendulum"](), period_s=0.05)
     d = shown["Damped"]().model().discretise(0.05)
     check_controller(shown["Proportional"](), LoopModel(A=d.A, B=d.B, C=d.C, period_s=0.05, tau_max=2, d_max=1))
     view = view_of(run_of("dc-motor-hinf", "duration=1"))
@@ -108,6 +109,15 @@ def test_the_file_of_the_guide_beside_an_experiment_is_a_plug_in(tmp_path: Path)
     kinds = {"plant": {"kind": "my_module:Damped"}, "controller": {"kind": "my_module:Proportional"}}
     changes = kinds | {"report.measures": ["tracking", "my_module:Effort"], "limits.state": {}, "duration": 2}
     assert face.run(tmp_path / "mine.toml", **changes).metrics["effort"] > 0
+
+
+def test_the_plant_of_the_guide_that_is_not_linear_is_undecided_and_runs(tmp_path: Path) -> None:
+    (code,) = (block for block in blocks(TEXT[PLUGINS], "python") if "class Pendulum" in block)
+    (tmp_path / "pendulum.py").write_text(code)
+    (tmp_path / "mine.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    changes = {"plant": {"kind": "pendulum:Pendulum"}, "controller": {"kind": "local", "gain": [[-0.01]]}}
+    session = face.run(tmp_path / "mine.toml", **changes, duration=2, allow_uncertified=True, **{"limits.state": {}})
+    assert session.status == 0 and session.summary["certificate"]["state"] == "undecided"
 
 
 def test_the_experiment_of_the_guide_runs_and_is_certified(tmp_path: Path) -> None:

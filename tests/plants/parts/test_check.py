@@ -132,3 +132,30 @@ def test_states_are_the_same_bits_on_every_machine(plant, digest):
         run.advance(10_000_000, (0.01 * ((k * 7919) % 13 - 6),) * len(plant.inputs))
         h.update(struct.pack(f"<{len(run.state)}d", *run.state))
     assert h.hexdigest()[:16] == digest
+
+
+class Euler(Integrator):
+    def model(self):
+        return plants.StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
+
+    def start(self, rng):
+        return EulerRun()
+
+
+class EulerRun:
+    """x' = -x + u in one explicit step, however long it is."""
+
+    def __init__(self):
+        self.state, self.applied = (0.0,), (0.0,)
+
+    def advance(self, dt_ns, u, w=()):
+        self.applied = tuple(u)
+        self.state = (self.state[0] + dt_ns * 1e-9 * (u[0] + sum(w) - self.state[0]),)
+
+    def measure(self):
+        return self.state
+
+
+def test_a_plant_that_takes_a_slot_in_one_crude_step_learns_how_to_integrate():
+    with pytest.raises(PlantError, match=r"a slot in one step and in two ends in states that differ by .* \(slot .*Runge-Kutta"):
+        check_plant(Euler())
