@@ -267,7 +267,7 @@ def _points(
     if (axes is None) == (ranges is None):
         raise HilError("sweep: expected grid={...}, or range={...} with points=N, one of them")
     if (ranges is None) != (count is None):
-        raise HilError("sweep: range and points belong together: so many points of a Latin hypercube over the ranges")
+        raise HilError("sweep: range={...} and points=N belong together: N points of a Latin hypercube over the ranges")
     said: dict[str, list[str]] = {}
     for path, values in (axes or ranges or {}).items():
         if isinstance(values, str) or not isinstance(values, Sequence | np.ndarray) or not len(values):
@@ -297,8 +297,11 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
     """
     checked = [checked_experiment(source, None, None, changes) for source in sources]
     named = {experiment.name: experiment for experiment in checked}
-    if not named or len(named) < len(checked):
-        raise HilError(f"compare: {len(checked)} experiments have {len(named)} names; expected one name each")
+    if not named:
+        raise HilError("compare: no experiment is named; expected two or more")
+    if len(named) < len(checked):
+        twice = next(e.name for i, e in enumerate(checked) if e.name in {other.name for other in checked[:i]})
+        raise HilError(f"compare: two experiments are called {twice!r}; hil.load_experiment(..., name=...) renames one")
     if not 2 <= runs <= LAST_SEED:
         raise HilError(f"compare: {runs} runs of each; expected at least 2, and seeds below 2^63")
     return compare_experiments(named, runs, jobs=jobs)

@@ -82,11 +82,12 @@ def command(
     for name, caution in comparison.cautions.items():
         print_folded(f"{name}: {caution}")
     rows: list[tuple[str, ...]] = []
-    for quantity in comparison.quantities:
+    quantities, none = comparison.measured()
+    for quantity in quantities:
         rows.append((with_unit(quantity.title, quantity.unit), "", "", "", ""))
         rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in experiments]
     heads = ("metric, experiment", "n", "mean", "difference", "95 % interval")
-    note = f"differences are against {first}, run by run on the same delays"
+    note = f"differences are against {first}, run by run on the same delays" + (none and f"; {none}")
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
     if output is not None:
         print(f"page: {visible(output)}")

@@ -201,17 +201,23 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
 
 def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
     from hil.pages.html.figures import Table
+    from hil.sweeps.shown import in_no_run
 
     if as_json:
         print_json(out)
         return
     print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
     print_folded(out["caution"] or "")
-    rows = []
+    rows: list[tuple[Any, ...]] = []
+    none: list[str] = []
     for name, s in out["metrics"].items():
+        if not s["n"]:
+            none.append(titles[name])
+            continue
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
         rows.append((titles[name], s["n"], *("-" if v is None else f"{v:.4g}" for v in values)))
-    print_table(Table(columns=("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"), rows=rows), folds=True)
+    note = in_no_run(none) if none else ""
+    print_table(Table(columns=("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"), rows=rows, note=note), folds=True)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:
         what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"

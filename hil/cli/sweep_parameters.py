@@ -139,7 +139,8 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
         if any(row[-1] != "-" for row in rows):
             heads = (*sweep.points.keys, "n", "mean", "95 % interval")
             print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
-    for said in sweep.said():
+    judged = next((q.name for q in sweep.quantities if sweep.best(q.name) is not None), None)
+    for said in (*([sweep.answer(judged)] if judged else []), *sweep.said()):
         print_folded(said)
     for what, path in (("page", page), ("csv", table)):
         if path is not None:
@@ -157,5 +158,5 @@ def points_of(grids: Sequence[str], ranges: Sequence[str], count: int | None) ->
     if grids and ranges:
         raise HilError("--grid and --range: one or the other; a grid takes all combinations, ranges a Latin hypercube")
     if bool(ranges) != (count is not None):
-        raise HilError("--range and --points belong together: so many points of a Latin hypercube over the ranges")
+        raise HilError("--range and --points N belong together: N points of a Latin hypercube over the ranges")
     return grid(grids) if grids else latin_hypercube(ranges, count or 0)

@@ -85,9 +85,12 @@ def cell(value: object, style: str = "") -> Text:
 
 
 def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:
-    """Print facts, one a line: name, value, remark."""
+    """Print facts, one a line: name, value, remark; what a terminal has no room for goes on below the value."""
+    room = max(terminal_columns() - FACTS - GAP, NARROWEST)
     for name, value, remark in facts:
-        click.echo(f"{name:>22}  {value:<12} {remark}".rstrip())
+        first, *more = wrap(f"{value:<12} {remark}".rstrip(), room, break_on_hyphens=False, break_long_words=False) or [""]
+        for part, said in ((name, first), *(("", said) for said in more)):
+            click.echo(f"{part:>{FACTS}}{'':{GAP}}{said}".rstrip())
 
 
 _NUMBER: Final = re.compile(r"[-+−–.\d][^:,]*$|none$")  # what a cell is that stands right in its column
@@ -182,6 +185,7 @@ def show_page(page: Page, document: object, path: Path | None, as_json: bool) ->
 
 
 GAP = 2  # blanks between the columns
+FACTS = 22  # characters of a fact's name
 NARROWEST = 12  # characters of a column of words, however narrow the terminal is
 
 

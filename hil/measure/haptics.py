@@ -21,7 +21,7 @@ class Haptics:
 
     title: ClassVar[str] = "Haptics"
     note: ClassVar[str] = (
-        "The wall begins at position 0. Energy given is that of the motor minus that of the damping: 0 behind a sound coupler."
+        "The wall begins at position 0. Energy given is that of the motor minus that of the damping: 0 behind a safe coupler."
     )
     topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, APPLIED, STATE.name)
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
+from design.passivity.synthesis import ceiling_n_per_m
 from hil.log.recordings.law_text import WORDS, independence_said
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, Section, Series, Table, Text
+from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html.page import Page
 from transport.law_fit.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
@@ -140,7 +141,7 @@ def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_
         cells: the map.
         mass_kg, damping_n_s_per_m: of the device at its tip.
     """
-    sections = [_rate(period, [c for c in cells if c.period_s == period], damping_n_s_per_m)
+    sections = [stiffness_section(period, [c for c in cells if c.period_s == period], damping_n_s_per_m)
                 for period in dict.fromkeys(c.period_s for c in cells)]  # fmt: skip
     return Page(
         "How stiff may a virtual wall be?",
@@ -152,43 +153,56 @@ def stiffness_page(cells: Sequence[StiffnessCell], *, mass_kg: float, damping_n_
     )
 
 
-def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Section:
+def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Section:
+    """Return the section of one period: a certified value at the delays that were computed, a ceiling at all between.
+
+    Args:
+        period_s: the period.
+        cells: those of the map at this period.
+        damping: of the device at its tip, N s/m.
+    """
     rate = f"{1e3 * period_s:g} ms"
     delays = sorted({c.delay for c in cells})
+    x = list(range(delays[0], delays[-1] + 1))
     hands = list(dict.fromkeys(c.hand_damping_n_s_per_m for c in cells))
+
+    def at(hand: float, value: Callable[[StiffnessCell], float | None]) -> list[float]:
+        """Values over x, NaN at a delay that was not computed: a line joins neighbours only."""
+        found = {c.delay: value(c) for c in cells if c.hand_damping_n_s_per_m == hand}
+        return [math.nan if (y := found.get(d)) is None else y for d in x]
+
     curves = []
     for i, hand in enumerate(hands):
-        mine = sorted((c for c in cells if c.hand_damping_n_s_per_m == hand), key=lambda c: c.delay)
-        x = [float(c.delay) for c in mine]
-        safe = [c.certified_n_per_m for c in mine]
+        safe = at(hand, lambda c: c.certified_n_per_m)
         curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=safe, colour=i, marked=True))
-        ceiling = [c.ceiling_n_per_m for c in mine]
-        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=ceiling, colour=i, style="dashed", marked=True))
-    alone = [c for c in cells if c.hand_damping_n_s_per_m == hands[0]]
-    x, first = [float(c.delay) for c in alone], f"hand {hands[0]:g}"
-    undelayed = [math.nan if c.colgate_n_per_m is None else c.colgate_n_per_m for c in alone]
-    number = len(hands)
+        ceiling = [ceiling_n_per_m(period_s, damping + hand, d) for d in x]
+        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=ceiling, colour=i, style="dashed"))
+    number, first = len(hands), f"hand {hands[0]:g}"
+    gil_hulin, colgate, exact = (
+        at(hands[0], value)
+        for value in (lambda c: c.gil_hulin_n_per_m, lambda c: c.colgate_n_per_m, lambda c: c.exact_n_per_m)
+    )
     curves += [
-        Series(label=f"Gil-Hulin, {first}", x=x, y=[c.gil_hulin_n_per_m for c in alone], colour=number, style="points"),
-        Series(label=f"Colgate, {first}", x=x, y=undelayed, colour=number + 1, style="circles"),
-        Series(label="no coupler, no hand (exact)", x=x, y=[c.exact_n_per_m for c in alone], colour=number + 2, style="points"),
+        Series(label=f"Gil-Hulin, {first}", x=x, y=gil_hulin, colour=number, style="circles"),
+        Series(label="no coupler, no hand (exact)", x=x, y=exact, colour=number + 2, style="points"),
+        Series(label=f"Colgate, {first}", x=x, y=colgate, colour=number + 1, style="points"),
     ]
-    ticks = tuple(map(float, delays))
     blocks: list[Block] = []
     if len(delays) > 1:
+        ticks = tuple(map(float, delays))
         blocks += [
             Figure(
                 title=f"Contours at T = {rate}: hand damping that a stiffness takes",
-                series=_contours(cells, damping, max(hands)), x_label="largest delay", x_unit="samples",
+                series=_contours(period_s, x, at, hands, damping), x_label="largest delay", x_unit="samples",
                 y_label="hand damping", y_unit="N s/m", sync=None, y_range=(0.0, max(*hands, 1.0)), x_ticks=ticks,
-                note="Solid: certified. Dashed: the ceiling of the same stiffness. Right of and below a solid line that "
-                "stiffness is not certified; of a dashed line, impossible. Computed at the delays that are named, not between.",
+                note="Points: certified, at the delays that were computed; lines join neighbours. Dashed: the ceiling of the "
+                "same stiffness. Below its points a stiffness is not certified; below its dashed line it is impossible.",
             ),
             Figure(
                 title=f"Stiffness at T = {rate}", series=tuple(curves), x_label="largest delay", x_unit="samples",
                 y_label="stiffness", y_unit="N/m", y_log=True, sync=None, x_ticks=ticks,
-                note="Points and circle: what the field quotes for a wall without a coupler, with the least hand; the table has "
-                "all. Colgate's b > K T/2 knows no delay.",
+                note="A coupler is safe at every delay up to its own. Gil-Hulin, Colgate, exact: what is quoted for a wall "
+                "without a coupler, with the least hand; the table has all. Colgate's b > K T/2 knows no delay.",
             ),
         ]  # fmt: skip
     damped = "hand N\N{NO-BREAK SPACE}s/m"  # in one line of a narrow column
@@ -207,22 +221,22 @@ def _rate(period_s: float, cells: Sequence[StiffnessCell], damping: float) -> Se
     return Section(title=f"T = {rate}", blocks=(*blocks, Table(columns=columns, rows=rows, note=note), taps))
 
 
-def _contours(cells: Sequence[StiffnessCell], damping: float, most: float) -> tuple[Series, ...]:
+def _contours(
+    period_s: float, x: Sequence[int], at: Callable[[float, Callable[[StiffnessCell], float | None]], list[float]],
+    hands: Sequence[float], damping: float,
+) -> tuple[Series, ...]:  # fmt: skip
     """b_h = K/K_1 - b, as every stiffness is proportional to b + b_h."""
-    one = {c.delay: c for c in cells}
-    delays = sorted(one)
-    certified, ceiling = (
-        np.array([value / (damping + one[d].hand_damping_n_s_per_m) for d, value in pairs])
-        for pairs in ([(d, one[d].certified_n_per_m) for d in delays], [(d, one[d].ceiling_n_per_m) for d in delays])
-    )
-    low, high = damping * certified.min(), (damping + most) * ceiling.max()
+    most = max(hands)
+    certified = np.array(at(hands[0], lambda c: c.certified_n_per_m)) / (damping + hands[0])
+    ceiling = np.array([ceiling_n_per_m(period_s, 1.0, d) for d in x])
+    low, high = damping * np.nanmin(certified), (damping + most) * ceiling.max()
     decades = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
     levels = [m * 10.0**e for e in decades for m in LEVELS if low < m * 10.0**e < high][:8]
-    x, out = [float(d) for d in delays], []
+    out = []
     for i, level in enumerate(levels):
-        for label, per, style in (("", certified, "line"), (" ceiling", ceiling, "dashed")):
+        for label, per, computed in (("", certified, True), (" ceiling", ceiling, False)):
             y = np.where((need := level / per - damping) < 0.0, np.nan, need)
             if (y <= most).any():  # else it has no point in the picture
-                name = f"{level:g} N/m{label}"
-                out.append(Series(label=name, x=x, y=y, colour=i, style="line" if style == "line" else "dashed", marked=True))
+                style: LineStyle = "line" if computed else "dashed"
+                out.append(Series(label=f"{level:g} N/m{label}", x=x, y=y, colour=i, style=style, marked=computed))
     return tuple(out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,12 +73,7 @@ def compare_page(comparison: Comparison) -> str:
     sections = []
     for quantity in comparison.quantities:
         metric, title = quantity.name, quantity.title
-        series = []
-        for i, name in enumerate(names):
-            values = np.sort(found[name][metric][np.isfinite(found[name][metric])])
-            if values.size:
-                share = np.arange(1, values.size + 1) / values.size
-                series.append(Series(label=name, x=values, y=share, style="step", colour=i))
+        series = _shares({name: columns[metric] for name, columns in found.items()})
         if not series:
             continue
         axis = axis_for([found[name][metric] for name in names])
@@ -86,7 +81,7 @@ def compare_page(comparison: Comparison) -> str:
         for name in names:
             s, gap = statistics(found[name][metric]), comparison.difference(name, metric)
             percentiles = (s["percentiles"].get(p) for p in ("5", "50", "95"))
-            gap_cells = (None, "-") if name == names[0] or gap.n < 2 else (gap.value, within(gap))
+            gap_cells = (None, None) if name == names[0] or gap.n < 2 else (gap.value, _in_one_line(within(gap)))
             rows.append([name, s["n"], s["mean"], s["sd"], *percentiles, *gap_cells])
         blocks: tuple[Block, ...] = (
             Figure(
@@ -118,15 +113,40 @@ def compare_page(comparison: Comparison) -> str:
     ).html()
 
 
+def _shares(found: Mapping[str, NDArray[np.float64]]) -> list[Series]:
+    """Return empirical distribution functions: each from 0, at the least value of all, to 1, at the largest of all."""
+    finite = {name: values[np.isfinite(values)] for name, values in found.items()}
+    every = np.concatenate([*finite.values()])
+    series = []
+    for i, values in enumerate(finite.values()):
+        if values.size:
+            x, counts = np.unique(values, return_counts=True)
+            y = np.cumsum(counts) / values.size
+            if x[0] > every.min():
+                x, y = np.append(every.min(), x), np.append(0.0, y)
+            if x[-1] < every.max():
+                x, y = np.append(x, every.max()), np.append(y, 1.0)
+            series.append(Series(label=[*finite][i], x=x, y=y, style="step", colour=i))
+    return series
+
+
 def _answer(comparison: Comparison) -> Section:
-    """The verdicts in words, and one table of all quantities: how many runs have it, mean, difference, interval."""
+    """The verdicts in words, and one table of the quantities: how many runs have it, mean, difference, interval."""
     verdicts = tuple(Text(text=comparison.verdict(name)) for name in list(comparison.values)[1:])
+    none = comparison.measured()[1]
     table = Table(
-        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"), rows=comparison.rows(),
-        note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number.",
+        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"),
+        rows=[[*row[:-1], _in_one_line(row[-1])] for row in comparison.rows()],
+        note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number."
+        f"{none and f' N{none[1:]}.'}",
     )  # fmt: skip
     cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())
     return Section(title="Answer", blocks=(*verdicts, *cautions, table))
+
+
+def _in_one_line(text: str | None) -> str | None:
+    """An interval whose blanks do not break, on a phone either."""
+    return text and text.replace(" ", "\N{NO-BREAK SPACE}")
 
 
 def parameter_page(sweep: ParameterSweep) -> str:
@@ -225,8 +245,9 @@ def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> 
     rows: list[list[Any]] = []
     for number, i in enumerate(found):
         gap = sweep.difference(number, against, quantity.name)
-        gap_cells = (None, "-") if number == against or gap.n < 2 else (gap.value, within(gap) or "-")
-        rows.append([*sweep.points.values[number], i.n, i.value if np.isfinite(i.value) else None, within(i) or "-", *gap_cells])
+        gap_cells = (None, None) if number == against or gap.n < 2 else (gap.value, _in_one_line(within(gap)))
+        mean = i.value if np.isfinite(i.value) else None
+        rows.append([*sweep.points.values[number], i.n, mean, _in_one_line(within(i)), *gap_cells])
     which = "best" if best is not None else "first"
     columns = (
         *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval",

@@ -17,7 +17,7 @@ from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result, data_frame
 from hil.sweeps.seeds import here, quantities_in, run_sweep
-from hil.sweeps.shown import ShownResult, asked, interval_of, paint_distributions, within
+from hil.sweeps.shown import ShownResult, asked, interval_of, measured, paint_distributions, within
 
 if TYPE_CHECKING:
     import pandas
@@ -59,6 +59,10 @@ class Comparison(ShownResult):
         """The experiment that the others are compared with."""
         return next(iter(self.values))
 
+    def measured(self) -> tuple[list[Quantity], str]:
+        """Return the quantities that some run has, and a sentence on those that none has, nothing where there are none."""
+        return measured(self.quantities, [*self.values.values()])
+
     def verdict(self, name: str) -> str:
         """Return in words whether an experiment is better than the first, with the number that decides and its interval.
 
@@ -94,9 +98,9 @@ class Comparison(ShownResult):
         return data_frame(table, {q.name: q.unit for q in self.quantities})
 
     def rows(self) -> list[list[Any]]:
-        """Return a row per quantity and experiment: runs that have it, mean, paired difference to the first and its interval."""
+        """Return a row per quantity that some run has, and experiment: runs, mean, paired difference, its interval."""
         found: list[list[Any]] = []
-        for each in self.quantities:
+        for each in self.measured()[0]:
             for name, values in self.values.items():
                 own, gap = interval_of(values[each.name]), self.difference(name, each.name)
                 gap_cells = (None, None) if name == self.first or gap.n < 2 else (gap.value, within(gap))
@@ -105,13 +109,18 @@ class Comparison(ShownResult):
 
     def _result(self, quantity: str | None = None) -> Result:
         heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
-        answer = [*map(self.verdict, list(self.values)[1:]), *(f"{name}: {said}" for name, said in self.cautions.items())]
+        none = self.measured()[1]
+        cautions = (f"{name}: {said}" for name, said in self.cautions.items())
+        answer = [*map(self.verdict, list(self.values)[1:]), *cautions, *([none] if none else [])]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))
-        return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=self.rows(), paint=paint)
+        return Result(line=self._line(), answer=answer, columns=heads, rows=self.rows(), paint=paint)
 
     def __repr__(self) -> str:
         said = "; ".join(map(self.verdict, list(self.values)[1:]))
-        return f"<Comparison of {len(self.values)} experiments, {self.runs} runs of each{said and ': '}{said}>"
+        return f"<{self._line()}{said and ': '}{said}>"
+
+    def _line(self) -> str:
+        return f"Comparison of {len(self.values)} experiment{'s' * (len(self.values) != 1)}, {self.runs} runs of each"
 
     def _verdict_on_stops(self, name: str) -> str | None:
         """What follows from the runs that safety stopped, None if there are none: McNemar's exact test on the pairs."""

@@ -50,6 +50,27 @@ class ShownResult(ABC):
         return self._result().html()
 
 
+def measured(quantities: Sequence[Quantity], runs: Sequence[Values]) -> tuple[list[Quantity], str]:
+    """Return the quantities that some run has, and a sentence on those that none has, nothing where there are none.
+
+    Args:
+        quantities: of all runs.
+        runs: their columns by name.
+
+    >>> late = Quantity(name="late", title="error after 5 s")
+    >>> measured([late], [{"late": np.array([np.nan, np.nan])}])
+    ([], 'no run has a number for: error after 5 s')
+    """
+    found = [q for q in quantities if any(np.isfinite(columns[q.name]).any() for columns in runs)]
+    none = [q.title for q in quantities if q not in found]
+    return found, in_no_run(none) if none else ""
+
+
+def in_no_run(titles: Sequence[str]) -> str:
+    """Return that no run has a number for these."""
+    return f"no run has a number for: {', '.join(titles)}"
+
+
 def interval_of(values: NDArray[np.float64]) -> Interval:
     """Return the mean over the runs that have a number, and its 95 % interval."""
     return mean_interval(values[np.isfinite(values)])

@@ -102,7 +102,7 @@ def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("Plant", str(resolved.get("plant", {}).get("kind", ""))),
         ("Controller", str(resolved.get("controller", {}).get("kind", ""))),
         ("Clock", str(summary["clock"])),
-        ("Link", str(summary["link"])),
+        ("Link", str(summary["link"]) if summary["clock"] == "real" else ""),  # in virtual time no frame leaves the process
         ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),
         ("Duration", f"{text_of(float(summary['duration_s']))} s, {text_of(int(summary['slots']))} slots"),
         ("Seed", str(summary["seed"])),

@@ -81,6 +81,7 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
     """Return one row per emulated network: law, verdict, and what became of the packets."""
     numbers = _numbers(network, paths)
     fates = sorted({fate for _, _, found in numbers for fate in found["fates"]} - {"lost", "duplicated"})
+    heads = [fate.replace("-", " ") for fate in fates]
     rows = [
         [
             _capital(way),
@@ -94,10 +95,11 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
         for path, way, found in numbers
     ]
     return Table(
-        columns=["direction", "network", "test of the record", "lost", "late", "duplicated", *fates],
+        columns=["direction", "network", "test of the record", "lost", "late", "duplicated", *heads],
         rows=rows,
         note="The p-value is the probability of a record at least as unlike the law, if the law is right: below "
-        f"{DOUBTFUL:g} in one right run of a hundred. Late packets missed the deadline of their slot and count as lost.",
+        f"{DOUBTFUL:g} in one right run of a hundred. Late packets missed the deadline of their slot and count as lost."
+        + (" None yet: slots before the first packet could arrive." if "none-yet" in fates else ""),
     )
 
 

@@ -45,7 +45,7 @@ def _band(predicted: Prediction, target: float, period_s: float, where: str = ""
     """Two standard deviations on either side of the predicted output."""
     mean, sd = predicted.error_mean[:, 0] + target, predicted.error_sd[:, 0]
     x = np.arange(len(mean)) * period_s
-    return Band(label=f"predicted mean +- 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
+    return Band(label=f"predicted mean ± 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
 
 
 def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[Plot]:

@@ -19,7 +19,8 @@ from design.passivity.stiffness_map import StiffnessCell
 from hil.cli import main
 from hil.cli.design import command as design
 from hil.cli.stiffness_map import command as stiffness_map
-from hil.pages.analyses import stiffness_page
+from hil.pages.analyses import stiffness_page, stiffness_section
+from hil.pages.html.figures import Figure
 from tests.waiting import LIMIT_S
 
 MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")
@@ -43,6 +44,12 @@ def test_the_printed_map_holds_the_columns_of_the_terminal(monkeypatch: pytest.M
     monkeypatch.setenv("COLUMNS", "80")
     lines = mapped(*MAP).stdout.splitlines()
     assert max(map(len, lines)) <= 80 and lines[-1].endswith("no hand at all.")
+
+
+def test_a_designed_wall_holds_the_columns_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    lines = designed(*WALL).stdout.splitlines()
+    assert max(map(len, lines)) <= 80 and lines[-1].startswith(" " * 24) and "N s/m of damping" in " ".join(map(str.strip, lines))
 
 
 def test_the_map_has_the_published_limits_and_certified_is_below_the_ceiling() -> None:
@@ -69,6 +76,10 @@ def test_a_map_of_one_hand_has_a_page() -> None:
         )
         for delay in (2, 4)
     ]  # fmt: skip
+    _, figure = (block for block in stiffness_section(0.001, cells, 2.0).blocks if isinstance(block, Figure))
+    safe, ceiling = figure.series[:2]
+    assert safe.marked and [*safe.x] == [*ceiling.x] == [2, 3, 4] and np.isfinite(safe.y).tolist() == [True, False, True]
+    assert ceiling.y == pytest.approx([2 * 7.0 / ((d + 1) * 0.001) for d in (2, 3, 4)])
     page = stiffness_page(cells, mass_kg=0.1, damping_n_s_per_m=2.0)
     assert "Stiffness at T = 1 ms" in page.html() and "Gil-Hulin, hand 5" in page.html()
 

@@ -129,3 +129,14 @@ def test_the_table_of_a_comparison_fits_eighty_columns_and_counts_its_runs(cli: 
     local = [line.split() for line in lines if line.strip().startswith("dc-motor-local")]
     assert ["dc-motor-local", "6"] in [words[:2] for words in local]  # the input is there in every run,
     assert ["dc-motor-local", "0", "-"] in local  # but none has settled
+
+
+def test_a_number_that_no_run_has_is_said_and_takes_no_row(cli: Hil) -> None:
+    for command in (("sweep", "dc-motor-hinf", "--runs", "3"), ("compare", "dc-motor-hinf", "dc-motor-h2", "--runs", "2")):
+        out = " ".join(cli(*command, *SHORT)[1].split())
+        assert out.count("squared error after 5 s") == 1 and "no run has a number for: squared error after 5 s" in out
+
+
+def test_a_sweep_over_points_says_which_is_the_best(cli: Hil) -> None:
+    out = " ".join(cli("sweep", "dc-motor-hinf", "--grid", "plant.gain=100,170", "--runs", "3", *SHORT)[1].split())
+    assert "best point: plant.gain=" in out

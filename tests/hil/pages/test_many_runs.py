@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.measure.measure import Quantity
-from hil.pages.many_runs import CRUSHED, DECADES, Axis, axis_for, compare_page, parameter_page
+from hil.pages.many_runs import CRUSHED, DECADES, Axis, _shares, axis_for, compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import grid, latin_hypercube
@@ -79,3 +79,9 @@ def test_an_axis_follows_its_values_whatever_their_unit(unit: float) -> None:
     assert axis([1.0, 1.0], [1.01 * CRUSHED]) == Axis(log=True)
     assert axis([0.0, 1.0, 1.0], [1.01 * CRUSHED]).asinh == pytest.approx(unit)
     assert axis([0.0, 1.0, 1.0], [2.0 * 10.0**9]).asinh == pytest.approx(2e9 * unit / DECADES)
+
+
+def test_a_share_of_runs_begins_at_0_and_ends_at_1_over_the_whole_axis() -> None:
+    low, high = _shares({"low": np.array([1.0, 1.0, 2.0]), "high": np.array([2.0, 4.0, np.nan]), "none": np.array([np.nan])})
+    assert ([*low.x], [*low.y]) == ([1.0, 2.0, 4.0], pytest.approx([2 / 3, 1.0, 1.0]))
+    assert ([*high.x], [*high.y]) == ([1.0, 2.0, 4.0], [0.0, 0.5, 1.0])

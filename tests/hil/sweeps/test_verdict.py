@@ -77,6 +77,19 @@ def test_the_table_of_the_page_has_runs_differences_and_intervals_first(both: hi
     assert page.index("Differences are against dc-motor-ours-h2") < page.index("share of runs at or below")
 
 
+def test_a_number_that_no_run_has_is_said_and_takes_no_row(both: hil.Comparison) -> None:
+    none = {name: dict(values) | {"sse_after_5s": np.full(30, np.nan)} for name, values in both.values.items()}
+    found = replace(both, values=none)
+    assert found.measured()[1] == "no run has a number for: squared error after 5 s"
+    page = compare_page(found)
+    assert "No run has a number for: squared error after 5 s." in page and page.count("squared error after 5 s") == 1
+    assert found._repr_html_().count("squared error after 5 s") == 1 and "squared error after 5 s" in compare_page(both)
+
+
+def test_a_cell_says_its_verdict_once(both: hil.Comparison) -> None:
+    assert both._repr_html_().count("is worse than dc-motor-ours-h2") == 1 and "is worse than" in repr(both)
+
+
 def test_the_page_begins_with_the_answer(both: hil.Comparison) -> None:
     page = compare_page(both)
     assert "dc-motor-smith is worse than dc-motor-ours-h2" in page

@@ -10,15 +10,16 @@ const hilSaveCurves = (() => {
     curves.forEach((c, i) => {
       if (!plot.series[i + 1].show) return;
       const column = table[i + 1], colour = text(css("--c" + c.colour)), path = [];
-      let last = null, drawn = false;
+      let last = null, drawn = false, joined = false;
       for (let k = 0; k < column.length; k++) {
+        if (column[k] === null) joined = false; // a gap; undefined is only another curve's x
         if (column[k] == null || table[0][k] < min || table[0][k] > max) { if (column[k] != null && table[0][k] < min) last = column[k]; continue; }
         const x = at(table[0][k], "x"), y = at(column[k], "y");
         if (c.style === "points") path.push(`<circle cx="${x}" cy="${y}" r="2.5" fill="${colour}"/>`);
         else if (c.style === "circles") path.push(`<circle cx="${x}" cy="${y}" r="3.5" fill="none" stroke="${colour}" stroke-width="1.4"/>`);
-        else path.push(!drawn ? `M${x} ${y}` : c.style.endsWith("step") ? `H${x}V${y}` : `L${x} ${y}`);
+        else path.push(!joined ? `M${x} ${y}` : c.style.endsWith("step") ? `H${x}V${y}` : `L${x} ${y}`);
         if (c.marked) lines.push(`<circle cx="${x}" cy="${y}" r="3" fill="${colour}"/>`);
-        drawn = true;
+        drawn = joined = true;
         last = column[k];
       }
       const dash = c.style.startsWith("dashed") ? ' stroke-dasharray="6 4"' : "", alpha = c.halo ? 0.4 : c.faint || c.band ? 0.35 : 1;

@@ -15,6 +15,25 @@ from hil.pages.html.numbers import text_of
 
 MOST_EVENTS = 300
 _UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}
+_CERTIFICATE: Mapping[str, str] = {
+    "mean_square_radius": "second-moment radius (stable below 1)",
+    "tail_radius": "second-moment radius with the tail that is cut (stable below 1)",
+    "long_stay_radius": "growth per slot in stays that last long (unstable above 1)",
+    "lyapunov_margin": "margin of the inequality (7.17) that proves stability (above 0)",
+    "positivity_margin": "smallest eigenvalue of the matrices that fulfil it (above 0)",
+    "rounding": "bound of the rounding error of both",
+    "h2_norm": "H2 norm (7.20), of a unit impulse",
+    "h2_residual": "relative residual of its equation (7.21)",
+    "hinf_norm": "H-infinity norm (7.27)",
+    "hinf_margin": "margin of the inequality (7.28) that proves it (above 0)",
+    "modes": "modes of the jump-linear system",
+    "order": "states of the jump-linear system",
+    "selection": "row rule",
+    "initial": "mode at the impulse of the H2 norm",
+    "output": "weighted outputs: stacked, or their sum",
+    "digest": "SHA-256 of the loop that is judged",
+}
+"""Keys of `summary["certificate"]` in words."""
 
 
 def numbers(view: RunView) -> Section | None:
@@ -81,7 +100,7 @@ def _certificate(title: str, certificate: Mapping[str, Any]) -> list[Table]:
         ("What it assumes", _cell(said.get("assumptions", ""))),
     ]
     shown = {"state", "reason", "kind", "quantity", "number", "limit", "method", "assumptions"}
-    others = [[_quantity(str(k)), _cell(v)] for k, v in said.items() if k not in shown]
+    others = [[_CERTIFICATE.get(str(k)) or _quantity(str(k)), _cell(v)] for k, v in said.items() if k not in shown]
     found = [Table(title=title, columns=["question", "answer"], rows=[list(row) for row in answers if row[1]], wide=True)]
     if others:
         found.append(

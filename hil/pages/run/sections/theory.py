@@ -72,7 +72,7 @@ def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.n
     blocks: list[Block] = []
     for c, name in enumerate(predicted.names):
         mean, sd = predicted.error_mean[:, c], predicted.error_sd[:, c]
-        bands = [Band(label="predicted mean +- 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd, colour=2)]
+        bands = [Band(label="predicted mean ± 2 sd", x=t, lower=mean - 2 * sd, upper=mean + 2 * sd, colour=2)]
         if many is not None:
             low, high = np.percentile(many[:, :, c], (2.5, 97.5), axis=0)
             bands.append(Band(label=f"95 % of {len(many)} more runs", x=t, lower=low, upper=high, colour=0))

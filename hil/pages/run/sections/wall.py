@@ -32,6 +32,8 @@ FURTHER = 4
 """Delays beyond the loop's own for which the margin is shown, samples."""
 TILT = math.radians(35.0)
 DEEP = 0.55
+CALM = " The passivity observer: the motor gave no energy beyond what the damping took (0 mJ)."
+IDLE = " The passivity controller at the rig added no force."
 
 
 def section(view: RunView) -> Section | None:
@@ -44,12 +46,13 @@ def section(view: RunView) -> Section | None:
     if loop is not None and isinstance(loop.controller, ModelFollower):
         return Section(
             title="At the wall", place=PLACE, blocks=tuple(_over_time(view, None)), columns=2,
-            intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it.",
+            intro="The controller draws the device after a model of the wall: there is no coupler, and so no avatar behind it."
+            f"{_calm(view)}",
         )  # fmt: skip
     if loop is None or not isinstance(loop.controller, WallController):
         return None
     path = avatar_path(view, loop)
-    blocks: list[Block] = [*_over_time(view, path)]
+    blocks = _over_time(view, path)
     margin = _margin(loop, loop.controller)
     if margin is not None:
         blocks.append(margin)
@@ -63,7 +66,7 @@ def section(view: RunView) -> Section | None:
     return Section(
         title="At the wall", place=PLACE, blocks=tuple(blocks), columns=2,
         intro=f"{_softness(view, loop)}The avatar is the position of the device as the wall computes it, behind delay and "
-        f"coupler; it is {said}.{part}",
+        f"coupler; it is {said}.{part}{_calm(view)}",
     )  # fmt: skip
 
 
@@ -84,14 +87,14 @@ def _softness(view: RunView, loop: Loop) -> str:
     )
 
 
-def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
+def _over_time(view: RunView, path: AvatarPath | None) -> list[Block]:
     run, marks = view.run, view.once(markers)
     measured, applied, state = run.arrays[MEASUREMENT], run.arrays[APPLIED], run.arrays.get(STATE.name)
     tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
     depth = [curve(measured, lambda some: 1e3 * some[tip], label="device", colour=0)]
     if path is not None:
         depth.append(Series(label="avatar", x=path.t_s, y=1e3 * path.depth_m, colour=1))
-    found = [
+    found: list[Block] = [
         Figure(title="Penetration", series=tuple(depth), y_label="depth", y_unit="mm", markers=marks),
         Figure(
             title="Force of the wall at the device",
@@ -99,26 +102,39 @@ def _over_time(view: RunView, path: AvatarPath | None) -> list[Figure]:
             y_label="force", y_unit=view.signals.inputs[force], markers=marks,
         ),
     ]  # fmt: skip
-    if state is not None and "given" in (state.dtype.names or ()):
+    if state is not None and _gave(view):
         energy = curve(state, lambda some: 1e3 * some["given"], label="energy given", colour=4)
         found.append(
             Figure(
                 title="Passivity observer", series=(energy,), y_label="energy given", y_unit="mJ", markers=marks,
-                y_range=None if np.nanmax(whole(state, "given"), initial=0.0) > 0.0 else (0.0, 1.0),
                 note="Energy that the motor gave minus energy that the damping took: 0 behind a safe coupler.",
             )
         )  # fmt: skip
     damper = run.arrays.get(PASSIVITY.name)
-    if damper is not None:
+    if damper is not None and np.nanmax(damper["damping"], initial=0.0) > 0.0:
         injected = curve(damper, "damping", label="injected damping", style="step", colour=5)
         found.append(
             Figure(
                 title="Passivity controller at the rig", series=(injected,), y_label="damping", y_unit="N s/m", markers=marks,
-                y_range=None if np.nanmax(damper["damping"], initial=0.0) > 0.0 else (0.0, 1.0),
                 note="The force that the rig added while the motor had given more energy than allowed.",
             )
         )  # fmt: skip
     return found
+
+
+def _gave(view: RunView) -> bool | None:
+    """Whether the motor gave more energy than the damping took, None where no passivity observer says so."""
+    state = view.run.arrays.get(STATE.name)
+    if state is None or "given" not in (state.dtype.names or ()):
+        return None
+    return bool(np.nanmax(whole(state, "given"), initial=0.0) > 0.0)
+
+
+def _calm(view: RunView) -> str:
+    """Return what the passivity observer and the passivity controller have not seen; a plot of 0 says less."""
+    damper = view.run.arrays.get(PASSIVITY.name)
+    idle = damper is not None and not np.nanmax(damper["damping"], initial=0.0) > 0.0
+    return (CALM if _gave(view) is False else "") + (IDLE if idle else "")
 
 
 def _margin(loop: Loop, controller: WallController) -> Figure | None:
