@@ -59,7 +59,9 @@ __all__ = sorted(_HOMES)  # noqa: PLE0605
 
 def __getattr__(name: str) -> object:
     if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name, obj=sys.modules[__name__])
+        longer = next((each for each in __all__ if each.startswith(f"{name}_")), None)  # a near one Python finds itself
+        near = f"; did you mean {longer!r}?" if longer else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}", name=name, obj=sys.modules[__name__])
     from importlib import import_module
 
     import_module("hil.plugins.user_modules").refuse_shadowed_packages()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import resources
 from pathlib import Path
 
@@ -28,6 +29,16 @@ def _topics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
     return [name for name in pages() if name.startswith(incomplete)]
 
 
+def _near(topic: str, found: dict[str, Path]) -> str:
+    """The page whose name is near, else those that speak of it."""
+    if said := nearest(topic, found):
+        return said
+    word = re.compile(rf"\b{re.escape(topic[:60])}\b", re.IGNORECASE)
+    speak = {name: len(word.findall(path.read_text(encoding="utf-8"))) for name, path in found.items()}
+    most = sorted((name for name in speak if speak[name]), key=lambda name: -speak[name])[:3]
+    return f"; it stands in: {', '.join(most)};" if most else nearest(topic, found, cutoff=0.4)
+
+
 @click.command()
 @click.argument("topic", required=False, shell_complete=_topics)
 def command(topic: str | None) -> None:
@@ -41,7 +52,7 @@ def command(topic: str | None) -> None:
             print(f"{name:<{width}}  {path.read_text(encoding='utf-8').partition(chr(10))[0].removeprefix('# ')}")
         return
     if topic not in found:
-        raise HilError(f"no topic {topic!r} in the guide{nearest(topic, found, cutoff=0.4) or ';'} `hil guide` lists them")
+        raise HilError(f"no topic {topic!r} in the guide{_near(topic, found) or ';'} `hil guide` lists them")
     text = found[topic].read_text(encoding="utf-8")
     if not sys.stdout.isatty():
         print(text, end="")

@@ -10,8 +10,9 @@ import click
 from hil.cli.terminal import Line, json_option, print_json, print_lines, terminal_columns, visible
 from hil.errors import HilError
 
-FIRST: Final = "dc-motor-hinf"
-"""The experiment to begin with: Chapter 7's, certified, of which every page of the guide speaks."""
+LONGEST_DEFAULT: Final = 40
+DEEPEST: Final = 4
+"""Levels of tables within tables that are shown."""
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
 
 
@@ -23,8 +24,19 @@ def _kinds(ctx: click.Context, _param: click.Parameter, incomplete: str) -> list
     return [name for name in registry.names(f"hil.{group}") if name.startswith(incomplete)] if group in GROUPS else []  # type: ignore[arg-type]
 
 
+class Group(click.Choice[str]):
+    """One of the groups; an experiment's name is answered with the command that prints it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from hil.experiment import shipped
+
+        if value in shipped():
+            self.fail(f"{value!r} is an experiment: hil show {value} prints its file.", param, ctx)
+        return super().convert(value, param, ctx)
+
+
 @click.command()
-@click.argument("group", type=click.Choice(GROUPS), required=False)
+@click.argument("group", type=Group(GROUPS), required=False)
 @click.argument("kind", required=False, shell_complete=_kinds)
 @json_option()
 def command(group: str | None, kind: str | None, as_json: bool) -> None:
@@ -45,6 +57,7 @@ def _all(as_json: bool) -> None:
     import tomllib
 
     from hil.experiment import shipped
+    from hil.experiment.load import FIRST
     from hil.plugins import registry
 
     tables = {name: tomllib.loads(path.read_text()) for name, path in shipped().items()}
@@ -114,10 +127,23 @@ def _kind(group: str, kind: str, as_json: bool) -> None:
         print("\nno keys" if isinstance(cls, type) else "")
         return
     print()
-    for f in fields:
-        head = f"{f.name}: {f.type}" + (f" = {f.default}" if f.default else "  (required)")
+    _keys(cls, "")
+
+
+def _keys(cls: object, within: str) -> None:
+    """Print the keys of a table, those of a table inside it behind its own, as paths."""
+    from hil.cli.terminal import visible
+    from hil.plugins.fields import fields_of, tables_of
+
+    tables = tables_of(cls)
+    for f in fields_of(cls):
+        inside = next((name for name in (f.name, f"{f.name}.N") if name in tables), "")
+        long = inside and len(f.default) > LONGEST_DEFAULT  # what it holds stands at its own keys
+        head = f"{within}{f.name}: {f.type}" + ("" if long else f" = {f.default}" if f.default else "  (required)")
         print(textwrap.fill(visible(head), _columns(), subsequent_indent="  ", break_on_hyphens=False))
         _wrapped([visible(f.meaning)] if f.meaning else [], "    ")
+        if inside and within.count(".") < DEEPEST:
+            _keys(tables[inside], f"{within}{inside}.")
 
 
 def visible_lines(text: str) -> list[str]:

@@ -54,7 +54,8 @@ def command(
     texts = {folder / file: text for file, text in files.items()}
     there = [path for path in texts if path.exists() or path.is_symlink()]
     if there and not force:
-        raise HilError(f"{there[0]}: exists already; choose another name, or add --force")
+        remedy = "choose another name" if module in there[0].name else "choose another folder, whose programs share this file"
+        raise HilError(f"{there[0]}: exists already; {remedy}, or add --force")
     made_folder(folder)
     for path, text in texts.items():
         with written_whole(path, replace=force) as new:

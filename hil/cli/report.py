@@ -29,7 +29,7 @@ def command(file: Path, output: Path | None, figures: Path | None, folder: Path 
         page, *drawn = report(file, output=output, force=force, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
     if file.is_dir():
-        click.echo(f"written: {len(drawn)} pages of runs beside it")
+        click.echo(f"written: {len(drawn)} page{'s' * (len(drawn) != 1)} of runs beside it")
     if figures is not None:
         click.echo(f"written: {len(drawn)} figures in {visible(figures)}")
     if show:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.option_types import Duration
 from hil.cli.terminal import json_option
 
 
@@ -18,7 +19,7 @@ from hil.cli.terminal import json_option
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Replace a log that is there.")
-@click.option("--wait", type=float, metavar="S", help="How long to wait for a controller; until Ctrl-C by default.")
+@click.option("--wait", type=Duration(), help="How long to wait for a controller; until Ctrl-C by default.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
 @click.pass_context

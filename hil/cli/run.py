@@ -17,7 +17,7 @@ import click
 
 from design.signals_later import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import foxglove_beside, foxglove_option
+from hil.cli.option_types import Duration, foxglove_beside, foxglove_option
 from hil.cli.terminal import json_option, print_json, visible
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again
@@ -100,7 +100,7 @@ def _let_go(path: Path) -> None:
               help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
 @click.option("--signals", metavar="URI", help="Publish named signals over zenoh at zenoh:tcp/127.0.0.1:7448, say.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link (or: hil rig).")
-@click.option("--wait", "wait", type=float, metavar="S", help="How long to wait for it; 120 s by default.")
+@click.option("--wait", type=Duration(), help="How long to wait for it; 120 s by default.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")

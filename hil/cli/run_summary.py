@@ -25,7 +25,8 @@ def show(summary: dict[str, Any]) -> None:
     def row(name: str, value: object, colour: str | None = None, coloured: int | None = None) -> None:
         lines.append(Line(name=name, value=str(value), colour=colour, coloured=coloured))
 
-    row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time, {summary['link']}")
+    over = f", {summary['link']}" if summary["clock"] == "real" else ""  # in virtual time no frame leaves the process
+    row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time{over}")
     row("ran", f"{summary['slots']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     units, titles = summary.get("units", {}), summary.get("titles", {})
     for name, value in summary["metrics"].items():

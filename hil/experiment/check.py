@@ -211,7 +211,10 @@ class Checker:
                 return made if self._sound(group, made, path, f"{cls.__module__}.{cls.__qualname__}") else None
             return made
         if not isinstance(raw, dict):
-            self.faults.append(f"{path}: missing table" if raw is None else f"{path}: expected a table, got {raw!r:.60}")
+            said = f"expected a table, got {raw!r:.60}"
+            if isinstance(raw, str) and raw in registry.names(group):
+                said += f"; as a table: {{ kind = {raw!r} }}"
+            self.faults.append(f"{path}: missing table" if raw is None else f"{path}: {said}")
             return None
         kind = raw.get("kind")
         if not isinstance(kind, str):

@@ -22,6 +22,8 @@ __all__ = [
 ]  # fmt: skip
 
 MAX_BYTES = 1_000_000
+FIRST: typing.Final = "dc-motor-hinf"
+"""The experiment to begin with: Chapter 7's, certified, of which every page of the guide speaks."""
 _SHIPPED = Path(__file__).parents[1] / "experiments"
 
 
@@ -58,7 +60,9 @@ def load_experiment(
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        hint = (nearest(name, shipped()) or ";") + " `hil list` shows the shipped ones"
+        begins = sorted((each for each in shipped() if each.startswith(f"{name}-")), key=lambda each: each != FIRST)
+        near = f"; did you mean {begins[0]!r}?" if begins else nearest(name, shipped())
+        hint = (near or ";") + " `hil list` shows the shipped ones"
         raise HilError(f"no experiment {name!r}: neither a file nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so
         pass

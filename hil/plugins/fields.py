@@ -65,6 +65,25 @@ def fields_of(cls: object) -> tuple[Field, ...]:
     )
 
 
+def tables_of(cls: object) -> dict[str, type]:
+    """Return the keys of a class whose values are tables themselves, with the class of each; `.N` behind a list of tables.
+
+    >>> from transport.laws.packet import PacketLaw
+    >>> {name: found.__name__ for name, found in tables_of(PacketLaw).items()}
+    {'loss': 'GilbertElliott'}
+    >>> from design.controllers.wall import Wall
+    >>> sorted(tables_of(Wall))
+    ['materials.N', 'pattern']
+    """
+    found = {}
+    for name, hint in typing.get_type_hints(cls).items():
+        classes = [each for each in (hint, *typing.get_args(hint)) if isinstance(each, type)]
+        table = next((c for c in classes if dataclasses.is_dataclass(c) or issubclass(c, msgspec.Struct)), None)
+        if table is not None and typing.get_origin(hint) is not typing.ClassVar:
+            found[f"{name}.N" if typing.get_origin(hint) in (tuple, list) else name] = table
+    return found
+
+
 def about(group: registry.Group, name: str) -> str:
     """Return what the docstring of a plug-in says, without its arguments.
 
@@ -94,4 +113,4 @@ def _meanings(cls: object) -> dict[str, str]:
 
 def _type(hint: object) -> str:
     text = hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint)
-    return re.sub(r"\b(?:\w+\.)+(\w)", r"\1", text)
+    return re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w)", r"\1", text)

@@ -127,8 +127,8 @@ class Hand:
     p(t) is the intended path: from 0 to ``reach_m`` at constant speed during the first ``approach_s``.
 
     Args:
-        mass_kg, damping_n_s_per_m, stiffness_n_per_m: m_h, b_h, k_h, at least 0.
-        reach_m: where the hand means to be, in m; behind the surface of the wall where positive.
+        mass_kg, damping_n_s_per_m, stiffness_n_per_m: its mass m_h in kg, damping b_h in N s/m, spring k_h in N/m; at least 0.
+        reach_m: where the hand wants to be, in m; behind the surface of the wall where positive.
         approach_s: how long it takes to go there in s, above 0.
         push: force that it adds.
         slide: its way along the wall.

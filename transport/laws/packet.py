@@ -57,13 +57,13 @@ class PacketLaw:
     are.
 
     Args:
-        latency: see `transport.laws.latency.latency`: a duration, a scipy.stats law, a table of quantiles, or a recorded
-            trace.
+        latency: a duration, "5 ms"; a law of scipy.stats, { dist = "gamma", a = 4.0, scale = "10 ms" }; a table of quantiles or a
+            recorded trace, see `transport.laws.latency.latency`.
         loss: probability of losing a packet, or a Gilbert-Elliott channel.
         duplication: probability that a packet that is not lost is followed by a copy with a latency of its own.
         reordering: whether a packet may overtake an earlier one; otherwise it waits (first in, first out).
-        queue: packets in flight at most; what comes on top is dropped and booked as overflow.
-        discard_older: the receiver discards a packet that is more than so many slots old when it comes; it is booked as lost.
+        queue: packets in flight at most; what comes on top is dropped and counted as overflow.
+        discard_older: the receiver discards a packet that is more than so many slots old when it comes; it counts as lost.
             Then ages are a chain also where the latency has no bound. By default it takes every packet.
 
     Raises:

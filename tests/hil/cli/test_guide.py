@@ -51,6 +51,12 @@ def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixt
     assert end.value.code == 2 and "did you mean 'real-time'?" in capsys.readouterr().err
 
 
+def test_a_word_that_is_no_topic_is_answered_with_the_pages_that_speak_of_it(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["guide", "sae"])
+    assert end.value.code == 2 and "it stands in: can-bus; `hil guide` lists them" in capsys.readouterr().err
+
+
 def test_the_controller_of_the_wire_format_is_the_one_that_is_tested() -> None:
     program, _ = re.findall(r"```python\n(.*?)```", pages()["wire-format"].read_text(encoding="utf-8"), re.S)
     tested = (Path(__file__).parents[2] / "foreign_controller.py").read_text(encoding="utf-8")

@@ -39,6 +39,36 @@ def test_lines_fit_eighty_columns(cli: Hil) -> None:
         assert max(map(len, cli("list", *arguments)[1].splitlines())) <= 80
 
 
+@pytest.mark.parametrize(
+    ("words", "keys"),
+    [
+        (("plants", "omni"), ("hand.stiffness_n_per_m: float = 0.0", "hand.push.tremor_n: float = 0.0")),
+        (("controllers", "virtual-wall"), ("wall.materials.N.stiffness_n_per_m: float  (required)", "'theorem-6.1'")),
+        (("laws", "packet"), ("loss.p_gb: float  (required)",)),
+    ],
+)
+def test_keys_of_a_table_inside_another_are_listed_as_they_are_set(
+    cli: Hil, words: tuple[str, ...], keys: tuple[str, ...]
+) -> None:
+    out = cli("list", *words)[1]
+    assert all(key in out for key in keys) and max(map(len, out.splitlines())) <= 80
+
+
+def test_an_experiment_is_pointed_to_the_command_that_prints_it(cli: Hil) -> None:
+    status, _, err = cli("list", "dc-motor-h2")
+    assert status == 2 and "hil show dc-motor-h2 prints its file" in err
+
+
+def test_a_plants_name_is_answered_with_the_experiment_to_begin_with(cli: Hil) -> None:
+    status, _, err = cli("run", "dc-motor")
+    assert status == 2 and "did you mean 'dc-motor-hinf'?" in err
+
+
+def test_a_kind_in_place_of_its_table_is_answered_with_the_table(cli: Hil) -> None:
+    status, _, err = cli("run", "dc-motor-hinf", "--set", "plant=dc-motor")
+    assert status == 2 and "as a table: { kind = 'dc-motor' }" in err
+
+
 def test_an_unknown_kind_is_guessed(cli: Hil) -> None:
     status, _, err = cli("list", "laws", "markow")
     assert status == 2 and "did you mean 'markov'" in err

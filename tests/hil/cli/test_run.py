@@ -18,6 +18,11 @@ from tests.hil.cli.conftest import Hil
 from tests.waiting import LIMIT_S, until
 
 
+def test_a_run_in_virtual_time_names_no_link(cli: Hil) -> None:
+    _, out, _ = cli("run", "dc-motor-hinf", "--duration", "1")
+    assert "dc-motor-hinf, seed 0, virtual time\n" in out and "memory:" not in out
+
+
 def test_json_holds_every_promised_key(cli: Hil) -> None:
     status, out, _ = cli("run", "dc-motor-hinf", "--duration", "4", "--seed", "3", "--json")
     summary = json.loads(out)

@@ -111,3 +111,5 @@ def test_python_asks_for_the_nearest_name_of_the_package() -> None:
     with pytest.raises(AttributeError) as found:
         hil.swep  # noqa: B018
     assert (found.value.name, found.value.obj) == ("swep", hil)  # of these Python makes its "Did you mean: 'sweep'?"
+    with pytest.raises(AttributeError, match=r"'reproduced'$"):
+        hil.reproduced  # noqa: B018
