@@ -157,7 +157,7 @@ def print_page(page: Page) -> None:
         click.secho(f"\n{visible(section.title)}", bold=True)
         for block in section.blocks:
             if isinstance(block, Table):
-                print_table(block)
+                print_table(block, folds=True)
             elif isinstance(block, Text) and not block.code:
                 print_folded(block.text)
 

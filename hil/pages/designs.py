@@ -53,7 +53,7 @@ def bus_page(found: BusAnalysis) -> Page:
         ]
         for place, (name, each) in enumerate(zip(names, found.messages))
     ]  # fmt: skip
-    columns = ["identifier", "message", "bytes", "frame, ms", "period, ms", "deadline, ms", "bound, ms", "measured, ms"]
+    columns = ["id", "message", "bytes", "frame ms", "period ms", "deadline ms", "bound ms", "measured ms"]
     table = Table(
         columns=[*columns, "in time", "delayed by"], rows=rows, wide=True,
         note="Delayed by: how many messages win over it, and the last three of them; beside these one frame of any other may be "

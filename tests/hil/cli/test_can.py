@@ -43,12 +43,6 @@ def test_errors_and_too_slow_a_bus_are_said(sae: Path) -> None:
     assert "The messages need 107.2 % of the bus" in said and "may miss their deadline" in said and "none" in said
 
 
-def test_the_table_of_a_bus_holds_the_columns_of_the_terminal(sae: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    shown = run(str(sae), "--bitrate", "125k", "--duration", "0.1")
-    assert max(map(len, shown.splitlines())) <= 80 and "times in ms" in shown and "15 down to SAE 15" in shown
-
-
 def test_an_experiment_is_run_and_analysed() -> None:
     found = json.loads(run("dc-motor-busy-can", "--duration", "1", "--json"))
     own = {each["name"]: each for each in found["messages"]}
