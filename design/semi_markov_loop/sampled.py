@@ -55,6 +55,7 @@ def sampled_verdict(
     tau: int | DelayChain = 0,
     d: int | DelayChain = 0,
     initial: int | None = None,
+    least_delay_s: float = 0.0,
 ) -> Verdict:
     """Return whether the sampled loop is mean-square stable; the digest is left empty.
 
@@ -66,6 +67,7 @@ def sampled_verdict(
         tau: age of the samples at the controller, in periods.
         d: age of the packets at the actuator, in periods.
         initial: the mode at the start, counted from 0, where only the modes that can be reached count.
+        least_delay_s: smallest delay inside the plant (s); above 0 the loop without it decides nothing.
 
     Raises:
         ValueError: shapes that do not fit, a period or delay out of range.
@@ -78,7 +80,7 @@ def sampled_verdict(
     try:
         if isinstance(system, DelayedJumpSystem):
             if system.ad.any() and system.delay_max_s:
-                return _delayed(system, process, gain, period_s, late[0], late[1])
+                return _delayed(system, process, gain, period_s, late[0], late[1], least_delay_s)
             system = JumpSystem(a=system.a + system.ad, b=system.b)
         if isinstance(process, FaultDetection):
             return _detection(system, process, gain, period_s, late[0], late[1])
@@ -233,7 +235,8 @@ def _growing(
 
 
 def _delayed(
-    system: DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int
+    system: DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int,
+    least_s: float,
 ) -> Verdict:
     if isinstance(process, FaultDetection):
         return _undecided("a delay inside the plant together with a detected mode is not decided")
@@ -252,7 +255,9 @@ def _delayed(
         proved, number, said = found.margin > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
     except TooLarge as error:
         proved, said = False, str(error)
-    if not proved:
+    if not proved and least_s > 0.0:
+        said += f"; that it is stable without a delay is not asked, as the plant has {least_s:g} s at least"
+    elif not proved:
         without = sampled_verdict(replace(system, delay_max_s=0.0), process, gain, period_s=period_s, tau=tau, d=d)
         if without.state == "refused":
             said = f"with a delay of 0 inside the plant, which its bounds allow, {without.reason}"

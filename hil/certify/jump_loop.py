@@ -112,11 +112,14 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     from design.semi_markov_loop.sampled import sampled_verdict
 
     try:
-        system = system_of(loop.said.once("jump system", plant.jump_system))
+        stated = loop.said.once("jump system", plant.jump_system)
+        system = system_of(stated)
         process = process_of(loop.said.once("jump process", plant.jump_process))
         gain = loop.said.once("schedule", controller.schedule_of_modes)
         system, gain = _with_seen_sensors(system, gain, hidden=isinstance(process, FaultDetection))
-        found = sampled_verdict(system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca)
+        found = sampled_verdict(
+            system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca, least_delay_s=stated.min_delay_s
+        )
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
     asked = controller.constraint_of_modes() if isinstance(controller, StatesConstraint) else None

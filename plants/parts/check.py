@@ -169,6 +169,8 @@ def _check_jumps(system: JumpModel, name: str, *, inputs: int, outputs: int) -> 
             fits = len(shape) == 2 and all(e is None or e == s for e, s in zip(expected[what], shape))
             _demand(fits, f"{name}.jump_system: {what} of shape {shape}; the plant measures {n} states and the mode")
             _demand(bool(np.isfinite(matrix).all()), f"{name}.jump_system: {what} is not finite")
+    least, most = system.min_delay_s, system.max_delay_s
+    _demand(0.0 <= least <= most, f"{name}.jump_system: min_delay_s {least:g}, expected 0 to max_delay_s ({most:g})")
     slopes = len(system.delay_slopes)
     _demand(slopes == (modes if system.Ad else slopes), f"{name}.jump_system: {slopes} delay_slopes, expected {modes}")
 

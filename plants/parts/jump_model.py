@@ -21,6 +21,7 @@ class JumpModel:
         E: N matrices, n x q, of the disturbance w; empty: none.
         Ad: N matrices, n x n, of the delayed state; empty: no delay inside.
         max_delay_s: largest tau_i in s.
+        min_delay_s: smallest tau_i in s; 0: the plant may be without a delay, and is refused where its loop then is unstable.
         delay_slopes: N bounds of the growth of tau_i, in s per s.
         changes: V pairs (dA of every mode, dB of every mode); what is uncertain lies in their convex hull at every instant.
             Empty: nothing is uncertain.
@@ -36,6 +37,7 @@ class JumpModel:
     E: tuple[Rows, ...] = ()
     Ad: tuple[Rows, ...] = ()
     max_delay_s: float = 0.0
+    min_delay_s: float = 0.0
     delay_slopes: tuple[float, ...] = ()
     changes: tuple[tuple[tuple[Rows, ...], tuple[Rows, ...]], ...] = ()
     S: tuple[Rows, ...] = ()

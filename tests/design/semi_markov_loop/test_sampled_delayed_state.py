@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,9 +33,9 @@ def scalar(a: list[float], ad: list[float], slopes: list[float], b: float = 1.0,
     )  # fmt: skip
 
 
-def judged(system: DelayedJumpSystem, process: SemiMarkov, gain: list[float], **network: int) -> Verdict:
+def judged(system: DelayedJumpSystem, process: SemiMarkov, gain: list[float], **more: Any) -> Verdict:
     table = constant_gain(np.array(gain).reshape(-1, 1, 1))
-    return sampled_verdict(system, process, table, period_s=0.05, **network)
+    return sampled_verdict(system, process, table, period_s=0.05, **more)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.6])
@@ -62,6 +63,15 @@ def test_a_plant_that_grows_without_its_delay_is_refused() -> None:
         assert found.state == state, (a, g, k, found.reason)
     assert "delay of 0" in judged(scalar([0.2], [-0.1], [0.3]), ONE, [0.0]).reason
     assert judged(scalar([0.2], [-0.3], [0.3], longest=0.0), ONE, [0.0]).certified
+
+
+def test_a_plant_that_is_never_without_its_delay_is_not_refused_for_it() -> None:
+    unstable, stable = (scalar([a], [g], [0.3], longest=0.5) for a, g in ((0.2, -0.1), (0.2, -0.3)))
+    for least, state in ((0.0, "refused"), (0.1, "undecided")):
+        found = judged(unstable, ONE, [0.0], least_delay_s=least)
+        assert found.state == state
+    assert "the plant has 0.1 s at least" in found.reason
+    assert judged(stable, ONE, [0.0], least_delay_s=0.1).certified
 
 
 def test_modes_that_jump_may_read_one_instant_once_in_every_mode() -> None:

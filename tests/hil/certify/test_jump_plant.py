@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from design.as_printed import examples
 from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
+from hil.certify.certify import judge
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
@@ -22,7 +23,18 @@ from hil.experiment.rig_tables import Limits
 from hil.experiment.tables import Seconds
 from hil.plugins.checks import check_controller
 from hil.runtime.simulated import simulate
-from plants import DCMotor, DelayedVTOL, FaultyVTOL, PlantError, SwitchedExample, check_plant
+from plants import (
+    DCMotor,
+    DelayedVTOL,
+    FaultyVTOL,
+    JumpModel,
+    JumpRates,
+    PlantError,
+    SwitchedExample,
+    TransitionRates,
+    check_plant,
+)
+from tests.hil.compose.random_loops import jump_loop
 
 TwoSpeedTank: Any = runpy.run_path(str(Path(__file__).with_name("two_speed_tank.py")))["TwoSpeedTank"]
 
@@ -119,6 +131,30 @@ def test_a_jump_plant_whose_matrices_do_not_fit_is_named() -> None:
 
     with pytest.raises(PlantError, match=r"Odd\.jump_system: B of shape \(1, 2\)"):
         check_plant(Odd())
+
+
+def test_a_least_delay_above_the_largest_is_refused_and_one_within_keeps_the_loop_undecided() -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Late(TwoSpeedTank):  # type: ignore[misc]
+        least: float = 0.0
+
+        def jump_system(self) -> Any:
+            own = TwoSpeedTank().jump_system()
+            return dataclasses.replace(
+                own, Ad=tuple(((9.0,),) for _ in own.A), max_delay_s=0.1, min_delay_s=self.least, delay_slopes=(0.3,) * len(own.A)
+            )
+
+    with pytest.raises(PlantError, match=r"Late\.jump_system: min_delay_s 0\.2, expected 0 to max_delay_s \(0\.1\)"):
+        check_plant(Late(least=0.2))
+    two = JumpModel(
+        A=(((0.2,),),) * 2, Ad=(((-0.1,),),) * 2, B=(((1.0,),),) * 2, max_delay_s=0.5, delay_slopes=(0.3, 0.3)
+    )  # fmt: skip
+    process = JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(((-1.0, 1.0), (1.0, -1.0)),)))
+    for least, state in ((0.0, "refused"), (0.05, "undecided")):
+        system = dataclasses.replace(two, min_delay_s=least)
+        found = judge(jump_loop(np.random.default_rng(0), system, process, np.zeros((2, 1, 1)), 0.05, 0))
+        assert found.state == state, found.reason
+    assert "the plant has 0.05 s at least" in found.reason
 
 
 def test_checks_say_what_a_plug_in_is_and_what_that_earns() -> None:

@@ -33,6 +33,23 @@ matrix = [[0.0, 1.0], [1.0, 0.0]]
 sojourn = [{{ law = "geometric", p = 0.5 }}, {{ law = "discrete-weibull", q = 0.6, beta = {tail} }}]
 """
 """A network of many modes: with `tail = 1.1` its certificate takes more than half a minute."""
+AGES = 28
+CLIMBING = str([[0.9 * (j == min(i + 1, AGES - 1)) + 0.1 * (j == 0) for j in range(AGES)] for i in range(AGES)])
+CROWDED = f'''
+name = "crowded"
+period = "50 ms"
+duration = "5 s"
+allow_uncertified = true
+[plant]
+kind = "dc-motor"
+[controller]
+kind = "local"
+gain = [[-0.005]]
+[network]
+sc.law = {{ kind = "markov", matrix = {CLIMBING} }}
+ca.law = {{ kind = "markov", matrix = {CLIMBING} }}
+'''
+"""784 modes of 56 states: no eigenvalue is looked for, and sums of powers take some twenty seconds."""
 
 
 def in_a_terminal(folder: Path, *arguments: str) -> tuple[subprocess.Popen[str], int]:
@@ -62,6 +79,7 @@ def read(terminal: int) -> str:
         ("dc-motor, lqr without a network", ("design", "large.toml", "--local", "lqr")),
         ("gains of large", ("solve", "designed.toml")),
         ("computing", ("run", "large.toml", "-o", "large.mcap")),
+        ("computing", ("run", "crowded.toml", "-o", "large.mcap")),
         ("large", ("sweep", "large.toml", "--runs", "50")),
     ],
 )
@@ -70,6 +88,7 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
 ) -> None:
     (tmp_path / "large.toml").write_text(LARGE.format(controller='"h2"', tail=1.1))
     (tmp_path / "designed.toml").write_text(LARGE.format(controller='"designed"\nobjective = "h2"', tail=1.1))
+    (tmp_path / "crowded.toml").write_text(CROWDED)
     made = set(tmp_path.iterdir())
     process, terminal = in_a_terminal(tmp_path, *arguments)
     seen = ""
