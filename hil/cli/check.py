@@ -81,7 +81,7 @@ def _measure(kind: str, sets: tuple[str, ...], experiment: str) -> list[str]:
     from hil.measure.check import check_measure
     from hil.measure.measure import made_of
     from hil.measure.view import view_of
-    from hil.pages.run.drawn import check_section
+    from hil.pages.run.sections import check_section
     from hil.plugins import registry
     from hil.runtime.simulated import rehearsal
 
