@@ -11,13 +11,13 @@ from types import TracebackType
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.log.events import encode_event, to_json
+from hil.log.events import to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.packed_records import Packed
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, Record
+from hil.log.write.sinks import PayloadWriter, Record, Sink
 
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16
@@ -28,7 +28,7 @@ MOST_WAITING: Final = 1 << 21
 """Bytes that wait in memory for a flush."""
 
 
-class McapSink:
+class McapSink(Sink):
     """Writes records to an MCAP file, chunked and compressed; the file is recoverable at every instant.
 
     Provenance goes first and is flushed at once. Without ``now`` a chunk ends after a fixed number of bytes, so that
@@ -148,14 +148,6 @@ class McapSink:
     def drop(self, records: int) -> None:
         """Count records that were lost on their way here."""
         self._dropped += records
-
-    def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
-    ) -> None:
-        """See ``Sink``."""
-        put = self.channel(EVENTS_TOPIC)
-        assert put is not None
-        put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
 
     def commit(self) -> None:
         """See ``Sink``; ends a chunk when it is due."""

@@ -30,7 +30,10 @@ class Sink(Protocol):
     def event(
         self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
     ) -> None:
-        """Take an event."""
+        """Take an event, as a record of ``/events``."""
+        put = self.channel(EVENTS_TOPIC)
+        if put is not None:
+            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
 
     def commit(self) -> None:
         """Close the tick: everything since the last commit may now leave."""
@@ -71,7 +74,7 @@ def records_to(sink: Sink, topics: Sequence[str]) -> Record | None:
     return sink.records(topics) if isinstance(sink, PacksRecords) else None
 
 
-class MemorySink:
+class MemorySink(Sink):
     """Keeps records in memory, for sweeps, tests and summaries.
 
     Args:
@@ -101,14 +104,6 @@ class MemorySink:
             keep(payload)
 
         return put
-
-    def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
-    ) -> None:
-        """See ``Sink``."""
-        put = self.channel(EVENTS_TOPIC)
-        if put is not None:
-            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
 
     def commit(self) -> None:
         """See ``Sink``."""
@@ -149,7 +144,7 @@ class TeeSink:
             sink.commit()
 
 
-class RecordObservers:
+class RecordObservers(Sink):
     """Hands records to functions by topic, for a live view.
 
     Args:
@@ -162,14 +157,6 @@ class RecordObservers:
     def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         return self._taps.get(topic)
-
-    def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
-    ) -> None:
-        """See ``Sink``."""
-        put = self._taps.get(EVENTS_TOPIC)
-        if put is not None:
-            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
 
     def commit(self) -> None:
         """See ``Sink``."""
