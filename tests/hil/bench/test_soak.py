@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.bench.soak import _memory, bench_soak, judge, slope
+from hil.bench.soak import _memory, _predicted, bench_soak, judge, slope
 
 
 def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:
@@ -104,3 +104,11 @@ def test_an_object_that_leaks_per_chunk_or_slot_is_growth_and_some_pages_of_a_he
     leaked = np.floor(leaks_per_s * kind * t / 1024 / 16) * 16
     pages = 24.0 * (t > 480.0)
     assert _memory("session", t, 57_000.0 + leaked + noise + pages)["grows"] is grows
+
+
+def test_the_size_of_a_log_is_predicted_by_its_growth_in_the_second_tenth() -> None:
+    t = np.arange(101.0)
+    log = np.where(t <= 10.0, 3.0 * t, np.where(t <= 20.0, 30.0 + 7.0 * (t - 10.0), 1e6))
+    assert _predicted(t, log, 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
+    few = t <= 15.0  # of a session that ended early
+    assert _predicted(t[few], log[few], 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
