@@ -32,8 +32,9 @@ export function badge(place, [sign, state], words) {
 
 export const claimBadge = (place, claim) => {
   const digits = claim.limit == null ? 4 : apart(claim.number, claim.limit);
+  const limit = claim.limit == null ? "" : ` (limit ${number(claim.limit, digits)})`;
   badge(place, SIGN[claim.state] || SIGN.none, (claim.kind === "passivity" && claim.state === "certified" ? "passive" : MEANS[claim.state]) +
-    (claim.number == null ? "" : `: ${claim.quantity || "margin"} ${number(claim.number, digits)}${claim.limit == null ? "" : `, below ${number(claim.limit, digits)}`}`));
+    (claim.number == null ? "" : `: ${claim.quantity || "margin"} ${number(claim.number, digits)}${limit}`));
 };
 
 // One wish after the other: on two connections a later one could come before an earlier one.
@@ -85,7 +86,7 @@ function showWords(run) {
     `${topic.endsWith("sc") ? "to the controller" : "to the actuator"}: ${Object.entries(n).map(([k, v]) => `${v} ${k}`).join(", ") || "nothing lost"}`);
   const t = now.timing;
   run.counters.textContent = [
-    ...fates, `${now.changes} changes`, `${now.refused} requests refused`,
+    ...fates, `${now.changes} change${now.changes === 1 ? "" : "s"}`, `${now.refused} request${now.refused === 1 ? "" : "s"} refused`,
     ...(t ? [`${t.late} late answers, ${t.overrun} overruns, worst lateness ${number(t.worst, 3)} µs, work ${number(t.work, 3)} µs`] : []),
   ].join(" · ");
   if (!t) return;

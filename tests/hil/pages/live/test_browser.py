@@ -78,6 +78,7 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, br
     browser.evaluate(KEY.format("Enter"))
     shows(browser, DRAFT, f"acts from slot {held}")
     shows(browser, "document.querySelector('.run .badge').className", "bad")
+    assert "(limit 1)" in str(browser.evaluate(BADGE))
     browser.evaluate(choose("drag the reference of angle", "1.5"))
     shows(browser, DRAFT, "reference: acts from slot")
     browser.evaluate("document.getElementById('push').click()")
