@@ -16,13 +16,15 @@ from numpy.typing import NDArray
 
 from transport.errors import FieldError
 from transport.laws.age_draws import ChainDraws
-from transport.laws.age_paths import Ages, chain_ages, uniforms_of_many
 from transport.laws.stochastic_matrix import (
+    Ages,
     Row,
+    chain_ages,
     checked_matrix,
     checked_row,
     cumulative,
     mean_holding,
+    several_of_many,
     stationary_row,
 )
 
@@ -206,7 +208,7 @@ class IidAge:
     def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""
         rows = [self.probabilities] * len(self.probabilities)
-        return chain_ages(self.probabilities, rows, self.mode_ages, uniforms_of_many(rngs, runs, slots))
+        return chain_ages(self.probabilities, rows, self.mode_ages, several_of_many(rngs, runs, slots, 1)[0])
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain with equal rows, (n, n)."""
@@ -309,7 +311,7 @@ class MarkovAge(ChainAge):
     def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Ages:
         """Return the ages that many processes draw, (slots, runs), each from its own stream."""
         first = tuple(self.initial_law().tolist())
-        return chain_ages(first, self.matrix, self.mode_ages, uniforms_of_many(rngs, runs, slots))
+        return chain_ages(first, self.matrix, self.mode_ages, several_of_many(rngs, runs, slots, 1)[0])
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain, (n, n)."""

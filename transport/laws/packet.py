@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle, islice
 from os import PathLike
 from typing import ClassVar, Literal
 
@@ -13,13 +14,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws.age_paths import chain_ages, several_of_many
-from transport.laws.latency import LatencySpec, LatencyTrace, described, latency
+from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, packet_chain
 from transport.laws.packet_draws import LATEST, PacketDraws
-from transport.laws.packet_paths import SlotTimes, in_order, newest_received, quantiles
 from transport.laws.protocols import SLOT_TOLERANCE
-from transport.laws.stochastic_matrix import mean_holding, stationary_row
+from transport.laws.stochastic_matrix import chain_ages, mean_holding, several_of_many, stationary_row
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -152,9 +151,7 @@ class PacketLaw:
             runs, slots: how many.
             period_s, deadline_s: see `start`.
         """
-        latencies, times = latency(self.latency), SlotTimes(
-            period_s=period_s, deadline_s=deadline_s, tolerance=SLOT_TOLERANCE, latest=LATEST
-        )  # fmt: skip
+        latencies = latency(self.latency)
         mode, loss, level, copy, copy_level = several_of_many(rngs, runs, slots, 5)
         taken = in_order(latencies, level)
         if taken is None:
@@ -163,11 +160,11 @@ class PacketLaw:
         modes = chain_ages(self.stationary().tolist(), rows, range(len(rows)), mode)
         sent = ~((loss < np.array(self.channel_losses()).take(modes)) | np.isinf(taken))
         copied = quantiles(latencies, copy_level)
-        delays = [times.delays(np.where(np.isinf(s), 0.0, s)) for s in (taken, copied)]
+        late = [delays(np.where(np.isinf(s), 0.0, s), period_s, deadline_s) for s in (taken, copied)]
         leaves = [sent, sent & (copy < self.duplication)]
         if self.discard_older is not None:
-            leaves = [own & (delay <= self.discard_older) for own, delay in zip(leaves, delays)]
-        return newest_received(leaves, delays, reordering=self.reordering, queue=self.queue)
+            leaves = [own & (delay <= self.discard_older) for own, delay in zip(leaves, late)]
+        return newest_received(leaves, late, reordering=self.reordering, queue=self.queue)
 
     def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain | str:
         """Return the chain of the ages of the newest packet, or in words why there is none; see `packet_chain`."""
@@ -203,3 +200,74 @@ class PacketLaw:
 def _probability(path: str, value: float) -> None:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
         raise FieldError(path, f"got {value!r}, expected a probability, 0 to 1")
+
+
+Seconds = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Slots = NDArray[np.int32]
+
+
+def delays(latency_s: Seconds, period_s: float, deadline_s: float) -> NDArray[np.int64]:
+    """Return the delays in slots of finite latencies, the same shape; see `transport.laws.packet_draws.PacketDraws`."""
+    slots = np.ceil((latency_s - deadline_s) / period_s - SLOT_TOLERANCE)
+    return np.clip(slots, 0, LATEST).astype(np.int64)
+
+
+def quantiles(law: Latency, levels: Seconds) -> Seconds:
+    """Return what the law's sampler gives at some levels of [0, 1), the same shape, s."""
+    if isinstance(law, LatencyTrace):
+        recorded = np.array(sorted(v for v in law.values_s if np.isfinite(v)) or [np.inf])
+        return recorded.take((levels * len(recorded)).astype(np.intp))
+    at, values = np.array(law.levels), np.array(law.values_s)
+    rise, step = np.diff(values), np.diff(at)
+    slopes = np.divide(rise, step, out=np.zeros(len(step)), where=step > 0)
+    i = np.searchsorted(at, levels, side="right") - 1
+    return np.asarray(values.take(i) + (levels - at.take(i)) * slopes.take(i))
+
+
+def in_order(law: Latency, levels: Seconds) -> Seconds | None:
+    """Return the latencies of the packets of all slots, (slots, runs), s; None of a trace that ends before.
+
+    Args:
+        law: of the latencies.
+        levels: numbers of [0, 1), (slots, runs).
+    """
+    if not isinstance(law, LatencyTrace):
+        return quantiles(law, levels)
+    values = np.array(list(islice(cycle(law.values_s) if law.repeat else law.values_s, len(levels))))
+    return None if len(values) < len(levels) else np.broadcast_to(values[:, None], levels.shape)
+
+
+def newest_received(
+    sent: Sequence[Flags], delays: Sequence[NDArray[np.int64]], *, reordering: bool, queue: int
+) -> tuple[Slots, Flags]:
+    """Return the slot of the newest packet that has come, (slots, runs), -1 before the first, and in which runs known, (runs,).
+
+    The numbers of a slot, the order of every sum and the rounding of every latency to slots are those of `PacketDraws`.
+
+    Args:
+        sent: of every slot, whether the packet leaves, and whether a copy follows it; (slots, runs) each.
+        delays: of both, slots, (slots, runs) each.
+        reordering: whether a packet may overtake an earlier one.
+        queue: packets in flight at most; a run in which one more leaves is not counted.
+    """
+    slots, runs = sent[0].shape
+    newest = np.full((slots, runs), -1, dtype=np.int32)
+    landing = np.zeros((slots, runs), dtype=np.int32)  # how many arrive
+    flying, last = np.zeros(runs, dtype=np.int64), np.zeros(runs, dtype=np.int64)
+    whole = np.ones(runs, dtype=np.bool_)
+    for k in range(slots):
+        if k:
+            flying -= landing[k - 1]
+        for leaves, delay in zip((s[k] for s in sent), (d[k] for d in delays)):
+            at = delay + k
+            if not reordering:
+                at = np.maximum(at, last)
+                last = np.where(leaves, at, last)
+            whole &= ~(leaves & (flying >= queue))
+            flying += leaves
+            runs_in_time = np.flatnonzero(leaves & (at < slots))
+            arrives = at.take(runs_in_time)
+            newest[arrives, runs_in_time] = k
+            landing[arrives, runs_in_time] += 1
+    return np.maximum.accumulate(newest, axis=0), whole

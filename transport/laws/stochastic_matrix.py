@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import accumulate
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from transport.errors import FieldError
 
 Row = tuple[float, ...]
+Ages = NDArray[np.int32]
 SUM_TOLERANCE = 1e-9
 BLOCK = 128
 """Uniform numbers drawn at once: 1024 take 3 ns less each, and 20 us of one slot where caches are cold."""
@@ -144,3 +145,33 @@ def _censored(P: NDArray[np.float64]) -> NDArray[np.float64]:
 def mean_holding(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the mean number of slots that every mode of a chain lasts, (n,): 1/(1 - p_ii)."""
     return np.array([1.0 / (1.0 - p) if p < 1.0 else np.inf for p in np.diag(matrix).tolist()])
+
+
+def several_of_many(rngs: Iterable[np.random.Generator], runs: int, slots: int, numbers: int) -> NDArray[np.float64]:
+    """Return so many uniform numbers of [0, 1) of every slot of many streams, (numbers, slots, runs)."""
+    drawn = np.empty((runs, slots, numbers))
+    for row, rng in zip(drawn, rngs, strict=True):
+        rng.random(out=row)
+    return np.ascontiguousarray(np.moveaxis(drawn, (2, 1), (0, 1)))
+
+
+def chain_ages(first: Row, rows: Sequence[Row], ages: Sequence[int], uniforms: NDArray[np.float64]) -> Ages:
+    """Return the ages of many Markov chains, (slots, runs): those that `draw` gives one by one, from the same streams.
+
+    Args:
+        first: law of the mode in slot 0, (modes,).
+        rows: transition probabilities, (modes, modes).
+        ages: age of every mode, (modes,).
+        uniforms: numbers of [0, 1), (slots, runs).
+    """
+    bounds: NDArray[np.float64] = np.array([cumulative(row)[:-1] for row in rows]).reshape(len(rows), -1).T.copy()
+    modes = np.zeros(uniforms.shape, dtype=np.intp)
+    if not len(uniforms):
+        return np.zeros(uniforms.shape, dtype=np.int32)
+    for share in cumulative(first)[:-1]:
+        modes[0] += uniforms[0] >= share
+    for k in range(1, len(uniforms)):
+        before, now, u = modes[k - 1], modes[k], uniforms[k]
+        for bound in bounds:
+            now += u >= bound.take(before)
+    return np.array(ages, dtype=np.int32).take(modes)

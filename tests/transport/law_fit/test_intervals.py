@@ -22,8 +22,8 @@ from transport.law_fit.profile_intervals import angles_of, critical, minimum, pr
 from transport.law_fit.proportions import clopper_pearson, wilson
 from transport.law_fit.region import arrivals, confidence_region
 from transport.laws.age import MarkovAge
-from transport.laws.age_paths import chain_ages
 from transport.laws.packet import GilbertElliott, PacketLaw
+from transport.laws.stochastic_matrix import chain_ages
 
 T, DEADLINE = 0.010, 0.006
 RUNS, LOW, HIGH = 2000, 0.93, 0.97
