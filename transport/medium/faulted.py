@@ -7,7 +7,7 @@ from math import nan
 from typing import Final, Literal, NamedTuple
 
 from transport.draws import CORRUPTED, CUT, DELIVERED, DISORDERED, DUPLICATED, NO_MODE, OFF_BUS, REPEATED, Draw
-from transport.medium.independent import Arrivals, Impairment
+from transport.medium.independent import Arrivals
 from transport.medium.medium import Delivery, Medium
 
 FaultKind = Literal["cut", "corrupt", "freeze", "bus-off"]
@@ -126,30 +126,3 @@ class FaultedMedium:
     def collect(self, k: int) -> list[Delivery]:
         """See `Medium.collect`."""
         return [path.came(k, delivery) for path, delivery in zip(self._paths, self._medium.collect(k), strict=True)]
-
-
-class FaultedChannel:
-    """One direction with faults on its time line; see `transport.medium.independent.Impairment`.
-
-    Args:
-        channel: the emulated network.
-        path: its faults.
-    """
-
-    def __init__(self, channel: Impairment, path: FaultyPath) -> None:
-        self._channel, self._path = channel, path
-
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        return self._channel.pending
-
-    def offer(self, k: int, packet: object) -> None:
-        """See `Impairment.offer`."""
-        sent = self._path.sent(k, packet)
-        if sent is not None:
-            self._channel.offer(k, sent)
-
-    def collect(self, k: int) -> Delivery:
-        """See `Impairment.collect`."""
-        return self._path.came(k, self._channel.collect(k))

@@ -37,11 +37,6 @@ _new: Final = tuple.__new__  # without the Python constructor: in five files 6 %
 class Impairment(Protocol):
     """One direction of an emulated network."""
 
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        ...
-
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, before `collect(k)`; at most one per slot. One that came too late is not offered.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -67,6 +68,27 @@ class IndependentChannels:
         return [channels[0].collect(k)] if len(channels) == 1 else [channel.collect(k) for channel in channels]
 
 
+class OneWay:
+    """A medium of one node, as one direction: so faults and changes of the way to the actuator are those of a sensor node.
+
+    See `transport.medium.independent.Impairment`.
+
+    Args:
+        medium: of one node.
+    """
+
+    def __init__(self, medium: Medium) -> None:
+        self._medium = medium
+
+    def offer(self, k: int, packet: object) -> None:
+        """See `Impairment.offer`."""
+        self._medium.offer(0, k, packet)
+
+    def collect(self, k: int) -> Delivery:
+        """See `Impairment.collect`."""
+        return self._medium.collect(k)[0]
+
+
 class SplitMedium:
     """Hands every node to its own medium; see `transport.medium.medium.Medium`.
 
@@ -94,6 +116,47 @@ class SplitMedium:
         for nodes, medium in self._parts:
             found |= zip(nodes, medium.collect(k))
         return [found[node] for node in sorted(found)]
+
+
+class ChangingMedium:
+    """A medium that may be replaced in a run: the new one takes over what is on its way.
+
+    It begins a few slots before it takes over, as many as the longest delay has: of the packets since then it decides as if they
+    had been sent under it; what it would have let arrive before is in use, or lost. What a change costs does not depend on how
+    long the run has gone on.
+
+    Args:
+        medium: the first.
+        nodes: number of nodes.
+        depth: slots whose packets are kept for the next medium: the longest age, at least.
+    """
+
+    def __init__(self, medium: Medium, nodes: int, depth: int) -> None:
+        self._medium = medium
+        self._past: tuple[deque[tuple[int, object]], ...] = tuple(deque(maxlen=depth) for _ in range(nodes))
+
+    def may_send(self, node: int, k: int) -> bool:
+        """See `Medium.may_send`."""
+        return self._medium.may_send(node, k)
+
+    def offer(self, node: int, k: int, packet: object) -> None:
+        """See `Medium.offer`."""
+        self._past[node].append((k, packet))
+        self._medium.offer(node, k, packet)
+
+    def collect(self, k: int) -> Sequence[Delivery]:
+        """See `Medium.collect`."""
+        return self._medium.collect(k)
+
+    def change(self, medium: Medium, k: int, first: int) -> None:
+        """Let another medium, whose laws begin in slot `first`, take over before anything is offered in slot k."""
+        for node, past in enumerate(self._past):
+            for g, packet in past:
+                if g >= first:
+                    medium.offer(node, g, packet)
+        if k > first:
+            medium.collect(k - 1)
+        self._medium = medium
 
 
 class SampleClock:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from transport.draws import LOST, NO_MODE, REPLACED, Draw
+from transport.draws import LOST, NO_MODE, REPLACED, SUPERSEDED, Draw
 from transport.errors import FieldError
 from transport.laws.stochastic_matrix import cumulative
 from transport.medium.independent import Impairment
@@ -167,13 +167,51 @@ class Arbitration:
         return [(node, self.waiting.pop(node)) for node in sorted(self.waiting)[: self._frames]]
 
 
+class Behind:
+    """The channel behind a bus: it takes one packet a slot, the newest, and names it by the slot of its sample.
+
+    Args:
+        channel: the emulated network from the bus on.
+    """
+
+    def __init__(self, channel: Impairment) -> None:
+        self._channel = channel
+        self._ticks: dict[int, int] = {}  # slot of sampling by slot of sending
+        self._newest = -1
+        self._booked: list[Draw] = []
+
+    def book(self, k: int, ticks: Sequence[int], reason: int) -> None:
+        """Book in slot k that packets of some slots were lost or replaced."""
+        self._booked += [Draw(k, tick, NO_MODE, 0 if reason == LOST else k - tick, nan, reason) for tick in ticks]
+
+    def carry(self, k: int, came: Sequence[tuple[int, object]]) -> None:
+        """Send on the newest of the packets that the bus has carried in slot k, each with the slot of its sample."""
+        fresh = [(tick, packet) for tick, packet in came if tick > self._newest]
+        newest = max(fresh, key=lambda each: each[0], default=None)
+        self.book(k, [g for g, _ in came if newest is None or g != newest[0]], SUPERSEDED)
+        if newest is None:
+            return
+        self._newest = newest[0]
+        self._ticks[k] = newest[0]
+        if len(self._ticks) > REMEMBERED:
+            del self._ticks[next(iter(self._ticks))]
+        self._channel.offer(k, newest)
+
+    def collect(self, k: int) -> Delivery:
+        """Return what the channel lets arrive, and what was booked; see `Impairment.collect`."""
+        draws, arrivals = self._channel.collect(k)
+        ticks, booked = self._ticks, self._booked
+        self._booked = []
+        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
+        return [*named, *booked], [packet for _, packet in arrivals]  # type: ignore[misc]
+
+
 class ArbitratedBus:
     """Nodes that share a bus with arbitration; see `transport.medium.medium.Medium`.
 
     A bus on which the lowest identifier wins: a frame that loses waits, and a newer sample of its node takes its place.
 
-    In a slot the bus carries a stated number of frames. How long a frame takes on the wire is not modelled: a bus that counts
-    bits replaces `Arbitration.winners` and nothing else.
+    In a slot the bus carries a stated number of frames; `transport.medium.timed_bus` has one that counts bits.
 
     A packet that wins travels through its node's own channel from that slot on. It arrives under the slot in which it was
     offered: the age of its sample counts the wait.
@@ -186,10 +224,8 @@ class ArbitratedBus:
     """
 
     def __init__(self, channels: Sequence[Impairment], frames: int, loss: float, rng: np.random.Generator) -> None:
-        self._channels = tuple(channels)
+        self._behind = [Behind(channel) for channel in channels]
         self._bus, self._frames, self._loss, self._rng = Arbitration(frames), min(frames, len(channels)), loss, rng
-        self._ticks: list[dict[int, int]] = [{} for _ in channels]  # slot of sampling by slot of sending
-        self._booked: list[tuple[int, Draw]] = []
         self._next = 0
 
     def may_send(self, node: int, k: int) -> bool:
@@ -208,33 +244,19 @@ class ArbitratedBus:
         if old is not None and old.tick >= k:
             raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old.tick}")
         if old is not None:
-            self._booked.append((node, Draw(k, old.tick, NO_MODE, k - old.tick, nan, REPLACED)))
+            self._behind[node].book(k, [old.tick], REPLACED)
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what the bus has carried and each channel lets arrive, see `Medium.collect`."""
         for slot in range(self._next, k + 1):
             self._carry(slot)
         self._next = k + 1
-        found = [self._named(node, channel.collect(k)) for node, channel in enumerate(self._channels)]
-        for node, draw in self._booked:
-            found[node][0].append(draw)
-        self._booked = []
-        return found
+        return [behind.collect(k) for behind in self._behind]
 
     def _carry(self, k: int) -> None:
         lost = (self._rng.random(self._frames) < self._loss).tolist()
-        for (node, (tick, packet)), gone in zip(self._bus.winners(), lost):
+        for (node, won), gone in zip(self._bus.winners(), lost):
             if gone:
-                self._booked.append((node, Draw(k, tick, NO_MODE, 0, nan, LOST)))
-                continue
-            ticks = self._ticks[node]
-            ticks[k] = tick
-            if len(ticks) > REMEMBERED:
-                del ticks[next(iter(ticks))]
-            self._channels[node].offer(k, (tick, packet))
-
-    def _named(self, node: int, delivery: Delivery) -> Delivery:
-        """Name packets by the slot of their sample where the channel knows the slot of sending."""
-        (draws, arrivals), ticks = delivery, self._ticks[node]
-        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
-        return named, [packet for _, packet in arrivals]  # type: ignore[misc]
+                self._behind[node].book(k, [won.tick], LOST)
+            else:
+                self._behind[node].carry(k, [(won.tick, won.packet)])

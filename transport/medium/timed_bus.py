@@ -9,9 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import nan
 from struct import pack
-from typing import Any, Final
+from typing import Any
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bus import CanBus, Transmission
@@ -19,14 +18,12 @@ from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.planned_faults import BusFault, PlannedOutages
 from transport.can_bus_model.traffic import Traffic
-from transport.draws import NO_MODE, REPLACED, SUPERSEDED, Draw
+from transport.draws import REPLACED
 from transport.errors import FieldError
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
+from transport.medium.scheduled import Behind
 from transport.wire.fields import frame_length
-
-REMEMBERED: Final = 4096
-"""Packets of a node whose slot of sampling is kept, for records about them."""
 
 
 def value_frames(identifier: int, values: Sequence[float], *, fd: bool) -> list[CanFrame]:
@@ -138,38 +135,6 @@ class BusInSlots:
         return [(packet.tick, packet.content) for packet in found]
 
 
-class _Behind:
-    """The channel behind the bus: it takes one packet a slot, the newest, and names it by the slot of its sample."""
-
-    def __init__(self, channel: Impairment) -> None:
-        self.channel = channel
-        self._ticks: dict[int, int] = {}
-        self._newest = -1
-        self._booked: list[Draw] = []
-
-    def replaced(self, k: int, ticks: Sequence[int]) -> None:
-        self._booked += [Draw(k, tick, NO_MODE, k - tick, nan, REPLACED) for tick in ticks]
-
-    def carry(self, k: int, came: Sequence[tuple[int, object]]) -> None:
-        fresh = [(tick, packet) for tick, packet in came if tick > self._newest]
-        newest = max(fresh, key=lambda each: each[0], default=None)
-        self._booked += [Draw(k, g, NO_MODE, k - g, nan, SUPERSEDED) for g, _ in came if newest is None or g != newest[0]]
-        if newest is None:
-            return
-        self._newest = newest[0]
-        self._ticks[k] = newest[0]
-        if len(self._ticks) > REMEMBERED:
-            del self._ticks[next(iter(self._ticks))]
-        self.channel.offer(k, newest)
-
-    def collect(self, k: int) -> Delivery:
-        draws, arrivals = self.channel.collect(k)
-        ticks, booked = self._ticks, self._booked
-        self._booked = []
-        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
-        return [*named, *booked], [packet for _, packet in arrivals]  # type: ignore[misc]
-
-
 class TimedBusUplink:
     """Sensor nodes on a CAN bus that takes time; see `transport.medium.medium.Medium`.
 
@@ -183,7 +148,7 @@ class TimedBusUplink:
         self, bus: BusInSlots, channels: Sequence[Impairment], frames: Sequence[Callable[[object], Sequence[CanFrame]]]
     ) -> None:  # fmt: skip
         self._bus, self._frames = bus, tuple(frames)
-        self._behind = [_Behind(channel) for channel in channels]
+        self._behind = [Behind(channel) for channel in channels]
         self._next = 0
 
     def may_send(self, node: int, k: int) -> bool:
@@ -199,7 +164,7 @@ class TimedBusUplink:
         if k < self._next:
             raise FieldError("k", f"slot {k} is offered a packet after it was collected")
         replaced = self._bus.send(node, k, k * self._bus.period_ns, packet, self._frames[node](packet))
-        self._behind[node].replaced(k, replaced)
+        self._behind[node].book(k, replaced, REPLACED)
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what each node's packets have become by the deadline of slot k, see `Medium.collect`."""
@@ -224,17 +189,12 @@ class TimedBusDownlink:
         self, bus: BusInSlots, sender: int, channel: Impairment, frames: Callable[[object], Sequence[CanFrame]]
     ) -> None:  # fmt: skip
         self._bus, self._sender, self._frames = bus, sender, frames
-        self._behind = _Behind(channel)
-
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        return self._behind.channel.pending
+        self._behind = Behind(channel)
 
     def offer(self, k: int, packet: object) -> None:
         """Queue a packet at the deadline of slot k, see `Impairment.offer`."""
         at = k * self._bus.period_ns + self._bus.deadline_ns
-        self._behind.replaced(k, self._bus.send(self._sender, k, at, packet, self._frames(packet)))
+        self._behind.book(k, self._bus.send(self._sender, k, at, packet, self._frames(packet)), REPLACED)
 
     def collect(self, k: int) -> Delivery:
         """Return what has come by the end of slot k, see `Impairment.collect`."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from hil.runtime.nodes.port_damper import Injected, PortDamper
-from hil.runtime.nodes.safety import Safety
+from hil.runtime.nodes.safety import Injected, PortDamper, Safety
 from transport.packets import SELECTIONS, ControlPacket
 
 OK: Final = 0

@@ -9,9 +9,9 @@ from hil.rig.loop import Loop
 from hil.rig.schedules import fault_text
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
-from transport.medium.faulted import FaultedChannel, FaultedMedium, FaultyPath
+from transport.medium.faulted import FaultedMedium, FaultyPath
 from transport.medium.independent import Impairment
-from transport.medium.medium import Medium
+from transport.medium.medium import IndependentChannels, Medium, OneWay
 from transport.packets import packet_size
 
 
@@ -44,7 +44,7 @@ class FaultInjector:
 
     def downlink(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator, with its faults."""
-        return FaultedChannel(channel, self._actuator) if self.there else channel
+        return OneWay(FaultedMedium(IndependentChannels([channel]), [self._actuator])) if self.there else channel
 
     def mangled(self) -> list[tuple[int, int, Any]]:
         """Return what arrives in this slot with a flipped bit: (node, slot of its sample, packet)."""

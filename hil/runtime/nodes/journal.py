@@ -14,7 +14,7 @@ from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
-from hil.runtime.nodes.port_damper import Injected
+from hil.runtime.nodes.safety import Injected
 from transport.can_bus_model.bit_rates import BitRates
 from transport.draws import Draw
 from transport.medium.medium import Delivery

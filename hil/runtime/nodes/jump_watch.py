@@ -10,18 +10,16 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Sequence
 from math import log
 from struct import Struct
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
-from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN
-from hil.runtime.nodes.steps import Steps, at_once
+from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN, Result, Steps, at_once
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
-Result = TypeVar("Result")
 InSteps = Generator[None, None, Result]
 """Work in steps, of a slot each."""
 UNLIKELY: Final = 1e-9

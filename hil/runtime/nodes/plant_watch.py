@@ -9,16 +9,15 @@ loads are the same in both, and only what depends on the motion differs.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from operator import add
 from struct import Struct
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, OneStep, kind_of
-from hil.runtime.nodes.steps import Steps
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
@@ -194,3 +193,39 @@ class Arrived:
     def applied(self) -> tuple[float, ...]:
         """Of the plant."""
         return self.after.applied
+
+
+Result = TypeVar("Result")
+
+
+class Steps:
+    """What is left to do of work that is done in small steps, one in each slot: all at once would make a slot late."""
+
+    def __init__(self) -> None:
+        self._work: Iterator[None] | None = None
+
+    def begin(self, work: Iterator[None]) -> None:
+        """Finish what is left, and take the first step of another piece of work."""
+        self.finish()
+        self._work = work
+        self.go_on()
+
+    def go_on(self) -> None:
+        """Take a step, if there is one."""
+        if self._work is not None and next(self._work, True):  # a step returns None
+            self._work = None
+
+    def finish(self) -> None:
+        """Take all steps that are left."""
+        while self._work is not None:
+            self.go_on()
+
+
+def at_once(work: Generator[None, None, Result]) -> Result:
+    """Take all steps of a piece of work, and return what it returns."""
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            result: Result = end.value
+            return result

@@ -25,15 +25,13 @@ from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch
 from hil.runtime.nodes.law_watch import LawWatch
 from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
-from hil.runtime.nodes.port_damper import damper_of
-from hil.runtime.nodes.safety import Safety
+from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import begun, rng_for
-from transport.medium.changing import ChangingChannel, ChangingMedium
 from transport.medium.independent import impair
-from transport.medium.medium import Delivery
+from transport.medium.medium import ChangingMedium, Delivery, IndependentChannels, OneWay
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 if TYPE_CHECKING:
@@ -86,11 +84,11 @@ class Rig:
         bus = self._bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
         medium = sensor_medium_of(loop, seed, float(e.period), deadline_s, bus)
         channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
-        self._network: tuple[ChangingMedium, ChangingChannel] | None = None
+        self._network: tuple[ChangingMedium, ChangingMedium] | None = None
         if changing:
-            there, back = (delay + 1 for delay in (loop.model.tau_max, loop.model.d_max))
-            self._network = ChangingMedium(medium, len(self._sensors), there), ChangingChannel(channel, back)
-            medium, channel = self._network
+            back = ChangingMedium(IndependentChannels([channel]), 1, loop.model.d_max + 1)
+            self._network = ChangingMedium(medium, len(self._sensors), loop.model.tau_max + 1), back
+            medium, channel = self._network[0], OneWay(back)
         self._uplink = faults.uplink(medium)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
         limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
@@ -166,7 +164,7 @@ class Rig:
         first = max(k - 1 - (loop.model.d_max if back else loop.model.tau_max), 0)
         if back:
             rng = rng_for(self._seed, begun("link.ca", first))
-            channel.change(impair(loop.rig.ca_law, rng, period_s, deadline_s, first), k, first)
+            channel.change(IndependentChannels([impair(loop.rig.ca_law, rng, period_s, deadline_s, first)]), k, first)
         else:
             medium.change(sensor_medium_of(loop, self._seed, period_s, deadline_s, first=first), k, first)
         own = [law for law in self._laws if (law[0] == len(self._sensors)) == back]

@@ -9,9 +9,8 @@ import numpy as np
 
 from transport.draws import DELIVERED
 from transport.laws.age import ConstantAge
-from transport.medium.changing import ChangingChannel, ChangingMedium
 from transport.medium.independent import AgeImpairment, impair
-from transport.medium.medium import IndependentChannels
+from transport.medium.medium import ChangingMedium, IndependentChannels, OneWay
 
 FAR = 1_000_000
 
@@ -33,11 +32,12 @@ class Counted:
 
 def test_a_change_after_a_million_slots_draws_as_little_as_one_at_the_beginning() -> None:
     before, process = impair(ConstantAge(age=0), np.random.default_rng(0), 0.001, 0.0, FAR - 5), Counted()
-    channel = ChangingChannel(before, depth=3)
+    medium = ChangingMedium(IndependentChannels([before]), 1, depth=3)
+    channel = OneWay(medium)
     for k in range(FAR - 5, FAR):
         channel.offer(k, k)
         channel.collect(k)
-    channel.change(AgeImpairment(process, period_s=0.001, first=FAR - 3), FAR, FAR - 3)
+    medium.change(IndependentChannels([AgeImpairment(process, period_s=0.001, first=FAR - 3)]), FAR, FAR - 3)
     assert process.draws == 3
     channel.offer(FAR, FAR)
     draws, arrivals = channel.collect(FAR)

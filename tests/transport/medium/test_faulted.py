@@ -7,14 +7,19 @@ import numpy as np
 from transport.draws import CORRUPTED, CUT, OFF_BUS
 from transport.laws.age import ConstantAge, MarkovAge
 from transport.laws.packet import PacketLaw
-from transport.medium.faulted import FaultedChannel, FaultInterval, FaultKind, FaultyPath
+from transport.medium.faulted import FaultedMedium, FaultInterval, FaultKind, FaultyPath
 from transport.medium.independent import Impairment, impair
+from transport.medium.medium import IndependentChannels, OneWay
 
 SPELL = (5, 8)
 
 
 def channel(age: int = 1) -> Impairment:
     return impair(ConstantAge(age=age), np.random.default_rng(0), 0.05, 0.03)
+
+
+def faulted(one: Impairment, path: FaultyPath) -> Impairment:
+    return OneWay(FaultedMedium(IndependentChannels([one]), [path]))
 
 
 def arrivals(link: Impairment, slots: int = 12) -> dict[int, list[tuple[int, object]]]:
@@ -27,7 +32,7 @@ def arrivals(link: Impairment, slots: int = 12) -> dict[int, list[tuple[int, obj
 
 def broken(kind: FaultKind, age: int = 1) -> tuple[dict[int, list[tuple[int, object]]], FaultyPath]:
     path = FaultyPath([FaultInterval(*SPELL, kind)])
-    return arrivals(FaultedChannel(channel(age), path)), path
+    return arrivals(faulted(channel(age), path)), path
 
 
 def test_a_cut_loses_what_would_arrive_and_nothing_else() -> None:
@@ -49,7 +54,7 @@ def test_what_was_lost_is_not_the_newest_packet_afterwards() -> None:
     """In slot 3 the law says age 1 again and again: packet 2 arrives once, in the cut, and would be repeated."""
     ages = MarkovAge(matrix=((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), initial=(1.0, 0.0, 0.0))
     path = FaultyPath([FaultInterval(3, 4, "cut")])
-    link = FaultedChannel(impair(ages, np.random.default_rng(0), 0.05, 0.03), path)
+    link = faulted(impair(ages, np.random.default_rng(0), 0.05, 0.03), path)
     came = arrivals(link, 7)
     assert came[3] == came[4] == came[5] == [] and came[6] == [(6, "packet 6")]
 
@@ -57,7 +62,7 @@ def test_what_was_lost_is_not_the_newest_packet_afterwards() -> None:
 def test_a_second_copy_of_a_lost_packet_comes() -> None:
     law = PacketLaw(latency={"dist": "uniform", "loc": 0.0, "scale": 0.2}, duplication=1.0)
     path = FaultyPath([FaultInterval(5, 6, "cut")])
-    link = FaultedChannel(impair(law, np.random.default_rng(3), 0.05, 0.03), path)
+    link = faulted(impair(law, np.random.default_rng(3), 0.05, 0.03), path)
     sound = arrivals(impair(law, np.random.default_rng(3), 0.05, 0.03))
     came = arrivals(link)
     gone = {g for g, _ in sound[5]}
@@ -69,7 +74,7 @@ def test_fates_say_which_fault_it_was_and_modes_stay_the_laws_own() -> None:
     law = MarkovAge(matrix=((0.6, 0.4), (0.7, 0.3)))
     for kind, code in (("cut", CUT), ("corrupt", CORRUPTED), ("bus-off", OFF_BUS)):
         path = FaultyPath([FaultInterval(*SPELL, kind)])
-        links = impair(law, np.random.default_rng(1), 0.05, 0.03), FaultedChannel(
+        links = impair(law, np.random.default_rng(1), 0.05, 0.03), faulted(
             impair(law, np.random.default_rng(1), 0.05, 0.03), path
         )
         drawn: list[list[int]] = [[], []]
