@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from plants.errors import FieldError, PlantError
-from plants.parts.control_package import python_control
 from plants.parts.exponential import zero_order_hold
 
 if TYPE_CHECKING:
@@ -137,3 +137,20 @@ def _checked(A: ArrayLike, B: ArrayLike, C: ArrayLike, D: ArrayLike | None) -> t
             raise FieldError(f"{name}[{row}][{column}]", f"{M[row, column]}, expected a finite number")
         M.setflags(write=False)
     return a, b, c, d
+
+
+INSTALL = "pip install 'hilrig[design]'"
+
+
+def python_control() -> Any:
+    """Return python-control.
+
+    Raises:
+        PlantError: it is not installed, with the command that installs it.
+    """
+    try:
+        return import_module("control")
+    except ModuleNotFoundError as error:
+        if error.name != "control":
+            raise
+        raise PlantError(f"a model of python-control needs the package control, which is not installed: {INSTALL}") from None
