@@ -10,7 +10,7 @@ Needs numpy only, so that the process that keeps time can load it. References: t
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -103,3 +103,13 @@ def constant_gain(gain: npt.ArrayLike, measured: tuple[str, ...] = ("r",)) -> Sc
     if array.ndim != 3:
         raise FieldError("gain", f"shape {array.shape}, expected (modes, inputs, states)")
     return ScheduledGain(gain=array[:, None], starts_s=np.zeros((array.shape[0], 1)), measured=measured)
+
+
+def tabulated(
+    tables: Sequence[Sequence[tuple[float, FloatArray]]], schedule: Schedule = "hold", measured: tuple[str, ...] = ("r",)
+) -> ScheduledGain:
+    """Return the gains of tables of (start of a section, gain), one for each mode; one that is shorter repeats its last gain."""
+    longest = max(map(len, tables))
+    full = [[*row, *((row[-1][0] + 1.0 + k, row[-1][1]) for k in range(longest - len(row)))] for row in tables]
+    starts, gains = ([[entry[part] for entry in row] for row in full] for part in (0, 1))
+    return ScheduledGain(gain=np.array(gains), starts_s=np.array(starts), schedule=schedule, measured=measured)
