@@ -128,39 +128,49 @@ def proof_without_gains(plant: DelayedPlant, x0: Array) -> tuple[Array, Array]:
     return found
 
 
-def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple[Array, Array, Array] | None:
-    cp = solver("cvxpy")
+class _Programme:
+    """P, Q and K as unknowns, K under a mask."""
 
-    compiler: Any = cp  # its re-exports have no types
-    phases, columns, n = mask.shape
-    p, tau = plant.B.shape[1], plant.memory
-    P: Any = cp.Variable((n, n), symmetric=True)
-    Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
-    K: list[list[Any]] = [[cp.Variable((p, n)) for _ in range(columns)] for _ in range(phases)]
-    omega = diagonal_blocks([P - sum(Q) - plant.weight, *Q])
-    rows: list[Any] = [P >> MARGIN * np.eye(n)]
-    open_loop = [plant.A, *plant.delayed]
-    for i in range(phases):
-        closed = [M + plant.B @ K[i][j] if j < columns else M for j, M in enumerate(open_loop)]
-        row = compiler.hstack(closed)
-        block = compiler.bmat([[-(2 * X - X @ P @ X), row], [row.T, -omega]])
-        rows.append(0.5 * (block + block.T) + MARGIN * np.eye(n * (tau + 2)) << 0)
-        rows += [K[i][j][:, l] == 0 for j in range(columns) for l in range(n) if not mask[i, j, l]]
+    def __init__(self, plant: DelayedPlant, mask: Mask) -> None:
+        cp = solver("cvxpy")
+        (phases, columns, n), p = mask.shape, plant.B.shape[1]
+        self._plant, self._mask = plant, mask
+        self.P: Any = cp.Variable((n, n), symmetric=True)
+        self.Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(plant.memory)]
+        self._K: list[list[Any]] = [[cp.Variable((p, n)) for _ in range(columns)] for _ in range(phases)]
+
+    def rows(self, inverse: Any) -> list[Any]:
+        """Return (5.9) in every phase with ``inverse`` in the place of that of P, and that no gain is where the mask has none."""
+        cp = solver("cvxpy")
+        plant, mask, found = self._plant, self._mask, []
+        omega = diagonal_blocks([self.P - sum(self.Q) - plant.weight, *self.Q])
+        for gains, known in zip(self._K, mask):
+            closed = [M + plant.B @ gains[j] if j < len(known) else M for j, M in enumerate([plant.A, *plant.delayed])]
+            row = cp.hstack(closed)
+            block = cp.bmat([[-inverse, row], [row.T, -omega]])
+            found.append(0.5 * (block + block.T) + MARGIN * np.eye(mask.shape[2] * (plant.memory + 2)) << 0)
+            found += [gains[j][:, l] == 0 for j, l in np.argwhere(~known).tolist()]
+        return found
+
+    def answer(self) -> tuple[Array, Array, Array]:
+        """Return what was found of P, Q and K."""
+        gains = np.array([[k.value for k in phase] for phase in self._K]) * self._mask[:, :, None, :]
+        return np.asarray(self.P.value), np.array([q.value for q in self.Q]), gains
+
+
+def _tangent_step(plant: DelayedPlant, mask: Mask, x0: Array, X: Array) -> tuple[Array, Array, Array] | None:
+    cp, programme = solver("cvxpy"), _Programme(plant, mask)
+    P = programme.P
+    rows = [P >> MARGIN * np.eye(len(X)), *programme.rows(2 * X - X @ P @ X)]
     solve_quietly(cp.Problem(cp.Minimize(x0 @ P @ x0), rows))
-    if P.value is None:
-        return None
-    gains = np.array([[k.value for k in row] for row in K]) * mask[:, :, None, :]
-    return np.asarray(P.value), np.array([q.value for q in Q]), gains
+    return None if P.value is None else programme.answer()
 
 
 def diagonal_blocks(blocks: list[Any]) -> Any:
     """Return the block-diagonal matrix of square blocks of one size."""
-    cp = solver("cvxpy")
-
-    compiler: Any = cp
     n = blocks[0].shape[0]
     zero = np.zeros((n, n))
-    return compiler.bmat([[block if i == j else zero for j in range(len(blocks))] for i, block in enumerate(blocks)])
+    return solver("cvxpy").bmat([[block if i == j else zero for j in range(len(blocks))] for i, block in enumerate(blocks)])
 
 
 def solve_quietly(problem: Any) -> None:
@@ -195,33 +205,19 @@ def cone_complementarity(plant: DelayedPlant, mask: Mask, x0: Array, bound: floa
         Infeasible: no step's answer meets (5.9) with the inverse of P; ``value`` is the bound.
     """
     cp = solver("cvxpy")
-
-    compiler: Any = cp  # its re-exports have no types
-    phases, columns, n = mask.shape
-    p, tau = plant.B.shape[1], plant.memory
-    P: Any = cp.Variable((n, n), symmetric=True)
-    X: Any = cp.Variable((n, n), symmetric=True)
-    Q: list[Any] = [cp.Variable((n, n), symmetric=True) for _ in range(tau)]
-    K: list[list[Any]] = [[cp.Variable((p, n)) for _ in range(columns)] for _ in range(phases)]
-    omega = diagonal_blocks([P - sum(Q) - plant.weight, *Q])
-    rows: list[Any] = [compiler.bmat([[P, np.eye(n)], [np.eye(n), X]]) >> 0, x0 @ P @ x0 <= bound]
-    for i in range(phases):
-        open_loop = enumerate([plant.A, *plant.delayed])
-        row = compiler.hstack([M + plant.B @ K[i][j] if j < columns else M for j, M in open_loop])
-        block = compiler.bmat([[-X, row], [row.T, -omega]])
-        rows.append(0.5 * (block + block.T) + MARGIN * np.eye(n * (tau + 2)) << 0)
-        rows += [K[i][j][:, l] == 0 for j in range(columns) for l in range(n) if not mask[i, j, l]]
-    of_X: Any = cp.Parameter((n, n), symmetric=True)
-    of_P: Any = cp.Parameter((n, n), symmetric=True)
-    problem = cp.Problem(cp.Minimize(compiler.trace(of_X @ X) + compiler.trace(of_P @ P)), rows)
+    programme, n = _Programme(plant, mask), mask.shape[2]
+    P = programme.P
+    X, of_X, of_P = (make((n, n), symmetric=True) for make in (cp.Variable, cp.Parameter, cp.Parameter))
+    rows = [cp.bmat([[P, np.eye(n)], [np.eye(n), X]]) >> 0, x0 @ P @ x0 <= bound, *programme.rows(X)]
+    problem = cp.Problem(cp.Minimize(cp.trace(of_X @ X) + cp.trace(of_P @ P)), rows)
     last = proof_without_gains(plant, x0)[0]
     of_X.value, of_P.value = last, np.linalg.inv(last)
     for _ in range(iterations):
         solve_quietly(problem)
         if P.value is None:
             break
-        found, others = np.asarray(0.5 * (P.value + P.value.T)), np.array([q.value for q in Q])
-        gains = np.array([[k.value for k in phase] for phase in K]) * mask[:, :, None, :]
+        found, others, gains = programme.answer()
+        found = 0.5 * (found + found.T)
         if largest_eigenvalue(plant, gains, found, others) < 0.0 < np.linalg.eigvalsh(found)[0]:
             return BlockDiagonalProof(found, others, gains, (functional(found, others, [x0]),))
         of_X.value, of_P.value = found, X.value

@@ -23,7 +23,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.attenuation import Attenuation, at_gamma, smallest_gamma
+from design.lmi.attenuation import at_gamma, smallest_gamma
 from design.lmi.program import (
     Array,
     Inequality,
@@ -38,7 +38,7 @@ from design.lmi.program import (
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
-from design.semi_markov_loop.sojourn_grid import Cell, Lift, as_float, bernstein, cells, gain_on
+from design.semi_markov_loop.sojourn_grid import Cell, Lift, as_float, bernstein, bounded_gains, cells, gain_on
 from design.semi_markov_loop.stability import gain_matrices
 from design.semi_markov_loop.system import DelayedJumpSystem
 
@@ -267,21 +267,8 @@ def delayed_hinf(
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
     result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
-    gain = _gains(result, starts, gain_bound)
+    gain = bounded_gains(result.found.matrices, "U", starts, gain_bound)
     certificate = analyse_delayed(system, gain, process, nodes=starts)
     if not certificate.certified or (gamma is not None and (certificate.gamma or math.inf) > gamma):
         raise Infeasible(f"{what}: gains found, but their own check failed: {certificate.reason}", value=certificate.gamma)
     return certificate
-
-
-def _gains(result: Attenuation, starts: Partition, gain_bound: float) -> ScheduledGain:
-    matrices = result.found.matrices
-    longest = max(len(row) for row in starts)
-    rows, times = [], []
-    for i, row in enumerate(starts):
-        gains = [matrices[f"U[{i},{r}]"] @ np.linalg.inv(matrices[f"X[{i},{r}]"]) for r in range(len(row))]
-        gains = [gain * min(1.0, gain_bound / np.linalg.norm(gain, 2)) for gain in gains]
-        missing = longest - len(row)
-        rows.append(gains + [gains[-1]] * missing)
-        times.append([*row, *(row[-1] + 1.0 + k for k in range(missing))])
-    return ScheduledGain(gain=np.array(rows), starts_s=np.array(times))

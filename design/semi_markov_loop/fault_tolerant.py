@@ -30,7 +30,6 @@ from design.lmi.decision import decide
 from design.lmi.program import (
     Array,
     LmiProgram,
-    LmiSolution,
     add_schur_rows,
     check_gain_bound,
     gain_limit,
@@ -48,7 +47,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     loop_inequalities,
     r_sections,
 )
-from design.semi_markov_loop.sojourn_grid import pair_cells
+from design.semi_markov_loop.sojourn_grid import bounded_gains, pair_cells
 from design.semi_markov_loop.system import JumpSystem
 
 Measured = tuple[str, ...]
@@ -139,22 +138,6 @@ def _start_block(
     return symmetric_blocks(rows)
 
 
-def _start_gain(
-    found: LmiSolution, modes: int, sections: list[tuple[float, ...]], measured: Measured, bound: float
-) -> ScheduledGain:
-    longest = max(len(row) for row in sections)
-    gains, starts = [], []
-    for mode in range(modes):
-        row = []
-        for b in range(len(sections[mode])):
-            gain = found.matrices[f"R[{mode},{b}]"] @ np.linalg.inv(found.matrices[f"X[{mode},{b}]"])
-            row.append(gain * min(1.0, bound / np.linalg.norm(gain, 2)))
-        missing = longest - len(row)
-        gains.append(row + [row[-1]] * missing)
-        starts.append([*sections[mode], *(sections[mode][-1] + 1.0 + extra for extra in range(missing))])
-    return ScheduledGain(gain=np.array(gains), starts_s=np.array(starts), measured=measured)
-
-
 def _gain_step(
     system: JumpSystem, process: FaultDetection, certificate: JumpCertificate, eta: Partition, bound: float
 ) -> ScheduledGain:
@@ -240,8 +223,8 @@ def fault_tolerant_feedback(
     else:
         found = smallest_gamma(build, what).found
     modes = {(): 1, ("r",): detections, ("eta", "r"): system.modes * detections}[measured]
-    rows = [parts[mode % detections] for mode in range(modes)]
-    gain = _start_gain(found, modes, rows, measured, gain_bound)
+    rows = tuple(parts[mode % detections] for mode in range(modes))
+    gain = bounded_gains(found.matrices, "R", rows, gain_bound, measured)
     for share in (1.0,) if system.sensors is None or performance is not None else FAILING:
         failing = _failed(system, share)
         best = analyse_fault_tolerant(failing, gain, process, eta_nodes=eta, performance=performance)

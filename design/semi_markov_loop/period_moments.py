@@ -177,6 +177,16 @@ def uncertain_moments(system: JumpSystem, mode: int, size: int, slack: float) ->
     return np.zeros_like(total)
 
 
+def pair_box(process: FaultDetection, i: int, k: int, until_s: float = math.inf) -> Box:
+    """Bounds of the rates out of (eta, r) = (i, k) while r is younger than ``until_s``, by the pair eta N_r + r they lead to."""
+    sides = np.zeros((2, process.failure.modes, process.detection[0].modes))
+    bounds = zip(process.failure.bounds(i, 0.0, math.inf), process.detection[i].bounds(k, 0.0, until_s))
+    for side, (eta, r) in zip(sides, bounds):
+        side[:, k] += eta
+        side[i, :] += r
+    return Box(low=sides[0].ravel(), high=sides[1].ravel())
+
+
 def gain_mode(gain: ScheduledGain, process: FaultDetection, i: int, k: int) -> int:
     """Which row of the gains acts at eta = i, r = k; depends on what is ``measured``: (), ("r",) or ("eta", "r")."""
     return {(): 0, ("r",): k, ("eta", "r"): i * process.detection[0].modes + k}[gain.measured]

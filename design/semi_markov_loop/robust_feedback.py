@@ -25,7 +25,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from design.controllers.scheduled_gain import Schedule, ScheduledGain
+from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import decide
 from design.lmi.program import (
@@ -151,12 +151,7 @@ def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Sch
                 gain = ((1 - at) * y0 + at * y1) @ np.linalg.inv((1 - at) * x0 + at * x1)
                 table.append((start + part * (row[r + 1] - start), gain))
         rows.append(table)
-    longest = max(len(table) for table in rows)
-    for table in rows:
-        while len(table) < longest:
-            table.append((table[-1][0] + 1.0, table[-1][1]))
-    starts = np.array([[start for start, _ in table] for table in rows])
-    return ScheduledGain(gain=np.array([[gain for _, gain in table] for table in rows]), starts_s=starts, schedule=schedule)
+    return tabulated(rows, schedule)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

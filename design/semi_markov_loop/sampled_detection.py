@@ -22,7 +22,16 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.lmi.program import Array, LmiProgram, LmiSolution
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop.period_moments import Box, PeriodMoments, congruence, gain_mode, isometry, period_moments, svec_size
+from design.semi_markov_loop.period_moments import (
+    Box,
+    PeriodMoments,
+    congruence,
+    gain_mode,
+    isometry,
+    pair_box,
+    period_moments,
+    svec_size,
+)
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, check_size, rates_by_age
 from design.semi_markov_loop.system import JumpSystem
 
@@ -76,16 +85,10 @@ class DetectionLoop:
     def box(self, pair: int, until_s: float) -> Box:
         """Bounds of the rates out of a pair while r is younger than ``until_s``, by the pair that they lead to."""
         i, k = divmod(pair, self.seen)
-        shape = (2, self.process.failure.modes, self.seen)
-        out = np.zeros(shape)
-        for side, (eta, r) in enumerate(
-            zip(self.process.failure.bounds(i, 0.0, math.inf), self.process.detection[i].bounds(k, 0.0, until_s))
-        ):
-            out[side, :, k] += eta
-            out[side, i, :] += r
-        if not np.isfinite(out).all():
+        box = pair_box(self.process, i, k, until_s)
+        if not np.isfinite(box.high).all():
             raise FieldError("rates", f"no finite bound at eta = {i + 1}, r = {k + 1}; clip them")
-        return Box(low=out[0].ravel(), high=out[1].ravel())
+        return box
 
     def first(self, pair: int) -> int:
         """The section of the gains at count 0."""

@@ -31,7 +31,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, gain_mode, isometry, smat, svec_size
+from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, gain_mode, isometry, pair_box, smat, svec_size
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 from design.verdict import State, Verdict
 
@@ -231,16 +231,8 @@ def _modes(
     if process.failure.modes != modes:
         raise FieldError("process", f"{process.failure.modes} failure modes, the system has {modes}")
     pairs = list(itertools.product(range(modes), range(process.detection[0].modes)))
-    boxes = []
-    for i, k in pairs:
-        sides = np.zeros((2, modes, process.detection[0].modes))
-        for side, (eta, r) in zip(
-            sides, zip(process.failure.bounds(i, 0.0, math.inf), process.detection[i].bounds(k, 0.0, math.inf))
-        ):
-            side[:, k] += eta
-            side[i, :] += r
-        boxes.append(Box(low=sides[0].ravel(), high=sides[1].ravel()))
-    return [i for i, _ in pairs], [gain_mode(gain, process, i, k) for i, k in pairs], boxes
+    gains = [gain_mode(gain, process, i, k) for i, k in pairs]
+    return [i for i, _ in pairs], gains, [pair_box(process, i, k) for i, k in pairs]
 
 
 def _undecided(reason: str) -> Verdict:

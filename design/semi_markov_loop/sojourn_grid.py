@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -189,3 +190,14 @@ def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition
         for one in cells(process.failure, eta_nodes)
         for two in cells(process.detection[one.mode], r_nodes)
     ]  # fmt: skip
+
+
+def bounded_gains(
+    matrices: Mapping[str, Array], product: str, sections: Partition, bound: float, measured: tuple[str, ...] = ("r",)
+) -> ScheduledGain:
+    """The gains ``product`` X^-1 of matrices "X[mode,section]", each cut to a norm of at most ``bound``."""
+    tables = []
+    for mode, row in enumerate(sections):
+        gains = [matrices[f"{product}[{mode},{r}]"] @ np.linalg.inv(matrices[f"X[{mode},{r}]"]) for r in range(len(row))]
+        tables.append([(start, gain * min(1.0, bound / float(np.linalg.norm(gain, 2)))) for start, gain in zip(row, gains)])
+    return tabulated(tables, measured=measured)
