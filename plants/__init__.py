@@ -23,7 +23,6 @@ _NAMES: Final = {
     "plants.parts.check": "check_plant",
     "plants.parts.delayed_run": "DelayedVTOLRun",
     "plants.parts.friction": "Friction",
-    "plants.parts.jump_model": "JumpModel JumpRates",
     "plants.parts.jump_process": "JumpProcess",
     "plants.parts.linear": "DiscreteStateSpace Signal StateSpace",
     "plants.parts.linear_run": "LinearRun",
@@ -31,7 +30,7 @@ _NAMES: Final = {
     "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasPassiveElements "
     "HasSensorNoise HasStateDelays HasStateHistory JumpPlant MovesOtherwise PassiveElement Plant PlantRun ReferencesFiles",
     "plants.parts.rubbing_axis": "RubbingAxis",
-    "plants.parts.semi_markov": "TransitionRates",
+    "plants.parts.semi_markov": "JumpModel JumpRates TransitionRates",
     "plants.state_space": "LinearPlant TransferFunction from_control to_control",
     "plants.switched_example": "SwitchedExample SwitchedExampleRun",
     "plants.vtol": "VTOL vtol_matrices",

@@ -12,8 +12,6 @@ from plants.parts.actuators import Encoder as Encoder
 from plants.parts.check import check_plant as check_plant
 from plants.parts.delayed_run import DelayedVTOLRun as DelayedVTOLRun
 from plants.parts.friction import Friction as Friction
-from plants.parts.jump_model import JumpModel as JumpModel
-from plants.parts.jump_model import JumpRates as JumpRates
 from plants.parts.jump_process import JumpProcess as JumpProcess
 from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
 from plants.parts.linear import Signal as Signal
@@ -37,6 +35,8 @@ from plants.parts.protocols import Plant as Plant
 from plants.parts.protocols import PlantRun as PlantRun
 from plants.parts.protocols import ReferencesFiles as ReferencesFiles
 from plants.parts.rubbing_axis import RubbingAxis as RubbingAxis
+from plants.parts.semi_markov import JumpModel as JumpModel
+from plants.parts.semi_markov import JumpRates as JumpRates
 from plants.parts.semi_markov import TransitionRates as TransitionRates
 from plants.state_space import LinearPlant as LinearPlant
 from plants.state_space import TransferFunction as TransferFunction

@@ -9,9 +9,8 @@ import numpy as np
 
 from plants.errors import FieldError
 from plants.parts.delayed_run import DelayedVTOLRun, delay_ns
-from plants.parts.jump_model import JumpModel, JumpRates
 from plants.parts.linear import Signal, StateSpace
-from plants.parts.semi_markov import TransitionRates, check_mode
+from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.parts.validation import (
     require_finite,
     require_not_negative,

@@ -12,10 +12,9 @@ from plants.errors import FieldError
 from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows
 from plants.parts.flow import Flow
-from plants.parts.jump_model import JumpModel, JumpRates
 from plants.parts.jump_process import JumpProcess
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.semi_markov import TransitionRates, check_mode
+from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.parts.validation import require_finite, require_not_negative, require_vector, require_whole_nanoseconds
 from plants.vtol import VTOL_INPUTS, VTOL_STATES, vtol_matrices
 

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from design.processes.semi_markov import FaultDetection, SemiMarkov
     from design.semi_markov_loop.certificate import JumpCertificate
     from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
-    from plants.parts.jump_model import JumpModel, JumpRates
-    from plants.parts.semi_markov import TransitionRates
+    from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates
 
 
 def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:

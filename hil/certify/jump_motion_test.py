@@ -18,7 +18,7 @@ from design.verdict import State
 from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED, Array, random_inputs
 from hil.plugins.protocols import JumpPlant, PlantRun
-from plants.parts.jump_model import JumpModel, JumpRates
+from plants.parts.semi_markov import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)
 SLOTS, RUNS, SEEN = 40, 8, 15

@@ -16,7 +16,7 @@ from plants.parts.linear import Signal
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
-    from plants.parts.jump_model import JumpModel
+    from plants.parts.semi_markov import JumpModel
 
 _SEED = 20240229
 _RUN = {

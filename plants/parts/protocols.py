@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
 
 if TYPE_CHECKING:
-    from plants.parts.jump_model import JumpModel, JumpRates
+    from plants.parts.semi_markov import JumpModel, JumpRates
 
 
 class PlantRun(Protocol):
