@@ -21,7 +21,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import Infeasible
-from design.lmi.attenuation import at_gamma, smallest_gamma
+from design.lmi.decision import at_gamma, smallest_gamma
 from design.lmi.program import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from design.errors import Infeasible
-from design.lmi.attenuation import at_gamma, smallest_gamma
+from design.lmi.decision import at_gamma, smallest_gamma
 from design.lmi.program import Array, LmiProgram, add_schur_rows, gain_limit, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection

@@ -230,7 +230,7 @@ class Designed:
 
 def _rows(gains: NDArray[np.float64], ca: DelayChain, stays: int) -> NDArray[np.float64]:
     """Return the gains of a design with a row for every delay, and for how long it has lasted where they depend on that."""
-    from design.tracking.row_sojourns import with_every_row
+    from design.tracking.problem import with_every_row
 
     return np.asarray(gains) if stays == 1 else with_every_row(np.asarray(gains), ca, stays)
 

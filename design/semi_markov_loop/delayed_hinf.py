@@ -23,7 +23,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.attenuation import at_gamma, smallest_gamma
+from design.lmi.decision import at_gamma, smallest_gamma
 from design.lmi.program import (
     Array,
     Inequality,

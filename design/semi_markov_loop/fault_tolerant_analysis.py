@@ -22,8 +22,7 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.attenuation import at_gamma, smallest_gamma
-from design.lmi.decision import decide
+from design.lmi.decision import at_gamma, decide, smallest_gamma
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection

@@ -42,8 +42,7 @@ def command(
     """
     from design.errors import DesignError, FieldError
     from design.passivity.condition import damping_needed
-    from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
-    from design.passivity.weight import Weight
+    from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
     from hil.design_questions.coupler_header import coupler_header
     from hil.files.outputs import check_output, write_output
     from plants.omni import Omni

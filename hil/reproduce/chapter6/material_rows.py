@@ -14,10 +14,9 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.material_chain import paced_chain
 from design.passivity.own_give import felt_n_per_m, sparing
-from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
+from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion
 from design.passivity.varying_delay import lags
-from design.passivity.weight import Weight
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from design.lmi.attenuation import at_gamma, smallest_gamma, with_gamma
-from design.lmi.decision import decide
+from design.lmi.decision import at_gamma, decide, smallest_gamma, with_gamma
 from design.lmi.exact import as_fraction, pivots, prove_inequalities, rounded
 from design.lmi.program import Inequality, LmiProgram, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
 

@@ -5,9 +5,8 @@ import pytest
 
 from design.errors import FieldError
 from design.passivity.condition import is_passive_over
-from design.passivity.synthesis import stiffest_coupler
+from design.passivity.synthesis import Weight, stiffest_coupler
 from design.passivity.transparency import low_pass
-from design.passivity.weight import Weight
 
 SET = {"period_s": 0.001, "damping_n_s_per_m": 7.0}
 RISING = Weight((1.0, -0.97), (1.0, -0.9))

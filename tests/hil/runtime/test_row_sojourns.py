@@ -10,7 +10,7 @@ import pytest
 
 from design.controllers import SendAll
 from design.processes.delay_chain import DelayChain
-from design.tracking.row_sojourns import row_sojourns_of, with_every_row
+from design.tracking.problem import row_sojourns_of, with_every_row
 from hil.api.questions import design
 from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
