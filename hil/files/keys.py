@@ -12,8 +12,7 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.files.outputs import written_whole
-from transport.links.certificates import FILE, revoked_names
-from transport.links.cryptography_package import cryptography_needed
+from transport.links.certificates import FILE, cryptography_needed, revoked_names
 from transport.links.link import TransportError
 from transport.links.private_directory import read_secret
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 from hil.errors import HilError
 from hil.files.outputs import written_whole
 from hil.files.regular import read_regular
-from transport.links.cryptography_package import cryptography_needed
+from transport.links.certificates import cryptography_needed
 from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:

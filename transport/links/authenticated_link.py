@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from transport.links.cryptography_package import cryptography_needed
+from transport.links.certificates import cryptography_needed
 from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
 from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from transport.links.cryptography_package import cryptography_needed
 from transport.links.link import TransportError
 
 if TYPE_CHECKING:
@@ -124,3 +125,22 @@ def _issued(certificate: Certificate, issuer: Certificate) -> bool:
     except (ValueError, TypeError, InvalidSignature):
         return False
     return True
+
+
+INSTALL = "pip install 'hilrig[keys]'"
+
+
+@contextmanager
+def cryptography_needed() -> Iterator[None]:
+    """Say how to install the package, where what is imported within lacks it.
+
+    Raises:
+        TransportError: it is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] != "cryptography":
+            raise
+        message = f"keys, certificates and signatures need cryptography, which is not installed: {INSTALL}"
+        raise TransportError(message) from None
