@@ -16,8 +16,7 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from hil.compose.fit import check_references
-from hil.compose.loop import compose
+from hil.compose.loop import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
 from hil.plugins.protocols import GoesOn

@@ -1,4 +1,4 @@
-"""An experiment becomes a loop: plug-ins made, the design solved, its certificate computed."""
+"""An experiment becomes a loop: plug-ins made, the design solved, what does not fit refused, its certificate computed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from msgspec.structs import replace
 from design.blas_threads import one_blas_thread
 from design.controllers import (
     Controller,
+    GainTable,
     HistoryGains,
     IntegralAction,
     LoopModel,
+    held_exactly,
+    integrates,
     packet_samples,
     row_count,
     row_sojourns_distinguished,
@@ -22,16 +25,16 @@ from design.controllers import (
 from design.errors import DesignError, FieldError
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_loop import process_of, system_of
-from hil.compose.fit import changed_meanwhile, check_own, check_references
 from hil.compose.judged import judge
 from hil.compose.stored_gains import fitted, problem_digest, solve_controller
-from hil.errors import ExperimentError, ForeignVerdict
+from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
-from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, JumpPlant, NamedController
+from hil.plugins.protocols import Designer, FieldFault, GainsOnFile, GivesGains, JumpPlant, NamedController
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
+from hil.plugins.user_plugins import words
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop
@@ -198,3 +201,51 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
         model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,
         chainless=chainless, **jumps,
     )  # fmt: skip
+
+
+def check_own(controller: Controller, model: LoopModel) -> None:
+    """Refuse a controller of the user's own that does not answer as a loop asks: said now, and not in slot 17."""
+    from hil.plugins.checks import check_answers, check_statements, check_table  # which no run of ours needs
+
+    try:
+        check_answers(controller, model)
+        check_statements(controller, model)
+        if isinstance(controller, GainTable):
+            check_table(controller, model)
+    except AssertionError as error:
+        raise FieldError("kind", f"check_controller: {error}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a user's controller does when it runs
+        if isinstance(error, HilError | FieldFault):  # it says itself what does not fit
+            raise
+        raise FieldError("kind", f"check_controller: {words(error)}") from error
+
+
+def check_references(e: Experiment, controller: Controller, model: LoopModel) -> None:
+    """Refuse what a table of gains cannot follow: with more outputs than inputs a reference must be one that some input holds.
+
+    Raises:
+        ExperimentError: with every step that no input holds.
+    """
+    n_inputs, n_outputs = model.B.shape[1], model.C.shape[0]
+    if not isinstance(controller, GainTable) or n_outputs <= n_inputs:
+        return
+    faults = [
+        f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}"
+        for i, step in enumerate(e.reference)
+        if not held_exactly(model, step.value)
+    ]
+    if integrates(controller):
+        faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")
+    if faults:
+        raise ExperimentError(e.name, faults)
+
+
+def changed_meanwhile(experiment: Experiment) -> ExperimentError:
+    """Return the refusal of a plant or a controller whose fields changed while they were asked: no verdict is on what runs."""
+    plant, own = type(experiment.plant).__qualname__, type(experiment.controller).__qualname__
+    return ExperimentError(experiment.name, [
+        f"controller ({own}) or plant ({plant}): fields changed while it was asked what it is; parameters stay as they are, and "
+        "what changes belongs into what start() returns"
+    ])  # fmt: skip

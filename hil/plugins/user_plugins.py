@@ -137,7 +137,7 @@ def _check_plant(made: Any) -> None:
 
 
 def _check_controller(made: Any) -> None:
-    """See that it is one; how it answers is seen once its loop is known, see `hil.compose.fit.check_own`."""
+    """See that it is one; how it answers is seen once its loop is known, see `hil.compose.loop.check_own`."""
     if not isinstance(made, Controller | Designer):
         needs(made, f"{type(made).__qualname__}, a controller,", {"start": "a method that returns the running controller"})
 
