@@ -45,8 +45,8 @@ def command(
 
 def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
     from hil.experiment import load_experiment
-    from hil.rig.frames_dbc import rig_dbc
     from hil.rig.normal_form import rig_of
+    from hil.rig.session_link import rig_dbc
     from transport import dbc_path
     from transport.links.link import TransportError
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.cli.new_external import in_comment
 from hil.errors import HilError
-from hil.rig.frames_dbc import rig_dbc
+from hil.rig.session_link import rig_dbc
 from transport.packets import SELECTIONS
 from transport.wire.layout import control_length, sensor_length
 

@@ -11,8 +11,8 @@ import zenoh
 
 from hil.cli.discover import command
 from hil.experiment import load_experiment
-from hil.rig.frames_dbc import about_rig
 from hil.rig.normal_form import rig_of
+from hil.rig.session_link import about_rig
 from tests.hil.cli.conftest import run_main
 from tests.ports import free_port
 from tests.waiting import until

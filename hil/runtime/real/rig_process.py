@@ -17,9 +17,8 @@ from msgspec import Struct, structs
 from hil.log.topics import TIMING, channels_of
 from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import record_to
-from hil.rig.frames_dbc import about_rig
 from hil.rig.loop import Loop
-from hil.rig.session_link import SessionLink, link_faults
+from hil.rig.session_link import SessionLink, about_rig, link_faults
 from hil.runtime.changes import log_change, log_late, take
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.failures import failure_of
