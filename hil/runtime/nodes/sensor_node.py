@@ -112,43 +112,24 @@ class Error:
 
 
 class DeadBand:
-    """The node sends when some y has left the band around what it last offered to send.
+    """The node sends when some y differs from what it last offered to send by more than a threshold and a share of |y| together.
 
     Args:
         threshold: half the width of the band, in the outputs' unit.
+        share: of |y|, below 1: the relative trigger, with a threshold of 0.
 
-    Reference: thesis Section 8.2.2, [219].
+    Reference: thesis Section 8.2.2, [219]; P. Tabuada, Event-triggered real-time scheduling of stabilizing control tasks, IEEE
+    TAC 52(9), 2007.
     """
 
-    def __init__(self, threshold: float) -> None:
-        self._threshold = threshold
+    def __init__(self, threshold: float, share: float = 0.0) -> None:
+        self._threshold, self._share = threshold, share
         self._sent: tuple[float, ...] = ()
 
     def sends(self, k: int, y: Sequence[float]) -> bool:
         """See `Trigger.sends`."""
-        if self._sent and all(abs(a - b) <= self._threshold for a, b in zip(y, self._sent)):
-            return False
-        self._sent = tuple(y)
-        return True
-
-
-class Relative:
-    """The node sends when some y differs from what it last offered to send by more than a share of |y|.
-
-    Args:
-        share: below 1.
-
-    Reference: P. Tabuada, Event-triggered real-time scheduling of stabilizing control tasks, IEEE TAC 52(9), 2007; thesis
-    Section 8.2.2.
-    """
-
-    def __init__(self, share: float) -> None:
-        self._share = share
-        self._sent: tuple[float, ...] = ()
-
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """See `Trigger.sends`."""
-        if self._sent and all(abs(a - b) <= self._share * abs(a) for a, b in zip(y, self._sent)):
+        band, share = self._threshold, self._share
+        if self._sent and all(abs(a - b) <= band + share * abs(a) for a, b in zip(y, self._sent)):
             return False
         self._sent = tuple(y)
         return True
@@ -159,6 +140,6 @@ def trigger_of(table: TriggerTable) -> Trigger | None:
     threshold = table.threshold
     made: dict[str, Trigger] = {
         "magnitude": Magnitude(threshold), "error": Error(threshold), "dead-band": DeadBand(threshold),
-        "relative": Relative(threshold),
+        "relative": DeadBand(0.0, share=threshold),
     }  # fmt: skip
     return made.get(table.kind)

@@ -26,7 +26,7 @@ from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
-from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude, Relative
+from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude
 from hil.runtime.simulated import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many
@@ -321,7 +321,7 @@ def test_triggers_of_section_8_2_2() -> None:
     assert sent(Magnitude(0.4)) == [2, 3, 4, 5]
     assert sent(Error(0.25)) == [0, 1, 4]
     assert sent(DeadBand(0.4)) == [0, 2, 4]
-    assert sent(Relative(0.5)) == [0, 1, 4] and sent(Relative(0.3)) == [0, 1, 2, 4]
+    assert sent(DeadBand(0.0, share=0.5)) == [0, 1, 4] and sent(DeadBand(0.0, share=0.3)) == [0, 1, 2, 4]
 
 
 def test_the_controller_counts_frames_of_another_rig() -> None:
