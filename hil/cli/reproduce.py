@@ -14,15 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import json_option, print_json, terminal_columns
 
 if TYPE_CHECKING:
-    from hil.reproduce import Checkpoint, Reproduction, Step
+    from hil.reproduce import Checkpoint, Reproduction, Row, Step
     from hil.reproduce.checkpoint import KeptStages
 
 ALL = "all"
 STATE = "reproduce.state"
 COLOURS = ("green", "yellow", "red", "blue")
+WIDEST = 110
+"""Columns of a line that are still read with ease."""
 
 
 @click.command()
@@ -66,8 +68,10 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, 
                 click.echo(f"figures: {pages[name]}", err=True)
             if not as_json:
                 _show(results[name])
+        if chapter == ALL and not as_json:
+            _show_counts([row for result in results.values() for row in result.rows])
         if with_power and not as_json:
-            click.echo(power_in_words([row for result in results.values() for row in result.rows]))
+            click.echo(_folded(power_in_words([row for result in results.values() for row in result.rows])))
         if chapter == ALL and output is not None:
             write_output(pages[ALL], index_page(results))
             click.echo(f"index: {pages[ALL]}", err=True)
@@ -113,14 +117,25 @@ def _show(result: Reproduction) -> None:
     colours = dict(zip(VERDICTS, COLOURS, strict=True))
     click.secho(result.title, bold=True)
     for row in result.rows:
-        click.echo(f"\n{click.style(row.verdict, fg=colours[row.verdict], bold=True)}: {row.item}")
+        item = _folded(f"{row.verdict}: {row.item}", "  ")
+        click.echo("\n" + click.style(row.verdict, fg=colours[row.verdict], bold=True) + item[len(row.verdict) :])
         for name, text in (("printed", row.printed), ("computed", row.computed), ("rule", row.rule), ("basis", row.basis)):
             if text:
-                click.echo(
-                    textwrap.fill(f"{name:9} {text}", width=110, initial_indent="    ", subsequent_indent=" " * 14)
-                )
-    counts = ", ".join(f"{count} {verdict}" for verdict, count in result.counts.items())
-    click.echo(f"\n{len(result.rows)} rows: {counts}\n")
+                click.echo(_folded(f"    {name:9} {text}", " " * 14))
+    click.echo()
+    _show_counts(result.rows)
+
+
+def _show_counts(rows: Sequence[Row]) -> None:
+    from hil.reproduce import VERDICTS
+
+    counts = ", ".join(f"{sum(row.verdict == verdict for row in rows)} {verdict}" for verdict in VERDICTS)
+    click.echo(_folded(f"{len(rows)} rows: {counts}") + "\n")
+
+
+def _folded(text: str, indent: str = "") -> str:
+    """Fold a paragraph at the columns of the terminal, at most `WIDEST`."""
+    return textwrap.fill(text, min(terminal_columns(), WIDEST), subsequent_indent=indent, break_on_hyphens=False)
 
 
 class _Progress:

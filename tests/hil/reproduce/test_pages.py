@@ -73,10 +73,25 @@ def test_the_power_of_the_rules_is_said_when_asked(run) -> None:
 
 
 def test_a_row_is_shown_in_lines_of_110_columns_under_its_text(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
     monkeypatch.setitem(MORE, "ch7", [Statement("long", " ".join(100 * "a"), (below("x", "x", 2),))])
     shown = run("ch7").stdout.splitlines()
     at = shown.index("    printed   " + " ".join(48 * "a"))
     assert shown[at + 1 : at + 3] == [14 * " " + " ".join(48 * "a"), 14 * " " + " ".join(4 * "a")]
+
+
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_lines_fold_at_the_columns_of_the_terminal(run, monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
+    long = " ".join(["word"] * 60)
+    said = (Statement(f"long {long}", long, (below(long, "x", 2),), computed=long, basis=long),)
+    monkeypatch.setitem(MORE, "ch3", said)
+    monkeypatch.setenv("COLUMNS", str(columns))
+    text = run("ch3", "--power").stdout
+    assert max(map(len, text.splitlines())) <= min(columns, 110) and text.count("word") == 5 * 60
+
+
+def test_all_ends_with_the_counts_of_all_chapters(run) -> None:
+    assert run("all").stdout.endswith("8 rows: 7 reproduced, 1 not reproduced, 0 claim false, 0 undecided\n\n")
 
 
 def test_progress_is_reported_on_standard_error(run) -> None:
