@@ -26,7 +26,7 @@ from design.semi_markov_loop.robust_feedback import (
 from design.semi_markov_loop.stability import analyse, largest_decay
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import ReportProgress
-from hil.reproduce.statements import Statement, above, not_judged, says
+from hil.reproduce.statements import Statement, above, exactly, not_judged, says
 
 SECTIONS = (1, 2, 4, 8)
 Form = Literal["printed", "pwc", "pwl"]
@@ -76,6 +76,7 @@ def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
     gains = asked.judge(printed, asked.find(printed, 0.0), 0.0)
     return {
         "seconds": time.process_time() - begun, "gains": gains, "published": published, "linear": linear,
+        **_beside_printed(gains),
         "single": "found" if single.certified else "not found", "proved": proof.inequalities if proof.proved else 0,
         "pivot": float(proof.smallest_pivot), "matched": _word(matched), "no_gains": matched.explain(),
         "K": ", ".join(np.array2string(g[0, 0], precision=2) for g in single.gain.gain) if single.gain is not None else "",
@@ -84,6 +85,14 @@ def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
         "forms": {name: [_word(each) for each in found] for name, found in forms.items()},
         "why": {name: found[0].explain() for name, found in forms.items()},
     }  # fmt: skip
+
+
+def _beside_printed(found: JumpCertificate) -> dict[str, Any]:
+    """How far gains of Corollary 2.2 are from (2.27)."""
+    printed, gain = chapter2_gain().gain, np.full(4, math.nan) if found.gain is None else found.gain.gain
+    words = ", ".join(np.array2string(K[0], precision=4) for K in gain.reshape(-1, 1, 2)) if gain.ndim == 4 else "none"
+    off = float(np.abs(gain - printed).max()) if gain.shape == printed.shape else math.nan
+    return {"off": off, "size": float(np.abs(printed).max()), "found": words}
 
 
 def number_of(value: float | None) -> float:
@@ -134,6 +143,12 @@ FEASIBILITY = (
         "computation time of the gains of Corollary 2.2, M = 2", "0.0749 s",
         (not_judged("CPU time (s)", "seconds", "the PC of 2012 is not at hand"), says("gains", "gains.verdict", "certified")),
         basis="printed form, assembly and check included",
+    ),
+    Statement(
+        "(2.27): the gains of Corollary 2.2, M = 2", "K(1,1), K(1,2), K(2,1), K(2,2)",
+        (exactly("largest difference", "off", 0, 0.5e-4, "size"),), computed="{found}",
+        basis="printed form, |K| <= 100; half a unit of the last printed digit. An inequality alone, with no objective and no "
+        "bound printed: any gains that fulfil it are gains of Corollary 2.2, (2.27) too (above)",
     ),
 )
 # fmt: on

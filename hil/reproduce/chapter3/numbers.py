@@ -16,6 +16,7 @@ from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
 from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.reproduce.chapter3.further import FURTHER, further
 from hil.reproduce.chapter3.partitions import BOUNDS, PARTITIONS, SECTIONS, WHOLE, partitions
 from hil.reproduce.judgement import rank
 from hil.reproduce.noisy_runs import NoisyRuns, delayed_runs
@@ -229,6 +230,7 @@ CHAPTER = Chapter(
         Stage("printed conditions", _conditions, 5, CONDITIONS),
         Stage("interval matrices, decay and partitions", partitions, 6, PARTITIONS),
         Stage("sound levels", _sound, 17, (*LEVELS, CONSERVATIVENESS)),
+        Stage("gains and delays", further, 5, FURTHER),
         Stage("simulations", _simulations, 40, SIMULATIONS),
     ),
 )

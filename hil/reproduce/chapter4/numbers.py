@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 
 from design.as_printed.examples import (
-    CHAPTER4_DETECTION_BOUNDARY_S,
-    CHAPTER4_FAILURE_BOUNDARY_S,
     CHAPTER4_START,
     chapter4_gain,
     chapter4_partitioned_gain,
@@ -29,15 +27,14 @@ from design.semi_markov_loop.period_moments import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter4.figures import averages, detection_fault, lifetimes, ratios, single_runs, text_rule
-from hil.reproduce.chapter4.further import CONSTRAINTS, SENSOR_FAULT, constraints, sensor_fault
+from hil.reproduce.chapter4.further import CONSTRAINTS, OTHER_FAULTS, SENSOR_FAULT, constraints, other_faults, sensor_fault
+from hil.reproduce.chapter4.recomputed import DETECTION, ETA, ONE, RECOMPUTED, known_fault, recomputed
 from hil.reproduce.noisy_runs import NoisyRuns, fault_runs
 from hil.reproduce.statements import Statement, above, below, exactly, run, says
 
 RUNS = 100
 NOISE_S, OTHER_NOISE_S = 0.01, 0.1
 PRINTED = {"(4.30)": "0.4606", "(4.31)": "0.3093"}
-ONE = ((0.0,),) * 2
-ETA, DETECTION = ((0.0, CHAPTER4_FAILURE_BOUNDARY_S),) * 2, ((0.0, CHAPTER4_DETECTION_BOUNDARY_S),) * 2
 ASSUMED = "eta's rates linear over 0, 1, 2 s, r's over 0, 0.3, 0.6 s (no times are printed); a jump of eta leaves r's clock alone"
 
 
@@ -131,13 +128,6 @@ def _text_rule(report_progress: ReportProgress) -> dict[str, Any]:
 
 def _ours() -> JumpCertificate:
     return fault_tolerant_feedback(chapter4_system(), _process(), gain_bound=2.0)
-
-
-def known_fault(gain: np.ndarray) -> ScheduledGain:
-    """K_ik,m of shape (2, 2, sections, 2, 4) as a schedule over (eta, r) and r's clock."""
-    sections = gain.reshape(4, -1, 2, 4)
-    starts = np.array([[0.0, CHAPTER4_DETECTION_BOUNDARY_S][: sections.shape[1]]] * 4)
-    return ScheduledGain(gain=sections, starts_s=starts, measured=("eta", "r"))
 
 
 def _process() -> FaultDetection:
@@ -243,8 +233,10 @@ CHAPTER = Chapter(
         Stage("lifetimes", _lifetimes, 0.1),
         Stage("conditions", _conditions, 4, CONDITIONS),
         Stage("simulations", _simulations, 4, SIMULATIONS),
+        Stage("gains of the corollaries", recomputed, 7, RECOMPUTED),
         Stage("gains that see r only", _text_rule, 0.3),
         Stage("a lost sensor", sensor_fault, 4, SENSOR_FAULT),
+        Stage("disturbances that change, a Markov detection", other_faults, 7, OTHER_FAULTS),
         Stage("quadratic constraints", constraints, 4, CONSTRAINTS),
     ),
 )

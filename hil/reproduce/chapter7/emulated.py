@@ -14,12 +14,14 @@ import numpy.typing as npt
 from design.monte_carlo.parallel_runs import safe_path
 from design.networked_loop.steady_state import steady_state
 from hil.measure.batch_measure import BatchValues, BatchView
+from hil.measure.prediction import predict
 from hil.reproduce.chapter import ReportProgress
 from hil.reproduce.chapter7.models import NETWORK, Array, Plant
 from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 
 SEED = 7
+BATCH_RUNS = 200
 
 
 def stationary(transition: Array) -> Array:
@@ -141,3 +143,15 @@ def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers)
         if together.known.any():
             found[at : at + size][together.known] = np.stack(numbers(view_of_batch(loop, together)), axis=1)
     return found
+
+
+def squared_error(loop: Loop) -> tuple[float, float]:
+    """Return the mean squared error of runs, rad^2 s, and how many standard errors it is from its prediction."""
+    e = loop.experiment
+    runs = run_batch(loop, range(BATCH_RUNS))
+    squares = (runs.outputs[0] - runs.reference[-1, 0])[:, runs.known] ** 2  # the error counts from t = 0, see Table 7.2
+    sums = float(e.period) * squares.sum(axis=0)
+    predicted = predict(loop, e.slots)
+    expected = np.nan if predicted is None else predicted.sums[0].mean
+    mean = float(sums.mean())
+    return mean, abs(mean - expected) / (float(sums.std()) / np.sqrt(len(sums)))

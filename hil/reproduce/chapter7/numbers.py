@@ -6,9 +6,10 @@ from typing import Any
 
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter7.designs import DESIGNS, INFORMED, designs, gain_bounds, information
+from hil.reproduce.chapter7.estimate import ESTIMATED, estimated_delay
 from hil.reproduce.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
-from hil.reproduce.chapter7.further import ESTIMATED, STAYS, UNCERTAIN, estimated_delay, stays, uncertain
+from hil.reproduce.chapter7.further import INTEGRAL, STAYS, UNCERTAIN, integral_action, stays, uncertain
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
@@ -33,10 +34,11 @@ CHAPTER = Chapter(
         Stage("Smith predictor", smith, 3, SMITH),
         Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, EXPERIMENT_ROWS),
         Stage("what the actuator knows", information, 25, INFORMED),
-        Stage("an estimate of d", estimated_delay, 5, ESTIMATED),
+        Stage("an estimate of d", estimated_delay, 7, ESTIMATED),
         Stage("gain bounds", gain_bounds, 10),
         Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
         Stage("uncertain plants", uncertain, 9, UNCERTAIN),
+        Stage("integral action", integral_action, 2, INTEGRAL),
         Stage("the stay of d", stays, 0.5, STAYS),
     ),
 )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.reproduce.chapter7.further import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
+from hil.reproduce.chapter7.estimate import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
 from hil.reproduce.chapter7.models import NETWORK, motor
 from hil.reproduce.statements import judge
 from tests.hil.reproduce.judging import assert_every_number_decides
@@ -21,10 +21,14 @@ def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
 def test_rows_on_the_estimate_hold_and_turn() -> None:
     values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: None))
     rows = judge(ESTIMATED, values)
-    assert [row.verdict for row in rows] == ["reproduced"] * 3
+    assert [row.verdict for row in rows] == ["reproduced"] * 4
     assert_every_number_decides(rows)
     same = values | {"motor": values["motor"] | {"estimate": values["motor"]["none"], "less": 0.0}, "off": 9.0}
-    assert [row.verdict for row in judge(ESTIMATED, same)] == ["not reproduced", "reproduced", "not reproduced"]
+    assert [row.verdict for row in judge(ESTIMATED, same)] == ["not reproduced", "reproduced", "reproduced", "not reproduced"]
+
+
+    for wrong in ({"late_less": 0.0}, {"ran": 1.001 * values["ran"]}, {"apart": 5.0}):
+        assert [row.verdict for row in judge(ESTIMATED, values | wrong)].count("not reproduced") == 1, wrong
 
 
 def test_packets_without_feedback_cost_what_the_plant_alone_does() -> None:
