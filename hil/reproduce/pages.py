@@ -15,7 +15,7 @@ KICKER = "hilrig · reproduce"
 HOW = (
     "Every number is computed when this page is made, and every verdict follows from the numbers of its row by the rule "
     "beside it, whose kind says what it can decide: an equality, one run among ours, a one-sided claim, a word. A verdict "
-    "belongs to the assumption in the last column."
+    "belongs to the assumption in the last column of its chapter's page."
 )
 
 
@@ -43,10 +43,10 @@ def index_page(results: Mapping[str, Reproduction]) -> str:
     every_row = [row for result in results.values() for row in result.rows]
     section = Section(title="Chapters", blocks=(Text(text=HOW), Text(text=_power(every_row)), table))
     sections = [section]
-    for name, result in results.items():
+    for result in results.values():
         cells = [(*_first(r), r.printed, r.computed, r.rule) for r in result.rows]
         every = Table(columns=("item", "verdict", "printed", "computed", "rule"), rows=cells)
-        sections.append(Section(title=f"{name}: {result.title}", blocks=(every,)))
+        sections.append(Section(title=result.title, blocks=(every,)))
     return Page("The thesis beside correct computations", sections, kicker=KICKER, tiles=tiles).html()
 
 
