@@ -21,6 +21,7 @@ from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import loop_chains
+from hil.rig.received_ages import never_received
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
 
@@ -47,6 +48,8 @@ def judge(
     """
     problem = _problem(experiment, rig, chains, controller, model, selection)
     verdict = certify(problem)
+    if verdict.state == "undecided" and problem.sc is not None and (silent := never_received(problem.sc, rig.sensors)):
+        verdict = replace(verdict, reason=f"{verdict.reason}; {silent}")
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
         drawn, assumed = own_laws(rig)

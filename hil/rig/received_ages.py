@@ -145,9 +145,6 @@ def received_ages(
             else np.ravel_multi_index([min(age, count - 1) for age, count in zip(own, distinguished)], tuple(distinguished))
         )  # fmt: skip
         begins[i] = first
-    for sensor in sensors:
-        if held[:, list(sensor.outputs)].all():
-            return f"no sample of {sensor.path} ever comes to the controller: on its medium others send in every slot"
     exact = all(low == chance == high for _, _, (chance, low, high) in steps)
     matrices = np.zeros((3, len(states), len(states)))
     for i, j, chances in steps:
@@ -157,6 +154,14 @@ def received_ages(
         transition=matrices[0], delays=ages.max(axis=1), labels=label, ages=ages, held=held, begins=begins,
         between=None if exact else (np.minimum(matrices[1], matrices[0]), np.clip(matrices[2], matrices[0], 1.0)),
     )  # fmt: skip
+
+
+def never_received(chain: DelayChain, sensors: Sequence[Sensor]) -> str:
+    """Return which node's samples never come to the controller, and why; empty: of each node some come."""
+    for sensor in sensors:
+        if chain.held is not None and np.asarray(chain.held)[:, list(sensor.outputs)].all():
+            return f"no sample of {sensor.path} ever comes to the controller: on its medium others send in every slot"
+    return ""
 
 
 def _explored(

@@ -106,6 +106,9 @@ def test_a_node_that_never_gets_the_bus_is_named() -> None:
     verdict = composed(made | {"network.media": {"bus": bus}}).verdict
     assert verdict is not None and verdict.state == "undecided"
     assert "no sample of network.nodes.n1 ever comes to the controller" in verdict.reason
+    unstable = plant | {"A": [[1.0, 0.0], [0.0, -2.0]], "B": [[0.0], [1.0]]}  # no input reaches it, whatever is held
+    verdict = composed(made | {"plant": unstable, "network.media": {"bus": bus}}).verdict
+    assert verdict is not None and verdict.state == "refused" and verdict.number is not None and verdict.number > 1.05
 
 
 @pytest.mark.parametrize(
