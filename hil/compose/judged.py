@@ -48,7 +48,7 @@ def judge(
     """
     problem = _problem(experiment, rig, chains, controller, model, selection)
     verdict = certify(problem)
-    if verdict.state == "undecided" and problem.sc is not None and (silent := never_received(problem.sc, rig.sensors)):
+    if verdict.state == "undecided" and problem.sc is not None and (silent := never_received(problem.sc, rig)):
         verdict = replace(verdict, reason=f"{verdict.reason}; {silent}")
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:

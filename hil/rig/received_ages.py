@@ -156,10 +156,11 @@ def received_ages(
     )  # fmt: skip
 
 
-def never_received(chain: DelayChain, sensors: Sequence[Sensor]) -> str:
+def never_received(chain: DelayChain, rig: RigSpec) -> str:
     """Return which node's samples never come to the controller, and why; empty: of each node some come."""
-    for sensor in sensors:
-        if chain.held is not None and np.asarray(chain.held)[:, list(sensor.outputs)].all():
+    held = chain.held_outputs(len(rig.outputs))
+    for sensor in rig.sensors:
+        if held[:, list(sensor.outputs)].all():
             return f"no sample of {sensor.path} ever comes to the controller: on its medium others send in every slot"
     return ""
 
