@@ -108,24 +108,31 @@ def print_table(table: Table, *, folds: bool = False) -> None:
     """
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
+    from rich.table import Column
     from rich.table import Table as Shown
     from rich.text import Text
 
     title = cell(table.title, "bold") if table.title else None
     shown = Shown(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     rows = [[_shown(value) for value in row] for row in table.rows]
+    folding: list[tuple[int, Column]] = []
     for head, column in zip(table.columns, zip(*rows) if rows else [()] * len(table.columns)):
         longest = max((len(one.plain) for one in column), default=0)
         if all(_NUMBER.match(one.plain) or not one.plain for one in column):
             lines = wrap(visible(head), max(longest, *map(len, head.split(" ")), 1))  # no wider than its numbers
             shown.add_column(Text("\n".join(lines)), justify="right", no_wrap=True)
         else:
-            shown.add_column(cell(head), overflow="fold", min_width=min(longest, NARROWEST))
+            shown.add_column(cell(head), overflow="fold")
+            folding.append((max(longest, len(visible(head))), shown.columns[-1]))
     for i, row in enumerate(rows):
         shown.add_row(*row, style="bold" if i in table.highlight else "")
     console = Console()
-    found = console.measure(shown, options=console.options.update(max_width=10_000))
-    Console(width=max(console.width, found.minimum if folds else found.maximum)).print(shown)
+    whole = console.options.update(max_width=10_000)
+    excess = console.measure(shown, options=whole).maximum - console.width if folds else 0
+    for natural, words in sorted(folding, key=lambda each: -each[0]):  # rich would narrow one below its least, and crop it
+        words.width = max(natural - max(excess, 0), min(natural, NARROWEST))
+        excess -= natural - words.width
+    Console(width=max(console.width, console.measure(shown, options=whole).maximum)).print(shown)
     print_folded(table.note)
 
 

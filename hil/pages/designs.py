@@ -53,11 +53,11 @@ def bus_page(found: BusAnalysis) -> Page:
         ]
         for place, (name, each) in enumerate(zip(names, found.messages))
     ]  # fmt: skip
-    columns = ["id", "message", "bytes", "frame ms", "period ms", "deadline ms", "bound ms", "measured ms"]
+    columns = ["id", "name", "bytes", "frame ms", "period ms", "deadline ms", "bound ms", "measured ms"]
     table = Table(
-        columns=[*columns, "in time", "delayed by"], rows=rows, wide=True,
-        note="Delayed by: how many messages win over it, and the last three of them; beside these one frame of any other may be "
-        "on the bus already. A message with a dash for its bound has none.",
+        columns=[*columns, "met", "delayed by"], rows=rows, wide=True,
+        note="Met: whether its deadline is. Delayed by: how many messages win over it, and the last three of them; beside these "
+        "one frame of any other may be on the bus already. A message with a dash for its bound has none.",
     )  # fmt: skip
     full = f"The messages need {100 * found.load:.1f} % of the bus: the lower ones are not sent, or ever later."
     rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.cli.terminal import LONGEST, message_lines, visible
+from hil.cli.terminal import LONGEST, message_lines, print_table, visible
 from hil.experiment import shipped
+from hil.pages.html.figures import Cell, Table
 from tests.hil.cli.conftest import Hil
 
 GOOD = shipped()["dc-motor-hinf"].read_text()
@@ -26,6 +27,19 @@ def test_nothing_that_moves_a_cursor_gets_through(text: str) -> None:
 def test_a_message_has_at_most_2_kB_and_says_what_it_left_out(text: str, more: int) -> None:
     shown = message_lines(text + "x" * more)
     assert sum(len(f"hil: {line}\n".encode()) for line in shown) <= LONGEST
+
+
+@pytest.mark.parametrize("columns", [20, 40, 60, 80, 200])
+def test_a_table_that_folds_loses_no_word(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    numbers: list[list[Cell]] = [[1000.0 + i, 0.44, f"w{i}", ", ".join(f"SAE{i}{j}" for j in range(3))] for i in range(9)]
+    print_table(Table(columns=["deadline ms", "measured ms", "in time", "delayed by"], rows=numbers), folds=True)
+    shown = capsys.readouterr().out
+    words = [str(one) for row in numbers for cell in row for one in str(cell).replace(",", " ").replace(".0", "").split()]
+    assert [word for word in words if word not in shown] == []
+    assert max(map(len, shown.splitlines())) <= max(columns, 55)
 
 
 def test_a_short_message_is_left_alone() -> None:
