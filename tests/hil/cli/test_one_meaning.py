@@ -15,7 +15,7 @@ import pytest
 
 import hil
 from hil.cli import COMMANDS
-from hil.cli.list import FIRST
+from hil.experiment.load import FIRST
 from tests.hil.cli.conftest import Hil
 
 
