@@ -80,7 +80,8 @@ class Found:
         name: of the figure.
         ours, peer: its numbers; a peer may be missing where the machine lacks its tool.
         note: what else there is to say.
-        between: 95 % interval of the true ratio, where both are shares of few events; a ratio that it holds is undecided.
+        between: 95 % interval of the true ratio, where both are shares of few events; a goal that it holds is undecided, but for
+            one that leaves something beside the ratio.
         unfinished: ours was stopped at this number, and would be larger.
     """
 
@@ -178,8 +179,9 @@ def _verdict(most: AtMost | None, found: Found | None, why: str, quick: bool) ->
         return NOT_JUDGED
     if most.ratio is not None and found.peer is None:
         return "not measured: its peer is missing"
-    if most.ratio is not None and found.between is not None and found.between[0] <= most.ratio < found.between[1]:
-        return f"undecided: the ratio is between {found.between[0]:.2g} and {found.between[1]:.2g}"
+    between = None if most.plus else found.between  # what may be added to a ratio decides where both count next to nothing
+    if most.ratio is not None and between is not None and between[0] <= most.ratio < between[1]:
+        return f"undecided: the ratio is between {between[0]:.2g} and {between[1]:.2g}"
     return "reached" if most.met(found.ours, found.peer) and not found.unfinished else "missed"
 
 
