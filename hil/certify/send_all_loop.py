@@ -37,7 +37,6 @@ from hil.rig.delay_chains import gains_within
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate
-    from design.processes.delay_chain import DelayChain
 
 
 STABLE = 1.0 - 1e-6

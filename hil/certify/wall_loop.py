@@ -76,6 +76,8 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     controller, port = loop.controller, loop.port
     if not isinstance(controller, ModelFollower):
         return None
+    if len(loop.model.nodes.names) > 1:
+        return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
     if port is None:
         return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
     if loop.sc is None or loop.ca is None:
@@ -86,6 +88,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     from design.passivity.model_following import contact_matrices
 
     running, count = controller.start(loop.model), len(controller.wall.materials)
+    sc, ca = loop.sc.max_delay, loop.ca.max_delay  # what happens, however large the delays are that the controller is made for
 
     def radius(mass: float, damping: float, stiffness: float) -> float:
         device = HeldDevice(
@@ -93,7 +96,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
             hand_stiffness_n_per_m=port.stiffness + stiffness,
         )  # fmt: skip
         found = contact_matrices(
-            running, device, period_s=loop.model.period_s, sc=loop.model.tau_max, ca=loop.model.d_max, materials=count
+            running, device, period_s=loop.model.period_s, sc=sc, ca=ca, materials=count
         )
         return float(np.abs(np.linalg.eigvals(found)).max())
 

@@ -78,6 +78,14 @@ def test_it_is_refused_through_the_door_with_the_hand_that_decides():
     assert loop.verdict is not None and loop.verdict.details["spectral_radius"] < 0.9 and loop.verdict.limit == 1.0
 
 
+def test_it_is_judged_at_the_delays_that_happen_not_at_the_largest_that_it_may_be_made_for():
+    later = [FOLLOW, "allow_uncertified=true", "network.sc.max_age=6"]
+    loop = compose(load_experiment("omni-push", later))
+    happens = contact_matrices(loop.start_controller(), DEVICE, period_s=PERIOD_S, sc=3, ca=3, materials=3)
+    assert loop.model.tau_max == 6 and loop.verdict is not None
+    assert loop.verdict.details["spectral_radius"] == pytest.approx(float(np.abs(np.linalg.eigvals(happens)).max()))
+
+
 def test_the_wave_coupler_and_theorem_61_go_through_the_same_door():
     verdicts = {
         method: compose(load_experiment("omni-push", [f"controller.coupler={{method='{method}'}}", LET])).verdict
