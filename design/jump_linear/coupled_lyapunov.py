@@ -92,6 +92,27 @@ class _Stage(NamedTuple):
     columns: Array
 
 
+class Basis(NamedTuple):
+    """Coordinates of symmetric n x n matrices: their entries by rows of the upper triangle, those off it times sqrt 2."""
+
+    rows: npt.NDArray[np.intp]
+    columns: npt.NDArray[np.intp]
+    scale: Array
+    half: Array
+    places: npt.NDArray[np.intp]  # of each coordinate in a matrix, and the coordinate of each place
+    origins: npt.NDArray[np.intp]
+
+
+@lru_cache(maxsize=32)
+def basis_of(n: int) -> Basis:
+    """Return the coordinates of symmetric n x n matrices."""
+    rows, columns = np.triu_indices(n)
+    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
+    origins = np.empty((n, n), dtype=np.intp)
+    origins[rows, columns] = origins[columns, rows] = np.arange(len(rows))
+    return Basis(rows, columns, scale, 0.5 * np.outer(scale, scale), rows * n + columns, origins.ravel())
+
+
 class ShiftStates:
     """The map Y -> W (M Y M') + G on its rows in F, with all other entries made from them.
 
@@ -110,12 +131,8 @@ class ShiftStates:
         inside = self.arranged(M)
         self.turned = np.ascontiguousarray(inside.transpose(0, 2, 1))
         self.top = np.ascontiguousarray(inside[:, :f])
-        rows, columns = (index[: f * n - f * (f - 1) // 2] for index in np.triu_indices(n))
-        self.scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-        self.places = rows * n + columns  # of each coordinate, and the coordinate of each place
-        origins = np.empty((n, n), dtype=np.intp)
-        origins[rows, columns] = origins[columns, rows] = np.arange(len(rows))
-        self.origins = origins[:f].ravel()
+        basis, number = basis_of(n), f * n - f * (f - 1) // 2  # coordinates of the rows in F come first
+        self.scale, self.places, self.origins = basis.scale[:number], basis.places[:number], basis.origins[: f * n]
         self.stages = []
         if levels:
             acts = (inside != 0.0).any(axis=0)

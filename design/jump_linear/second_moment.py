@@ -11,13 +11,12 @@ sqrt 2), so that the forward operator is the transpose of the backward one, and 
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear.coupled_lyapunov import solve_bordered, solve_coupled
+from design.jump_linear.coupled_lyapunov import basis_of, solve_bordered, solve_coupled
 from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
 from design.jump_linear.long_computations import spectral_radius
 from design.jump_linear.power_proof import side_of_one
@@ -35,33 +34,15 @@ CLUSTER_LIMIT = 20_000  # unknowns up to which four eigenvalues are found, in ca
 BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
 
-class _Basis(NamedTuple):
-    rows: npt.NDArray[np.intp]
-    columns: npt.NDArray[np.intp]
-    scale: Array
-    half: Array
-    places: npt.NDArray[np.intp]  # of each coordinate in a matrix, and the coordinate of each place
-    origins: npt.NDArray[np.intp]
-
-
-@lru_cache(maxsize=32)
-def _basis(n: int) -> _Basis:
-    rows, columns = np.triu_indices(n)
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    origins = np.empty((n, n), dtype=np.intp)
-    origins[rows, columns] = origins[columns, rows] = np.arange(len(rows))
-    return _Basis(rows, columns, scale, 0.5 * np.outer(scale, scale), rows * n + columns, origins.ravel())
-
-
 def to_vector(matrices: Array) -> Array:
     """Coordinates (..., n (n+1)/2) of symmetric matrices (..., n, n); an isometry of the Frobenius norm."""
-    basis = _basis(matrices.shape[-1])
+    basis = basis_of(matrices.shape[-1])
     return np.asarray(matrices.reshape(*matrices.shape[:-2], -1).take(basis.places, axis=-1) * basis.scale)
 
 
 def to_matrix(vectors: Array, n: int) -> Array:
     """Symmetric matrices (..., n, n) of their coordinates (..., n (n+1)/2)."""
-    basis = _basis(n)
+    basis = basis_of(n)
     return (vectors / basis.scale).take(basis.origins, axis=-1).reshape(*vectors.shape[:-1], n, n)
 
 
@@ -82,7 +63,7 @@ def forward(A: Array, transition: Array, family: Array) -> Array:
 
 def congruence_matrices(A: Array) -> Array:
     """(N, s, s) matrices of S -> A_i' S A_i in coordinates, s = n (n+1)/2."""
-    rows, columns, _, half, *_ = _basis(A.shape[-1])
+    rows, columns, _, half, *_ = basis_of(A.shape[-1])
     left, right = A[:, :, rows], A[:, :, columns]
     product = left[:, rows] * right[:, columns]
     product += left[:, columns] * right[:, rows]

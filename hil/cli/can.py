@@ -108,11 +108,11 @@ def _of_traffic(
     from transport.errors import FieldError
     from transport.links.hil_channel import rate
 
-    if bitrate is None:
-        raise HilError(f"--bitrate: missing; {path} says no bit rate, such as 500k")
     try:
-        rates = BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
         traffic = read_traffic(path)
+        if bitrate is None:
+            raise HilError(f"--bitrate: missing; {path} says no bit rate, such as 500k")
+        rates = BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
         if rates.dbitrate is None and any(each.fd for each in traffic):
             raise HilError(f"--dbitrate: missing; {path} has CAN FD messages")
         return analyse_traffic(path.name, traffic, rates, seconds, partial(rng_for, 0), errors)

@@ -52,16 +52,16 @@ def test_an_experiment_is_run_and_analysed() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["x.csv"], "--bitrate: missing; x.csv says no bit rate"),
-        (["x.csv", "--bitrate", "501k"], "--bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is 500000"),
-        (["x.csv", "--bitrate", "500k"], "x.csv"),
+        (["x.csv"], "x.csv: cannot be read: No such file"),
+        (["sae.csv"], "sae.csv says no bit rate, such as 500k"),
+        (["sae.csv", "--bitrate", "501k"], "--bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is "),
         (["dc-motor-hinf"], "dc-motor-hinf: no medium of kind 'can'"),
         (["dc-motor-busy-can", "--bitrate", "500k"], "--bitrate: an experiment says it itself"),
     ],
 )
-def test_what_cannot_be_analysed_is_refused(words: list[str], said: str) -> None:
+def test_what_cannot_be_analysed_is_refused(words: list[str], said: str, sae: Path) -> None:
     with pytest.raises(HilError) as caught:
-        run(*words)
+        run(*(str(sae) if word == sae.name else word for word in words))
     assert said in str(caught.value)
 
 
