@@ -9,9 +9,8 @@ from typing import ClassVar
 import numpy as np
 
 from plants.errors import FieldError
-from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows
-from plants.parts.flow import Flow
+from plants.parts.flow import Flow, HeldNoise, Source, pass_time
 from plants.parts.jump_process import JumpProcess
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode

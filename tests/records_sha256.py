@@ -28,7 +28,7 @@ from design.semi_markov_loop.system import JumpSystem
 from hil.compose.loop import compose
 from hil.experiment import load_experiment, shipped
 from hil.log.run import records_sha256
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.sweeps.seeds import run_seeds
 
 FILE = Path(__file__).parent / "data" / "records_sha256.json"

@@ -186,11 +186,10 @@ class _Sums:
     """Sums of a chunk's states and of their products over its runs that count."""
 
     study: _Study
-    first: int
     runs: int
 
     def __call__(self, chunk: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        x = self.study.states(chunk)[:, inside_chunk(chunk, self.first, self.runs, CHUNK)]
+        x = self.study.states(chunk)[:, inside_chunk(chunk, 0, self.runs, CHUNK)]
         second = np.stack([[(a * b).sum(axis=0) for b in x] for a in x])
         square = (x * x).sum(axis=0)
         return x.sum(axis=1), second, (square * square).sum(axis=0)
@@ -203,19 +202,15 @@ def mean_states(
     duration_s: float,
     dt_s: float = 0.01,
     seed: int = 0,
-    first: int = 0,
     workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = _nothing,
 ) -> MeanStates:
     """Average trajectory and second moments on the grid (Figure 2.4a); arguments as ``settling_times``."""
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
-    chunks = chunk_numbers(first, runs, CHUNK)
-    sums = _Sums(study=study, first=first, runs=runs)
+    sums = _Sums(study=study, runs=runs)
     total: tuple[FloatArray, ...] | None = None
-    for done, part in enumerate(spread(sums, chunks, workers), 1):
+    for part in spread(sums, chunk_numbers(0, runs, CHUNK), workers):
         # Added in the order of the chunks: a sum of floats depends on its order.
         total = part if total is None else tuple(a + b for a, b in zip(total, part, strict=True))
-        progress(min(done * CHUNK, runs))
     assert total is not None
     mean, second, fourth = (np.asarray(value / runs, dtype=np.float64) for value in total)
     time_s = np.arange(study.steps + 1, dtype=np.float64) * dt_s

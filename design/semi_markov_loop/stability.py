@@ -263,22 +263,21 @@ def largest_decay(
     gain: ScheduledGain | None,
     process: SemiMarkov,
     *,
-    method: Method = "pwl",
     nodes: Partition | None = None,
     parts: int = 4,
     tolerance: float = 1e-3,
 ) -> JumpCertificate:
-    """The certificate with the largest decay rate of the method, by bisection to a relative ``tolerance``.
+    """The certificate with the largest decay rate of the method ``pwl``, by bisection to a relative ``tolerance``.
 
     Raises ValueError as ``analyse``; where not even stability is certified, the certificate at decay 0 comes back.
     """
-    best = analyse(system, gain, process, method=method, nodes=nodes, parts=parts)
-    if method == "exact" or not best.certified:
+    best = analyse(system, gain, process, nodes=nodes, parts=parts)
+    if not best.certified:
         return best
     low, high = best.decay_rate or 0.0, np.inf
     while high - low > tolerance * max(low, 1e-3):
         decay = 2.0 * low + 0.1 if np.isinf(high) else 0.5 * (low + high)
-        trial = analyse(system, gain, process, method=method, nodes=nodes, parts=parts, decay=decay, verify_with="nothing")
+        trial = analyse(system, gain, process, nodes=nodes, parts=parts, decay=decay, verify_with="nothing")
         if trial.certified and trial.decay_rate is not None:
             best, low = trial, max(trial.decay_rate, decay)
         else:

@@ -21,7 +21,7 @@ from design.errors import DesignError, FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
 from design.tracking.problem import TrackingProblem, row_sojourns_of, with_every_row
-from design.tracking.synthesis import Design, Progress, certified, solve
+from design.tracking.synthesis import Design, certified, solve
 
 MAX_BYTES: Final = 20_000_000
 """The most that a design file or a cache entry may have; the largest shipped one has 60 kB."""
@@ -220,9 +220,7 @@ def cache_directory() -> Path | None:
         return None
 
 
-def solve_cached(
-    problem: TrackingProblem, *, directory: Path | None = None, progress: Progress | None = None
-) -> Design:
+def solve_cached(problem: TrackingProblem, *, directory: Path | None = None) -> Design:
     """Solve a problem, or take its gains from the cache and certify them again.
 
     The same problem is solved once per machine.
@@ -239,12 +237,12 @@ def solve_cached(
     """
     directory = directory or cache_directory()
     if directory is None:
-        return solve(problem, progress=progress)
+        return solve(problem)
     entry = directory / f"{problem.digest()}-{SOLVER_VERSION}.json"
     found = kept_design(entry, problem)
     if found is not None:
         return found
-    design = solve(problem, progress=progress)
+    design = solve(problem)
     document = {
         "gains": design.gains.tolist(),
         "starts": [v if np.isfinite(v) else None for v in design.starts],

@@ -23,7 +23,7 @@ from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate as simulate_loop
+from hil.runtime.virtual import simulate as simulate_loop
 from hil.session import ClockName, Session, run_session
 from hil.session.replay.replay import Verdict as LogVerdict
 from hil.session.replay.replay import experiment_of

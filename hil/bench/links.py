@@ -61,7 +61,6 @@ def bench_links(
     *,
     links: Sequence[str] = LINKS,
     floor: bool = True,
-    progress: Callable[[str], None] = lambda text: None,
 ) -> list[Row]:
     """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
 
@@ -72,7 +71,6 @@ def bench_links(
         duration_s: length for each link, s.
         links: URIs; ``{port}``, ``{pid}`` and ``{folder}`` are filled in.
         floor: whether UDP in C is measured, too.
-        progress: called with the name of what is running.
 
     Returns:
         One row per link and affinity, the floor first: `link`, `affinity`, `p50_us`, `p99_us`, `p99_9_us`, `times_floor` (ratio
@@ -94,7 +92,6 @@ def bench_links(
                 pairs.append((way, open_pair(stack, _python(uri, how, rate_hz))))
         taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
         for turn in range(slices + 1):
-            progress(f"turn {turn} of {slices}")
             for i, (way, pair) in enumerate(pairs):
                 if isinstance(pair, str):
                     continue

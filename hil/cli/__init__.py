@@ -1,4 +1,4 @@
-"""The command line: one file per command, imported when it is called."""
+"""The command line: a file for each command, or for a few that belong together, imported when one of them is called."""
 
 from __future__ import annotations
 
@@ -56,6 +56,25 @@ COMMANDS = {
     "doctor": "Check what this machine offers, with the remedy.",
 }
 
+_SHARED_FILES = {
+    "rig": "one_end", "controller": "one_end", "discover": "one_end",
+    "report": "log_files", "recover": "log_files", "export": "log_files", "layout": "log_files",
+    "show": "experiment_files", "schema": "experiment_files", "solve": "experiment_files",
+    "can": "can", "dbc": "can",
+    "new": "new", "check": "new",
+    "bench": "bench", "probe": "bench",
+    "stiffness-map": "design_wall",
+}  # fmt: skip
+"""Files of several commands, each a function of the command's name; elsewhere it is ``command`` in a file of its name."""
+
+
+def command_of(name: str) -> click.Command:
+    """Import the file of a command of `COMMANDS`, and return it."""
+    own = name not in _SHARED_FILES
+    module = import_module(f"hil.cli.{_SHARED_FILES.get(name, name)}")
+    command: click.Command = getattr(module, "command" if own else name.replace("-", "_"))
+    return command
+
 
 def _close_stdout() -> None:
     """Let what is left in its buffer go nowhere, for where it went to takes no more."""
@@ -74,7 +93,7 @@ class LazyGroup(click.Group):
         if cmd_name != "doctor":  # which reports it
             refuse_shadowed_packages()
             import_module("design.blas_threads").begin_with_one_thread()
-        command: click.Command = import_module(f"hil.cli.{cmd_name.replace('-', '_')}").command
+        command = command_of(cmd_name)
         if cmd_name != "run":  # whose own modules come when it is called
             collect_garbage_again()
         return command

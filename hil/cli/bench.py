@@ -1,20 +1,24 @@
-"""``hil bench``: what this machine and this code do, always two things in one run, always with their ratio."""
+"""``hil bench``, ``hil probe``: what this machine and this code do, in turns and with their ratio; and what a real link does."""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import Any, get_args
 
 import click
 
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, print_json, print_table
+from hil.cli.terminal import Working, json_option, print_json, print_table
+from hil.errors import HilError
 from hil.experiment.tables import Affinity
 
 SECONDS = (0.001, 86_400)
+MOST_FRAMES = 5_000_000
 
 
 @click.group()
-def command() -> None:
+def bench() -> None:
     """Measure timing, links and endurance on this machine."""
 
 
@@ -36,7 +40,7 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
     print_table(Table(title=title, columns=list(rows[0]) if rows else (), rows=cells))
 
 
-@command.command()
+@bench.command()
 @click.option("--duration", type=Duration(), default="20s", show_default=True, help="Of the sessions over each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
@@ -90,7 +94,7 @@ def timing(
 
 
 def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool) -> None:
-    from hil.bench.live import bench_live
+    from hil.bench.timing import bench_live
 
     rows = bench_live(duration_s=duration, turns=turns, link=link, experiment=experiment, progress=status_line)
     if as_json:
@@ -103,7 +107,7 @@ def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool
     ])  # fmt: skip
 
 
-@command.command()
+@bench.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
 @click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
 @click.option("--can", "buses", is_flag=True, help="Instead: CAN buses, with the bus model off and on.")
@@ -144,7 +148,7 @@ def _can_buses(duration: float, as_json: bool) -> None:
         ])  # fmt: skip
 
 
-@command.command()
+@bench.command()
 @click.option("--for", "duration", type=Duration(5.0, 7 * 86_400), default="10min", show_default=True,
               help="Length of the long session.")  # fmt: skip
 @click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
@@ -182,3 +186,51 @@ def _soak(row: dict[str, Any]) -> None:
 
 def _us(lateness: dict[str, float | None]) -> str:
     return ", ".join(f"{q.replace('_', '.')} {'-' if us is None else f'{us:.0f}'} us" for q, us in lateness.items())
+
+
+@click.command()
+@click.argument("link", metavar="LINK")
+@click.option("--seconds", "--for", "seconds", type=Duration(0.1, 86_400), default="30s", show_default=True, help="For how long.")
+@click.option("--rate", type=click.FloatRange(0.1, 10_000), default=100.0, show_default=True, help="Frames per second.")
+@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the log here [link.mcap].")
+@click.option("--answer", "answers", is_flag=True, help="Be the other end: answer until Ctrl-C, and log nothing.")
+@click.option("--both", is_flag=True, help="Be both ends, for a link within this machine.")
+@click.option("--force", is_flag=True, help="Replace a file that is there.")
+def probe(
+    link: str, seconds: float, rate: float, output: Path | None, answers: bool, both: bool, force: bool
+) -> None:  # fmt: skip
+    """Measure LINK, such as zenoh:tcp/10.0.0.2:7447 or can:socketcan:can0, with our own frames, and write a log.
+
+    At the other end runs `hil probe LINK --answer`. The log is for `hil identify law` and `hil design --network`.
+    """
+    from contextlib import nullcontext
+
+    from hil.bench.probe import answer, answering, probe, write_probe_log
+    from hil.files.outputs import check_output
+    from transport.links.opening import open_link
+    from transport.links.traits import traits_of
+    from transport.links.zenoh_refusals import standard_output_is_free
+
+    if answers and (both or output is not None):
+        raise HilError("--answer: the other end measures nothing; expected no --both and no -o")
+    if traits_of(link).one_process:
+        raise HilError(f"link {link!r}: lies within one process; expected a link between two, such as can:hil:rig0")
+    if answers:
+        standard_output_is_free()
+        with open_link(link, "controller") as end:
+            print(f"hil: answering on {link}; Ctrl-C ends it", file=sys.stderr)
+            answer(end)
+    if rate * seconds > MOST_FRAMES:
+        raise HilError(f"--seconds: {rate * seconds:.0f} frames, at most {MOST_FRAMES}; lower --rate")
+    path = check_output(output or Path("link.mcap"), fresh=not force, remedy="choose another -o or add --force")
+    standard_output_is_free()
+    with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
+        trips, one_clock = probe(end, rate, seconds, watch.counted)
+    write_probe_log(path, link, rate, trips, one_clock)
+    came = sorted((t.received_ns - t.sent_ns) / 1e6 for t in trips if t.received_ns)
+    if came:
+        middle = f"median round trip {came[len(came) // 2]:.4g} ms, longest {came[-1]:.4g} ms"
+        clocks = "one clock" if one_clock else "two clocks"
+        print(f"{path}: {len(came)} of {len(trips)} round trips came back; {middle}; {clocks}", file=sys.stderr)
+    else:
+        print(f"{path}: none of {len(trips)} round trips came back", file=sys.stderr)

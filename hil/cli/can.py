@@ -1,17 +1,18 @@
-"""``hil can analyse``: response times of the messages on a CAN bus."""
+"""``hil can``, ``hil dbc``: response times on a CAN bus, a bridge to it, and its frames for other tools."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration
-from hil.cli.terminal import json_option, show_page
+from hil.cli.terminal import json_option, show_page, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -19,14 +20,15 @@ if TYPE_CHECKING:
     from transport.can_analysis import ErrorBursts
 
 _TRAFFIC = (".csv", ".dbc")
+_CODEC = "hilrig"
 
 
 @click.group()
-def command() -> None:
+def can() -> None:
     """Questions about CAN buses."""
 
 
-@command.command()
+@can.command()
 @click.argument("target", type=EXPERIMENT, metavar="TRAFFIC|EXPERIMENT")
 @click.option("--bitrate", metavar="RATE", help="Nominal bit rate of TRAFFIC, as 500k or 500000.")
 @click.option("--dbitrate", metavar="RATE", help="Data bit rate of TRAFFIC, as 2M.")
@@ -64,7 +66,7 @@ def analyse(
     show_page(bus_page(found), asdict(found), output, as_json)
 
 
-@command.command()
+@can.command()
 @click.argument("channel")
 @click.argument("interface")
 @click.option("--bitrate", required=True, metavar="RATE", help="Nominal bit rate of CHANNEL, as 500k or 500000.")
@@ -79,8 +81,7 @@ def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, res
     What programs send on INTERFACE, such as vcan0, goes onto the bus CHANNEL (can:hil:CHANNEL?timed=1) in its turn; what others
     send there, and the error frames of this controller, come onto INTERFACE. Runs until Ctrl-C.
     """
-    from transport.links.can_bridge import bridge
-    from transport.links.can_bus import HilBus
+    from transport.links.can_bus import HilBus, bridge
     from transport.links.python_can import can
 
     flexible = dbitrate is not None
@@ -127,7 +128,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     from hil.measure.bus_load import bus_of
     from hil.measure.view import view_of
     from hil.rig.can_bus import analysed, can_bus_of, rates_of
-    from hil.runtime.simulated import simulate
+    from hil.runtime.virtual import simulate
 
     experiment = load_experiment(target, sets, duration=str(seconds))
     loop = compose(experiment, certify=False)
@@ -139,3 +140,84 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
     return analyse(experiment.name, analysed(loop.rig, bus, loop.rows), rates_of(bus.table), worst, seconds, errors)
+
+
+@click.command()
+@click.argument("experiment", type=EXPERIMENT, required=False)
+@click.option("--link", metavar="URI", help="Framing and base of another link than EXPERIMENT's own.")
+@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
+@click.option("--c", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
+@click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log, .log or .blf.")
+@click.option("--force", is_flag=True, help="Replace files that are there.")
+def dbc(
+    experiment: str | None, link: str | None, sets: tuple[str, ...], folder: Path | None, log: Path | None, force: bool
+) -> None:
+    """Print the DBC of the link's frames; of EXPERIMENT with a message for each sensor node, and each value by its name.
+
+    With --c write a C codec that cantools makes of it, for a controller on another machine; with --decode print what the
+    frames of a CAN log say, one JSON object a line.
+    """
+    if experiment is None and (link is not None or sets):
+        raise HilError("--link and --set: name an experiment; without one the DBC is that of any one node below 0x100")
+    if folder is not None and log is not None:
+        raise HilError("--c and --decode: one at a time")
+    text = _text(experiment, link, sets)
+    if folder is not None:
+        _write_codec(_database(text), folder, force)
+    elif log is not None:
+        _decode(_database(text), log)
+    else:
+        print(text, end="")
+
+
+def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
+    from hil.experiment import load_experiment
+    from hil.rig.normal_form import rig_of
+    from hil.rig.session_link import rig_dbc
+    from transport import dbc_path
+    from transport.links.link import TransportError
+
+    if experiment is None:
+        return dbc_path().read_text(encoding="utf-8")
+    try:
+        return rig_dbc(rig_of(load_experiment(experiment, sets)), link)
+    except (TransportError, ValueError) as error:
+        raise HilError(f"{experiment}: {error}") from error
+
+
+def _write_codec(database: Any, folder: Path, force: bool) -> None:
+    from cantools.database.can.c_source import generate
+
+    from hil.files.outputs import check_output, made_folder, write_output
+
+    header, source = (made_folder(folder) / f"{_CODEC}.{ending}" for ending in ("h", "c"))
+    for path in (header, source):
+        check_output(path, fresh=not force, remedy="choose another --c or add --force")
+    texts = generate(database, _CODEC, header.name, source.name, "")
+    for path, text in zip((header, source), texts):
+        write_output(path, text, replace=force)
+        print(visible(path))
+
+
+def _decode(database: Any, log: Path) -> None:
+    from cantools.database import DecodeError
+
+    from hil.files.can_logs import can_frames
+
+    for frame in can_frames(log):
+        try:
+            message = database.get_message_by_frame_id(frame.arbitration_id)
+        except KeyError:
+            continue  # another node's
+        try:
+            signals = message.decode(bytes(frame.data), decode_choices=True, allow_truncated=True)
+        except (DecodeError, ValueError) as e:
+            raise HilError(f"{log}: a frame {frame.arbitration_id:#x} is none of {message.name}: {e}") from e
+        values = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
+        print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
+
+
+def _database(text: str) -> Any:
+    import cantools
+
+    return cantools.database.load_string(text, "dbc")

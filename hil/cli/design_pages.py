@@ -61,7 +61,7 @@ def _judge(place: Place) -> Judged:
     from hil.measure.summary import summarise
     from hil.measure.view import view_of
     from hil.rig.can_bus import CONTROLLER, analysed, can_bus_of, own_packets, rates_of
-    from hil.runtime.simulated import simulate
+    from hil.runtime.virtual import simulate
     from transport.can_analysis import response_times
 
     loop = compose(place.experiment)

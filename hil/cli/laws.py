@@ -147,7 +147,7 @@ def laws_of_bus(
     from hil.experiment.load import parse_table
     from hil.files.outputs import check_output, write_output
     from hil.rig.can_bus import can_bus_of
-    from hil.runtime.simulated import simulate
+    from hil.runtime.virtual import simulate
 
     experiment = load_experiment(name, sets)
     loop = compose(experiment, certify=False)

@@ -13,8 +13,7 @@ import numpy.typing as npt
 from msgspec import Struct
 
 from hil.experiment import Experiment
-from hil.measure.followed import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, target_of
-from hil.measure.signals import Signals
+from hil.measure.signals import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Signals, target_of
 from hil.rig.spec import RigSpec
 
 BatchValues: TypeAlias = npt.NDArray[np.float64]

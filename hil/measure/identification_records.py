@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from design.identification.jump_rates import ModeRecord
 from hil.errors import HilError
-from hil.files.csv_columns import read_columns
+from hil.files.arrays import read_columns
 from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.log.topics import STATE

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import GainTable, feedforward, integral_limit, integrates
-from hil.measure.followed import AFTER_S, target_of
-from hil.measure.signals import signals_of
+from hil.measure.signals import AFTER_S, signals_of, target_of
 from hil.measure.tracking import squared_unit
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import gains_over

@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.batch_measure import BatchValues, BatchView, tracking_of_batch
-from hil.measure.followed import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Followed, pairwise_sum
 from hil.measure.measure import Quantity
-from hil.measure.signals import Signals
+from hil.measure.signals import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Followed, Signals, pairwise_sum
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 
 Array: TypeAlias = npt.NDArray[np.floating[Any]]

@@ -16,8 +16,7 @@ from hil.log import topics
 from hil.log.append_column import ROWS, pieces, release, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
-from hil.measure.followed import Followed
-from hil.measure.signals import Signals, bare, tracked_among
+from hil.measure.signals import Followed, Signals, bare, tracked_among
 from hil.rig.normal_form import rig_of
 from hil.rig.spec import RigSpec
 from plants.errors import PlantError

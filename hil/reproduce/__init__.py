@@ -1,8 +1,8 @@
 """The thesis's numbers beside computed ones: a room a chapter, each with a module ``numbers`` that holds its `Chapter`.
 
 A statement is data: what is printed, which computed number, by which rule (``statements``); a row is a statement judged, and no
-verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, ``power`` says
-what the rules can tell.
+verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, and
+says what the rules can tell.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import pkgutil
 from hil.errors import unknown_name
 from hil.reproduce.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
-from hil.reproduce.power import power, power_in_words
+from hil.reproduce.pages import power, power_in_words
 from hil.reproduce.statements import Statement
 
 __all__ = [

@@ -108,7 +108,6 @@ def fault_runs(
     runs: int,
     duration_s: float,
     noise_s: float,
-    noise: bool = True,
     seed: int = 0,
 ) -> NoisyRuns:
     """Runs with failures and detections, exact between noise samples and jumps; eta = r = 0 and all clocks 0 at t = 0.
@@ -123,7 +122,7 @@ def fault_runs(
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
         eta, r = sample_fault_detection(process, 0, 0, duration_s, rng)
-        held[run] = rng.standard_normal(held.shape[1:]) * float(noise)
+        held[run] = rng.standard_normal(held.shape[1:])
         phases = _phases(eta, r, gain, process, duration_s)
         x[run] = _propagate(system, gain, process, phases, np.asarray(start), held[run], noise_s, cache)
     ratio, size = _norms(time_s, x, system.c[0], held, noise_s)

@@ -9,8 +9,7 @@ from msgspec import Struct
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS
-from hil.rig.can_bus import CONTROLLER, can_bus_of
-from hil.rig.can_frames import CONTROL, can_faults, most_rows, own_identifiers, ranges_of
+from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
 from hil.rig.spec import RigSpec
 from transport.dbc import LONGEST_NAME, BusNode, dbc_text

@@ -28,8 +28,8 @@ from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of, no_link, refuse_undisturbed
 from hil.runtime.real.machine import machine
-from hil.runtime.simulated import rehearsal, simulate_as_logged
 from hil.runtime.time.clock import monotonic_ns, wall_clock
+from hil.runtime.virtual import rehearsal, simulate_as_logged
 from hil.session.both_clocks import Onlooker, run_in_real_time, run_in_virtual_time
 from hil.session.finished import Session
 from hil.session.outcome import (

@@ -1,4 +1,4 @@
-"""All runs of a loop at once, slot by slot, bit for bit what `hil.runtime.simulated.simulate` computes seed by seed.
+"""All runs of a loop at once, slot by slot, bit for bit what `hil.runtime.virtual.simulate` computes seed by seed.
 
 The same random streams per seed, float32 on the wire, the same order of sums. What happens to a packet does not depend on the
 plant, so that samples, delays and rows are known beforehand; then one pass over the slots moves all plants. A run in which

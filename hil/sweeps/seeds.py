@@ -27,7 +27,7 @@ from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins.user_modules import is_ours
 from hil.rig.loop import Loop
-from hil.runtime.simulated import rehearsal, simulate
+from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
 from hil.sweeps.sweep import Sweep, SweepStore
 

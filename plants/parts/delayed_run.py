@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plants.parts.draws import TURN, sine
-from plants.parts.events import HeldNoise, Source, pass_time
 from plants.parts.exponential import Rows, dot, drift, zero_order_hold
+from plants.parts.flow import HeldNoise, Source, pass_time
 from plants.parts.jump_process import JumpProcess
 from plants.parts.linear import NS_PER_S
 

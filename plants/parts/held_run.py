@@ -11,9 +11,8 @@ import numpy as np
 from plants.errors import PlantError
 from plants.parts.damping_zones import ZoneRun
 from plants.parts.draws import TURN, Normals, sine
-from plants.parts.events import Source, pass_time
 from plants.parts.exponential import exp
-from plants.parts.flow import Flow
+from plants.parts.flow import Flow, Source, pass_time
 from plants.parts.friction import Friction
 from plants.parts.hand import NEVER_NS, Hand, Push, Slide, Way
 from plants.parts.linear import NS_PER_S

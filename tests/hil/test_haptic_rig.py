@@ -12,7 +12,7 @@ from hil.cli import main
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from tests.warm_hil import hil_command
 

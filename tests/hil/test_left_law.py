@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from hil.runtime.nodes.law_watch import LawWatch
+from hil.runtime.nodes.jump_watch import LawWatch
 from hil.session import simulated_session
 from tests.hil.compose.lying_plugins import Plant, Table
 from tests.hil.test_left_model import loop_of, said

@@ -7,7 +7,7 @@ from scipy.stats import norm
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.sweeps.lockstep import run_batch
 
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it

@@ -11,7 +11,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from design.tracking.design_file import kept_design, load_design
 from design.tracking.problem import TrackingProblem
-from hil.cli.dbc import _database, _decode
+from hil.cli.can import _database, _decode
 from hil.cli.option_types import NumberList
 from hil.cli.terminal import message_lines
 from hil.errors import HilError
@@ -49,7 +49,7 @@ from transport.links.authenticated_link import read_key
 from transport.links.link import TransportError, key_file
 from transport.links.traits import traits_of
 from transport.links.zenoh_access import Access
-from transport.links.zenoh_discover import _json_object
+from transport.links.zenoh_observers import _json_object
 from transport.wire.tags import tag_of
 
 FOLDER = shipped()["dc-motor-hinf"].parent

@@ -31,6 +31,15 @@ SPREAD = """
 from design.monte_carlo.parallel_runs import Workers, spread
 assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2, 3]
 """
+LIVE = """
+import sys
+sys.path.remove("")  # as of a command: children take over a -P of their parent
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.pages.live.desk import Composer
+with Composer() as composer:
+    composer.changed(compose(load_experiment("dc-motor-local")), 0, "network.ca.law", {"kind": "constant", "age": 0})
+"""
 PLUG_IN = """
 def test_mine(hil):
     assert hil.run("dc-motor-hinf", clock="real", link="can:hil:shadowed{pid}", duration="0.5 s").summary["slots"] == 10
@@ -47,6 +56,7 @@ COMMANDS = {
     "real time over zenoh": [*REAL, f"zenoh:?name=shadow{os.getpid()}"],
     "real time in one process": [*REAL, "local:"],
     "workers of a sweep": [sys.executable, "-P", "-c", SPREAD],
+    "change on the live page": [sys.executable, "-c", LIVE],
     "sweep": [HIL, "sweep", "dc-motor-hinf", "--runs", "4", "--jobs", "2"],
     "benchmark": [sys.executable, "-P", "-c", "from tests.bench.loop_log import loop_log_us; loop_log_us(5)"],
     "plug-in of pytest": [

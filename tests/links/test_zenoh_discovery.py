@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from hil.cli.discover import command
+from hil.cli.one_end import discover as command
 from hil.experiment import load_experiment
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import about_rig
@@ -19,8 +19,8 @@ from tests.waiting import until
 from transport import open_link
 from transport.links.contract import control, meet, sensor
 from transport.links.link import Discoverable
-from transport.links.zenoh_discover import discover
 from transport.links.zenoh_link import ENCODING, config
+from transport.links.zenoh_observers import discover
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
@@ -64,7 +64,7 @@ def test_a_rig_and_its_controller_are_found_with_what_runs(
         assert "BO_ 256 Sensor_first_" in info["dbc"] and len(info["session"]) == 16
         assert run_main("discover", "--wait", "30") == 0
         assert "mine at " in (said := capsys.readouterr().out) and "multisensor-published, period 50 ms" in said
-    assert command.name == "command" and discover(f"unixsock-stream/{tmp_path}/mine", 0.2) == []
+    assert command.name == "discover" and discover(f"unixsock-stream/{tmp_path}/mine", 0.2) == []
 
 
 def test_a_link_with_a_password_announces_nothing(tmp_path: Path) -> None:

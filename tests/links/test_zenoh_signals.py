@@ -17,7 +17,7 @@ from tests.ports import free_port
 from tests.waiting import LIMIT_S
 from transport import TransportError
 from transport.links.zenoh_link import config
-from transport.links.zenoh_signals import SignalPublisher
+from transport.links.zenoh_observers import SignalPublisher
 
 SCHEMA = Schema(name="hil/msg/Probe", fields=(Field(name="angle", type="float64", unit="rad"), Field(name="late", type="uint8")))
 TOPIC = "/plant/measurement"

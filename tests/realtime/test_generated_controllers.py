@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.files.keys import make_keys
 from hil.log.read.run import Run
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.foreign_session import drive
 from tests.generated_controllers import asked_over, c_on_hil, generate, runs
 

@@ -21,7 +21,7 @@ from hil.compose.loop import compose
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.log.read.run import read_run
 from hil.log.topics import FRAME_TOPICS
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.foreign_session import drive

@@ -16,7 +16,7 @@ from design.controllers.historical import Historical
 from hil.cli.guide import pages
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.foreign_session import drive

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.generated_controllers import asked_over, generate, runs
 from tests.realtime.test_generated_controllers import EXACT, SEED, assert_same_run, loop_of
 

@@ -18,7 +18,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import Session, run_session
 from hil.session.replay.replay import verify
 from transport.links.can_identifiers import derived

@@ -44,7 +44,7 @@ _SKIPPED: Final = 2 * FRAGMENTS
 
 
 class Frames(Protocol):
-    """A bus as the link uses it: `transport.links.hil_frames.HilFrames`, or `transport.links.message_frames.MessageFrames`.
+    """A bus as the link uses it: `transport.links.hil_frames.HilFrames`, or `transport.links.python_can.MessageFrames`.
 
     A call that fails raises an `OSError` with the system's number where there is one, a `ValueError` where its socket is closed.
     """

@@ -68,7 +68,7 @@ def open_can(uri: str, role: Role) -> CanLink:
     if interface == "hil":
         join = partial(_join_hil, channel, quiet=quiet, fd=flexible, **arguments)  # the link sorts out the rest
     else:
-        from transport.links.message_frames import join_interface
+        from transport.links.python_can import join_interface
 
         arguments["can_filters"] = filters(accepted)
         join = partial(join_interface, interface, channel, fd=flexible, quiet=quiet, options=arguments)
@@ -97,7 +97,7 @@ def _check_name(uri: str, interface: str) -> None:
     """Refuse an interface that python-can does not know."""
     from difflib import get_close_matches
 
-    from transport.links.message_frames import INTERFACES
+    from transport.links.python_can import INTERFACES
 
     if interface not in INTERFACES:
         near = get_close_matches(interface, INTERFACES, n=1)
@@ -109,7 +109,7 @@ def _names_of(interface: str) -> tuple[list[str], bool]:
     """Return the names of an interface's options, and whether it takes any other; none of a back end without its driver."""
     if interface == "hil":
         return [name for name in signature(join_channel).parameters if name != "name"], False
-    from transport.links.message_frames import options_of
+    from transport.links.python_can import options_of
 
     return options_of(interface)
 

@@ -1,13 +1,21 @@
-"""python-can without asammdf, which it imports where it is installed, and with it pandas and cryptography.
+"""python-can as our links use it: without asammdf, and any of its buses frame by frame; the `hil` bus needs none of it.
 
-Only who reads or writes ``.mf4`` needs it (`with_mf4`). Its import takes longer than all others of a process of a loop
-together, and swallows a Ctrl-C that comes meanwhile.
+asammdf is imported where it is installed, and with it pandas and cryptography. Only who reads or writes ``.mf4`` needs it
+(`with_mf4`). Its import takes longer than all others of a process of a loop together, and swallows a Ctrl-C that comes meanwhile.
 """
 
 from __future__ import annotations
 
 import importlib
+import logging
 import sys
+import warnings
+from contextlib import suppress
+from importlib import import_module
+from inspect import Parameter, signature
+from typing import Any, Final
+
+from transport.links.can_datagram import ERROR, EXTENDED, REMOTE
 
 if "can" in sys.modules or "asammdf" in sys.modules:
     import can
@@ -18,7 +26,11 @@ else:
     finally:
         del sys.modules["asammdf"]
 
-__all__ = ["can", "with_mf4"]
+__all__ = ["INTERFACES", "MessageFrames", "can", "join_interface", "options_of", "with_mf4"]
+
+INTERFACES: Final = can.VALID_INTERFACES
+"""Names of the interfaces that python-can knows."""
+_SILENCE: Final = logging.NullHandler()
 
 
 def with_mf4() -> type[can.io.mf4.MF4Writer]:
@@ -31,3 +43,83 @@ def with_mf4() -> type[can.io.mf4.MF4Writer]:
 
     writer: type[can.io.mf4.MF4Writer] = importlib.reload(can.io.mf4).MF4Writer
     return writer
+
+
+class MessageFrames:
+    """Frames by way of the messages of a bus.
+
+    Args:
+        bus: of python-can; it is shut down with the link.
+        fd: CAN FD frames, with bit rate switch.
+    """
+
+    def __init__(self, bus: can.BusABC, fd: bool) -> None:
+        self._bus, self._fd = bus, fd
+        self.lost = self.turned_away = self.filtered = 0  # no such bus says so
+
+    def send_frame(self, identifier: int, data: bytes) -> bool:
+        """Send a frame with a standard identifier; return whether a participant took it: as far as known."""
+        fd = self._fd
+        message = can.Message(arbitration_id=identifier, is_extended_id=False, is_fd=fd, bitrate_switch=fd, data=data)
+        try:
+            self._bus.send(message, 0.0)
+        except can.CanError as error:
+            raise _of_system(error) from error
+        return True
+
+    def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
+        """Receive: identifier with the flags of <linux/can.h>, whether FD, data; or None."""
+        try:
+            message = self._bus.recv(timeout)
+        except can.CanError as error:
+            raise _of_system(error) from error
+        if message is None:
+            return None
+        flags = message.is_error_frame * ERROR | message.is_remote_frame * REMOTE | message.is_extended_id * EXTENDED
+        return message.arbitration_id | flags, message.is_fd, bytes(message.data)
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        try:
+            self._bus.shutdown()
+        except can.CanError as error:
+            raise _of_system(error) from error
+
+
+def _of_system(error: can.CanError) -> OSError:
+    return OSError(error.error_code, str(error))
+
+
+def join_interface(interface: str, channel: str, *, fd: bool, quiet: bool, options: dict[str, Any]) -> MessageFrames:
+    """Join a bus over an interface of python-can.
+
+    Args:
+        interface: its name.
+        channel: of the interface.
+        fd: CAN FD frames.
+        quiet: whether what it warns of is left unsaid.
+        options: whatever the interface takes.
+
+    Raises:
+        Exception: a back end without its driver raises anything.
+    """
+    logger = logging.getLogger("can")  # what python-can has to say, we say in one line
+    logger.addHandler(_SILENCE)
+    logger.propagate = False
+    if interface == "virtual":
+        options = {**options, "protocol": can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20}
+    elif fd or interface == "udp_multicast":
+        options = {**options, "fd": fd}
+    with warnings.catch_warnings():
+        if quiet:
+            warnings.simplefilter("ignore")
+        return MessageFrames(can.Bus(interface=interface, channel=channel, ignore_config=True, **options), fd)
+
+
+def options_of(interface: str) -> tuple[list[str], bool]:
+    """Return the names of the options of an interface, and whether it takes any other; none of one without its driver."""
+    with suppress(Exception):
+        module, name = can.interfaces.BACKENDS[interface]
+        parameters = signature(getattr(import_module(module), name)).parameters
+        return [*parameters], any(parameter.kind is Parameter.VAR_KEYWORD for parameter in parameters.values())
+    return [], False

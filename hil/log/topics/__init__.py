@@ -14,6 +14,7 @@ from typing import Final
 from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
 from hil.log.topics.bus import BUS as BUS
+from hil.log.topics.bus import PROBE as PROBE
 from hil.log.topics.loop import APPLIED as APPLIED
 from hil.log.topics.loop import CA as CA
 from hil.log.topics.loop import CONTROL as CONTROL
@@ -25,7 +26,6 @@ from hil.log.topics.loop import SC as SC
 from hil.log.topics.loop import SENSOR as SENSOR
 from hil.log.topics.loop import STATE as STATE
 from hil.log.topics.loop import TIMING as TIMING
-from hil.log.topics.probe import PROBE as PROBE
 from hil.log.topics.topic import Curve as Curve
 from hil.log.topics.topic import Logged as Logged
 from hil.log.topics.topic import MissingTopic as MissingTopic

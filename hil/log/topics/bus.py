@@ -1,4 +1,7 @@
-"""What was on a CAN bus that takes time, in the words of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error."""
+"""Topics of a link alone: what was on a CAN bus that takes time, and the round trips of `hil probe`.
+
+The bus is told in the words of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error.
+"""
 
 from __future__ import annotations
 
@@ -24,4 +27,14 @@ BUS = Topic(
         u8("length", "bytes of data"),
     ),
 )  # fmt: skip
-TOPICS = (BUS,)
+
+PROBE = Topic(
+    name="/probe/packet", order=11, schema="ProbePacket", filled_by="hil probe", since="0.1.0",
+    logged=lambda logged: False,  # no session has it
+    fields=lambda logged: (
+        i64("sent_ns", "ns", "sensor frame out, since the first one"),
+        i64("answered_ns", "ns", "when the other end answered, by its clock, since that instant of ours; 0 if never"),
+        i64("received_ns", "ns", "control frame in, 0 if none came"), TICK,
+    ),
+)  # fmt: skip
+TOPICS = (BUS, PROBE)

@@ -169,7 +169,7 @@ def published(
     """Give the observers of a session, with those that publish its records where that is asked for.
 
     Args:
-        uri: where subscribers connect, see `transport.links.zenoh_signals`; None to publish nothing.
+        uri: where subscribers connect, see `transport.links.zenoh_observers`; None to publish nothing.
         channels: the session's table.
         observers: topic to function, of others who look.
 
@@ -179,7 +179,7 @@ def published(
     if uri is None:
         yield observers
         return
-    from transport.links.zenoh_signals import SignalPublisher
+    from transport.links.zenoh_observers import SignalPublisher
 
     schemas = {topic: (channel.schema.name, channel.schema.text) for topic, channel in channels.items() if not channel.schema.raw}
     with SignalPublisher(uri, schemas) as publisher:

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
+from design.monte_carlo.parallel_runs import safe_path
 from hil.compose.changed import changed, is_schedule, refuse_in_real_time
 from hil.errors import HilError
 from hil.pages.live.side import Side
@@ -73,7 +74,8 @@ class Composer:
         context = get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, os.getpid()), name="certificates", daemon=True)
-        self._process.start()
+        with safe_path():
+            self._process.start()
         theirs.close()
 
 

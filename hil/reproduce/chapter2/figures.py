@@ -48,11 +48,11 @@ def _beside(title: str, y_label: str, t: FloatArray, ours: FloatArray, other: Fl
     return Figure(title=title, y_label=y_label, series=curves)
 
 
-def one_run(published: JumpLoop, reference: JumpLoop, seed: int = 3) -> Plot:
+def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     """Figure 2.2: one run under the same switching, and 20 runs of (2.27)."""
-    first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=seed)[0]
-    other = trajectories(reference, 1, duration_s=10.0, dt_s=DT_S, seed=seed)[0]
-    many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=seed)
+    first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
+    other = trajectories(reference, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
+    many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=3)
     t = _time(first.shape[0])
     panels = [
         _beside(f"2.2a: x{n + 1}(t), same switching instants", f"x{n + 1}", t, first[:, n], other[:, n]) for n in (0, 1)

@@ -18,8 +18,7 @@ from design.semi_markov_loop.system import JumpSystem
 from hil.reproduce.chapter import Chapter, ReportProgress, Stage
 from hil.reproduce.chapter2.feasibility import FEASIBILITY, FORMS, SECTIONS, feasibility, number_of, verdict_of
 from hil.reproduce.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
-from hil.reproduce.chapter2.in_the_loop import IN_THE_LOOP, in_the_loop
-from hil.reproduce.chapter2.markov import MARKOV, markov
+from hil.reproduce.chapter2.in_the_loop import IN_THE_LOOP, MARKOV, in_the_loop, markov
 from hil.reproduce.statements import Statement, above, below, equal, exactly, says
 
 THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")

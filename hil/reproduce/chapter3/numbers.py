@@ -16,8 +16,7 @@ from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
 from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.reproduce.chapter import Chapter, Plot, ReportProgress, Stage
-from hil.reproduce.chapter3.further import FURTHER, further
-from hil.reproduce.chapter3.partitions import BOUNDS, PARTITIONS, SECTIONS, WHOLE, partitions
+from hil.reproduce.chapter3.partitions import BOUNDS, FURTHER, PARTITIONS, SECTIONS, WHOLE, further, partitions
 from hil.reproduce.judgement import rank
 from hil.reproduce.noisy_runs import NoisyRuns, delayed_runs
 from hil.reproduce.statements import Statement, above, below, run, says

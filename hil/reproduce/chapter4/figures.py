@@ -36,9 +36,9 @@ def lifetimes() -> Plot:
     )  # fmt: skip
 
 
-def detection_fault(process: FaultDetection, seed: int = 2) -> Plot:
+def detection_fault(process: FaultDetection) -> Plot:
     """Figure 4.3: 19 s of the fault and what the detection says."""
-    eta, r = sample_fault_detection(process, 0, 0, 19.0, np.random.default_rng(seed))
+    eta, r = sample_fault_detection(process, 0, 0, 19.0, np.random.default_rng(2))
     end = np.array([19.0])
     series = tuple(
         Series(label=name, x=np.append(path.times_s, end), y=np.append(path.modes, path.modes[-1]) + 1.0, style="step")

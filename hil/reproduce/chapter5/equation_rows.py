@@ -19,7 +19,7 @@ from hil.log.run import Run
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.reproduce.statements import Statement, above, below, exactly, says
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants.delayed_states import DelayedStates
 from transport.draws import DELIVERED
 

@@ -20,7 +20,7 @@ from hil.reproduce.chapter import Chapter, Plot, Stage
 from hil.reproduce.chapter5.equation_rows import EQUATIONS, equations
 from hil.reproduce.chapter5.further import FURTHER, further
 from hil.reproduce.statements import Statement, above, below, equal, exactly, says
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants.delayed_states import DelayedStates
 
 Array = npt.NDArray[np.float64]

@@ -24,7 +24,7 @@ from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.reproduce.statements import Statement, above, below, exactly, says
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06

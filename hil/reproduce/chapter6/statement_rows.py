@@ -29,7 +29,7 @@ from hil.measure.view import APPLIED, MEASUREMENT, view_of
 from hil.pages.html.figures import Figure, Series
 from hil.reproduce.chapter import Plot
 from hil.reproduce.statements import Statement, above, below, exactly, mean, says, within
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 
 SIDE_M = 0.02

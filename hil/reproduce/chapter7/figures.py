@@ -19,7 +19,7 @@ from hil.reproduce.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCA
 from hil.reproduce.chapter7.tables import CONTROLLERS, motor_prediction
 from hil.reproduce.statements import Statement, above, below
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")

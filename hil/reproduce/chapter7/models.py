@@ -57,9 +57,9 @@ def everywhere(gain: Array) -> Array:
     return np.broadcast_to(gain, (3, 1, *gain.shape)).copy()
 
 
-def norms_of(plant: Plant, gains: Array, output: str = "sum") -> tuple[float, float]:
+def norms_of(plant: Plant, gains: Array) -> tuple[float, float]:
     """H2 and H-infinity norm of the loop with the printed selection rule."""
-    system = loop_structure(*plant, *NETWORK, "generated", output=output).system(gains)  # type: ignore[arg-type]
+    system = loop_structure(*plant, *NETWORK, "generated", output="sum").system(gains)
     return h2_norm(system), hinf_norm(system)
 
 

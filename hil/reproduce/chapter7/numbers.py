@@ -9,11 +9,10 @@ from hil.reproduce.chapter7.designs import DESIGNS, INFORMED, designs, gain_boun
 from hil.reproduce.chapter7.estimate import ESTIMATED, estimated_delay
 from hil.reproduce.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.reproduce.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
-from hil.reproduce.chapter7.further import INTEGRAL, STAYS, UNCERTAIN, integral_action, stays, uncertain
+from hil.reproduce.chapter7.further import INTEGRAL, STAYS, TRADE_OFF, UNCERTAIN, integral_action, stays, trade_off, uncertain
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs
 from hil.reproduce.chapter7.models import MODELS, models
 from hil.reproduce.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
-from hil.reproduce.chapter7.trade_off import TRADE_OFF, trade_off
 
 
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:

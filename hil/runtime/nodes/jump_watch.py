@@ -1,5 +1,6 @@
-"""Whether a plant that jumps keeps to the matrices of its modes in the run: slots whose two ends show the same mode.
+"""Whether what jumps in a run keeps to what it states: a plant to the matrices of its modes, a network law to its chain.
 
+Of a plant slots are compared whose two ends show the same mode; of a law the modes that it drew, once the run has ended.
 A jump that comes and goes within a slot is not seen, so that a few slots may miss: no more than the rates let be. Where noise
 moves the plant, a second run of the same seed without commands has the same modes and noise, and the difference is compared:
 many slots at a time, and slot by slot where that finds anything. In the run a block is compared in small steps, one in each slot.
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator, Sequence
 from math import log
 from struct import Struct
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,18 @@ from numpy.typing import NDArray
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN, Result, Steps, at_once
 from plants.parts.protocols import PlantRun
+from transport.draws import Draw
+from transport.law_tests.statistics import law_p_value
+from transport.laws.protocols import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
 
 Array = NDArray[np.float64]
 InSteps = Generator[None, None, Result]
 """Work in steps, of a slot each."""
 UNLIKELY: Final = 1e-9
-"""Chance of so many jumps that were not seen, by Chernoff's bound."""
+"""Chance of so many jumps that were not seen, by Chernoff's bound; a law's record so unlikely is not of the law that is stated.
+
+One right run in 1e9 loses its certificate.
+"""
 SUSPECT: Final = 1e-3
 """The same, of a second run that goes many slots at once: where it is less likely, every slot is looked at."""
 FEW: Final = 3
@@ -201,3 +208,42 @@ def _beyond(flow: Array, band: Array, known: Array, after: Array, lost: float) -
 def _too_many(count: int, mean: float, chance: float = UNLIKELY) -> bool:
     """Whether so many jumps are too many, where so many are to be expected at most."""
     return count > max(FEW, mean) and count * log(count / max(mean, 1e-300)) - count + mean > -log(chance)
+
+
+class LawWatch:
+    """Keeps the modes that a law draws.
+
+    Args:
+        law: a `ChainLaw` or a `SemiMarkovLaw`.
+    """
+
+    def __init__(self, law: NetworkLaw) -> None:
+        self._law, self._ages = law, [int(age) for age in cast(ChainLaw | SemiMarkovLaw, law).mode_ages]
+        self.name = type(law).__qualname__
+        self._modes: list[int] = []
+        self._other: tuple[int, str] | None = None
+
+    def take(self, draws: Sequence[Draw]) -> None:
+        """Take what was decided in a slot."""
+        for draw in draws:
+            mode = draw.mode
+            if mode >= 0:
+                self._modes.append(mode)
+                if self._other is None and (mode >= len(self._ages) or draw.age != self._ages[mode]):
+                    self._other = len(self._modes) - 1, f"an age of {draw.age} slots in mode {mode}"
+
+    def departed(self) -> tuple[int, str] | None:
+        """Return the slot in which the law left its chain, and by what; None if it did not, as far as its record can tell."""
+        if self._other is not None or not self._modes:
+            return self._other
+        law, modes = self._law, np.array(self._modes, dtype=np.int64)
+        if isinstance(law, InitialLaw) and law.initial != "stationary" and not law.initial_law()[modes[0]] > 0.0:
+            return 0, f"mode {modes[0]}, in which it never begins"
+        if not law_p_value(law, modes) < UNLIKELY:
+            return None
+        first, last = 1, len(modes)  # the first record that is as unlikely, up to a sixteenth of the run
+        step = max(last // 16, 1)
+        while first < last and not law_p_value(law, modes[:first]) < UNLIKELY:
+            first += step
+        p_value = law_p_value(law, modes[: min(first, last)])
+        return min(first, last) - 1, f"modes that its chain draws with probability {p_value:.2g}"

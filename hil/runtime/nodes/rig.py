@@ -22,8 +22,7 @@ from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
-from hil.runtime.nodes.jump_watch import JumpWatch
-from hil.runtime.nodes.law_watch import LawWatch
+from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
 from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of

@@ -1,4 +1,4 @@
-"""How the processes of a session end: by signals, in order, and with an exit status that their parent reads."""
+"""How the processes of a session end: by signals, in order, with an exit status that their parent reads, and with what failed."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
+from hil.log.events import PLANT_FAILED, PLUG_IN_FAILED
 from hil.plugins.process_guard import WATCH
+from hil.plugins.user_plugins import user_failure
+from hil.rig.loop import Loop
+from plants.errors import PlantError
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _AGAIN_S: Final = 0.1
@@ -77,3 +81,18 @@ FAILED: Final = 4
 """The rig: a part of the loop failed in the run, as an event of the log says."""
 ENDED: Final = 5
 """The rig: the run ended in order. 0 is what any code ends a process with."""
+
+
+def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, str] | None:
+    """Return the kind of the event that an exception is, and what it says; None for one that no part of the loop raised.
+
+    Args:
+        loop: what ran.
+        error: as it was caught.
+        others: what ran beside it and may be a user's own, such as the link.
+    """
+    if isinstance(error, PlantError):
+        return PLANT_FAILED, str(error)
+    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
+    text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
+    return None if text is None else (PLUG_IN_FAILED, text)

@@ -21,11 +21,10 @@ from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, about_rig, link_faults
 from hil.runtime.changes import log_change, log_late, take
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failures import failure_of
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
 from hil.runtime.real.change_line import Receiver
-from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, failure_of
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import WarmUpRig

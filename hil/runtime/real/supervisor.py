@@ -18,8 +18,7 @@ from typing import Final
 from hil.errors import HilError
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
-from hil.log.write.pump import PumpReport, pump
-from hil.log.write.rehearsal import rehearse
+from hil.log.write.pump import PumpReport, pump, rehearse
 from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop

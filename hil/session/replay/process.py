@@ -7,7 +7,7 @@ its answer, so nothing depends on how fast the process or the machine is.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
@@ -70,8 +70,7 @@ class Asked:
 
 
 def ask_process(
-    run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, progress: Callable[[int], None] = lambda slot: None,
-    *, start_s: float = 60.0,
+    run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, *, start_s: float = 60.0
 ) -> Asked:  # fmt: skip
     """Put the recorded questions to a controller that runs, and compare its answers with the recorded ones.
 
@@ -80,7 +79,6 @@ def ask_process(
         uri: of the link on which the controller's process is.
         source: the log's name, for messages.
         patience_s: how long the controller has for the answer of a slot, s.
-        progress: called with every slot.
         start_s: how long it has to start, up to its first answer, s.
 
     Raises:
@@ -102,7 +100,6 @@ def ask_process(
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
                 link.send(data)
-            progress(k)
             if k not in recorded:
                 continue  # it was lost; what comes is passed over
             compared += 1

@@ -11,7 +11,7 @@ from design.passivity.model_following import contact_matrices, follow_wall
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.design.passivity.published import DAMPING, DEVICE, LAMBDA, PERIOD_S
 
 LET = "allow_uncertified=true"

@@ -13,7 +13,7 @@ from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, LinearPlant
 
 INTEGRAL = {"kind": "designed", "objective": "h2", "information": "applied", "integral": 0.05}

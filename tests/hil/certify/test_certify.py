@@ -20,7 +20,7 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop, digest_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 
 @cache

@@ -22,7 +22,7 @@ from hil.experiment import load_experiment
 from hil.experiment.rig_tables import Limits
 from hil.experiment.tables import Seconds
 from hil.plugins.checks import check_controller
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants import (
     DCMotor,
     DelayedVTOL,

@@ -15,7 +15,7 @@ from hil.measure.view import view_of
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import gains_within
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 BUSY, OURS = "dc-motor-busy-can", "dc-motor-ours-busy-can"
 

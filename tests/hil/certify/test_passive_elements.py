@@ -11,7 +11,7 @@ from design.passivity.certificate import cut_off
 from hil.api.experiment_source import load_experiment as experiment_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 WAVE = 'controller.coupler={method="wave"}'
 RISING = "controller.coupler={method=\"taps\",taps_m_per_n=[0.2,0.02,0.03]}"

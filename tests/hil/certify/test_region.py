@@ -19,7 +19,7 @@ from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
 from hil.compose.loop import compose
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, Driver, LinearPlant
 
 SUPPLY = 0.058

@@ -12,7 +12,7 @@ from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants import DCMotor
 from plants.dc_motor import Driver
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.cli.can import command
+from hil.cli.can import can as command
 from hil.errors import HilError
 from tests.hostile.watchdog import within
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE

@@ -10,7 +10,7 @@ from hil.measure.view import view_of
 from hil.pages.html.figures import Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run.sections.theory import section as theory_section
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.sweeps.comparison import compare
 from tests.hil.cli.conftest import Hil
 from tests.hil.compose.test_fourth_moments import STABLE_WITHOUT_VARIANCE

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import hil
 from hil.cli import main
-from hil.cli.dbc import command
+from hil.cli.can import dbc as command
 from hil.experiment import load_experiment
 from hil.session import run_session
 from tests.waiting import LIMIT_S

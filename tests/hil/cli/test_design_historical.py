@@ -20,7 +20,7 @@ from hil.experiment import load_experiment
 from hil.experiment.load import shipped
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 SHORT = [f"network.nodes.{name}.buffer=1" for name in ("first", "second", "third", "fourth")]
 

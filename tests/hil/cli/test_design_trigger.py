@@ -28,7 +28,7 @@ from hil.design_questions.trigger_gains import (
 )
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of
 from hil.sweeps.trigger_cost import TriggerPoint, check_chains, experiment_with, front, run_candidate, undecided

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib
-
 import click
 import pytest
 
-from hil.cli import COMMANDS
+from hil.cli import COMMANDS, command_of
 from hil.cli.option_types import Duration, NumberList
 from tests.hil.cli.conftest import Hil
 
@@ -28,7 +26,7 @@ TEXT = tuple(f"{name} --duration" for name in ("run", "rig", "live", "sweep", "c
 def test_every_time_is_a_duration() -> None:
     """`--duration` of run, rig, live, sweep and compare is text, for it goes to the experiment, which reads it the same way."""
     for name in COMMANDS:
-        for at, option in options(importlib.import_module(f"hil.cli.{name.replace('-', '_')}").command, name):
+        for at, option in options(command_of(name), name):
             if at.rpartition(" ")[2] in TIMES and at != "new --for":  # an experiment
                 times = option.type._number.__name__ == "in_seconds" if isinstance(option.type, NumberList) else None
                 assert isinstance(option.type, Duration) or times or at in TEXT, at

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
 import re
 from collections.abc import Iterator
@@ -14,7 +13,7 @@ import click
 import pytest
 
 import hil
-from hil.cli import COMMANDS
+from hil.cli import COMMANDS, command_of
 from hil.experiment.load import FIRST
 from tests.hil.cli.conftest import Hil
 
@@ -27,7 +26,7 @@ def commands(group: click.Command, path: str) -> Iterator[tuple[str, click.Comma
 
 def options() -> Iterator[tuple[str, click.Option]]:
     for name in COMMANDS:
-        top: Any = importlib.import_module(f"hil.cli.{name.replace('-', '_')}").command
+        top: Any = command_of(name)
         for path, command in commands(top, name):
             yield from ((path, p) for p in command.params if isinstance(p, click.Option))
 

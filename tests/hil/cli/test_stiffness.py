@@ -18,7 +18,7 @@ from design.passivity.condition import is_passive_over
 from design.passivity.stiffness_map import StiffnessCell
 from hil.cli import main
 from hil.cli.design import command as design
-from hil.cli.stiffness_map import command as stiffness_map
+from hil.cli.design_wall import stiffness_map
 from hil.pages.analyses import stiffness_page, stiffness_section
 from hil.pages.html.figures import Figure
 from tests.waiting import LIMIT_S

@@ -17,7 +17,7 @@ import numpy as np
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 Case = tuple[dict[str, Any], Callable[[Loop], float]]
 PERIOD_S = 0.1

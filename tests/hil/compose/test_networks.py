@@ -14,7 +14,7 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.measure.network_paths import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.hil.test_prediction import predicted_of, squared_errors
 from transport.law_tests.analysis import analyse_law
 from transport.law_tests.statistics import is_testable

@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 

@@ -9,9 +9,9 @@ from hil.log.append_column import ROWS
 from hil.log.read.run import Run
 from hil.log.records import Field, Schema
 from hil.log.topics import STATE
-from hil.measure import followed
+from hil.measure import signals
 from hil.measure.cost import Cost
-from hil.measure.followed import target_of
+from hil.measure.signals import target_of
 from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
 from tests.hil.measure.whole_arrays import tracking_of_arrays
 
@@ -22,14 +22,14 @@ BLOCK = 256  # the smallest that keeps numpy's halving: it adds up to 128 entrie
 
 @pytest.fixture(autouse=True)
 def short_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(followed, "LEAF", BLOCK)
+    monkeypatch.setattr(signals, "LEAF", BLOCK)
 
 
 def test_a_sum_by_halves_is_numpys_sum() -> None:
     rng = np.random.default_rng(0)
     for n in [1, 128, 255, 256, 257, 263, 264, 265, 512, 1000, 4096, 5001, *rng.integers(1, 20_000, 40).tolist()]:
         column = rng.standard_normal(n) * 10.0 ** rng.integers(-8, 8, n)
-        assert followed.pairwise_sum(lambda i, j, c=column: c[i:j], n) == np.sum(column)
+        assert signals.pairwise_sum(lambda i, j, c=column: c[i:j], n) == np.sum(column)
 
 
 @pytest.mark.parametrize("outputs", [1, 2, 9])

@@ -10,7 +10,7 @@ from hil.experiment import load_experiment
 from hil.measure.check import check_measure
 from hil.measure.haptics import Haptics
 from hil.measure.view import view_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 
 def test_the_numbers_are_those_of_the_log() -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.errors import HilError
-from hil.files import csv_columns
+from hil.files import arrays
 from hil.measure.identification_records import read_signal_table
 
 
@@ -65,7 +65,7 @@ def test_a_table_costs_little_more_memory_than_it_is_long(tmp_path: Path) -> Non
 def test_what_is_no_regular_file_or_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "t.csv").write_text("t,y\n0,1\n1,2\n")
-    monkeypatch.setattr(csv_columns, "MOST_BYTES", 5)
+    monkeypatch.setattr(arrays, "MOST_BYTES", 5)
     refused = {"pipe": "is no regular file", "": "is a folder", "none": "cannot be read", "t.csv": "more than 5 bytes"}
     for name, said in refused.items():
         with pytest.raises(HilError, match=said):

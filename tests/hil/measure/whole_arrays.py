@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.measure.followed import Followed
+from hil.measure.signals import Followed
 from hil.measure.tracking import tracking_metrics
 
 

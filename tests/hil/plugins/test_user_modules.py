@@ -20,7 +20,7 @@ from hil.experiment import shipped
 from hil.log.read.run import read_run
 from hil.measure.view import view_of
 from hil.plugins.user_modules import load_own, written_in
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session.replay.replay import changed_files, experiment_of
 from plants import DCMotor, LinearRun, Signal, StateSpace
 

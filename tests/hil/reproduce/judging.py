@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from hil.reproduce import Check, Row
 from hil.reproduce.judgement import OFF, Approximately, Drawn, Equals, NotJudged
-from hil.reproduce.power import turns
+from hil.reproduce.pages import turns
 
 FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)
 WORDS = ("certified", "refused", "undecided", "feasible", "found", "not found")

@@ -20,7 +20,7 @@ from hil.reproduce.chapter5 import equation_rows as equations
 from hil.reproduce.chapter5.further import FURTHER, any_order, delay, further, proof_numbers, variant_plant
 from hil.reproduce.chapter5.numbers import FIGURES, GAINS, THEOREM, figures, gains_numbers, published_plant, theorem_numbers
 from hil.reproduce.statements import judge
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.hil.reproduce.judging import assert_every_number_decides
 
 PLANT = published_plant()

@@ -17,6 +17,7 @@ from hil.reproduce.chapter7.friction import (
     loop_of,
     misfit,
 )
+from hil.reproduce.chapter7.further import LEVELS, TRADE_OFF, trade_off
 from hil.reproduce.chapter7.local import LOCAL_DESIGNS, local_designs, peak
 from hil.reproduce.chapter7.models import H2, MODELS, VTOL_LOCAL, models, motor, vtol
 from hil.reproduce.chapter7.tables import (
@@ -28,7 +29,6 @@ from hil.reproduce.chapter7.tables import (
     motor_signals,
     vtol_numbers,
 )
-from hil.reproduce.chapter7.trade_off import LEVELS, TRADE_OFF, trade_off
 from hil.reproduce.judgement import rank
 from hil.reproduce.pages import chapter_page
 from hil.reproduce.statements import judge
@@ -121,7 +121,7 @@ def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_del
 
     Of the five levels of `hil reproduce` the outermost two: their designs are those that the curve's claims rest on.
     """
-    monkeypatch.setattr("hil.reproduce.chapter7.trade_off.LEVELS", (LEVELS[0], LEVELS[-1]))
+    monkeypatch.setattr("hil.reproduce.chapter7.further.LEVELS", (LEVELS[0], LEVELS[-1]))
     found = trade_off(quietly)
     rows = judge(TRADE_OFF, found)
     assert [row.verdict for row in rows] == ["reproduced", "reproduced"]

@@ -16,7 +16,7 @@ import hil.reproduce
 from hil.reproduce import VERDICTS, Check, Statement, chapters, power
 from hil.reproduce.chapter2.numbers import REMARK_2_2
 from hil.reproduce.judgement import OFF, Between, Row, rank, share_interval
-from hil.reproduce.power import power_in_words, turns
+from hil.reproduce.pages import power_in_words, turns
 from hil.reproduce.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, not_judged, run, says, within
 from tests.hil.reproduce.judging import assert_equalities_turn, assert_every_number_decides
 
@@ -200,7 +200,7 @@ def test_no_statement_is_given_a_verdict_and_each_is_judged_by_computed_numbers(
     ours = set(VERDICTS) - {"undecided"}  # which certificates say too
     for path in sorted(ROOM.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Constant) and isinstance(node.value, str) and path.name not in ("judgement.py", "power.py"):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and path.name not in ("judgement.py", "pages.py"):
                 assert node.value not in ours, f"{path.name}:{node.lineno} writes a verdict down"
     every = statements()
     assert len(every) > 150

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from design.as_printed.examples import chapter2_process, chapter3_process
-from hil.reproduce.chapter2.markov import MARKOV, markov
-from hil.reproduce.chapter3.further import FURTHER
-from hil.reproduce.chapter3.further import further as delays
+from hil.reproduce.chapter2.in_the_loop import MARKOV, markov
+from hil.reproduce.chapter3.partitions import FURTHER
+from hil.reproduce.chapter3.partitions import further as delays
 from hil.reproduce.chapter4.further import OTHER_FAULTS, other_faults
 from hil.reproduce.chapter4.recomputed import RECOMPUTED, recomputed
 from hil.reproduce.chapter7.further import INTEGRAL, integral_action

@@ -13,7 +13,7 @@ from hil.log.topics import APPLIED, ROWS
 from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages
 from hil.rig.can_bus import can_bus_of
 from hil.rig.normal_form import rig_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 NAME = "dc-motor-busy-can"
 TWO = '{name="a", can_id=1, data="0102", period="10 ms"}, {name="b", can_id=2, length=0, period="25 ms"}'

@@ -18,7 +18,7 @@ from hil.pages.html.figures import Figure
 from hil.pages.run.sections.nodes import section
 from hil.rig.loop import Loop
 from hil.rig.schedules import bus_cycle
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.transport.medium.test_arbitration import bus, received

@@ -12,7 +12,7 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.rig.normal_form import rig_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import simulated_session
 
 NAME, PERIOD_NS = "dc-motor-busy-can", 50_000_000

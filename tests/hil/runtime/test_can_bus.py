@@ -15,7 +15,7 @@ from hil.log.run import records_sha256
 from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
 from hil.pages.run.run_page import render_report
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import simulated_session
 from hil.sweeps.lockstep import supports_batch
 

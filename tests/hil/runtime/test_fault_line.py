@@ -22,7 +22,7 @@ from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.supervisor import run_real
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session, simulated_session
 from hil.session.replay.replay import verify
 from hil.sweeps.lockstep import supports_batch

@@ -19,7 +19,7 @@ from hil.rig.delay_chains import delay_chain
 from hil.rig.loop import Loop
 from hil.runtime.nodes.actuator_node import OK, ActuatorNode, row_index
 from hil.runtime.nodes.safety import Safety
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session.replay.replay import what_if
 from hil.sweeps.batch_delivery import applied_rows
 from tests.hil.runtime.nodes.test_rig import drive, kinds, statuses

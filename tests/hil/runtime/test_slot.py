@@ -18,9 +18,8 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.simulated import simulate
 from hil.runtime.slot import OnFrame, Slot
-from hil.runtime.virtual import DirectExchange
+from hil.runtime.virtual import DirectExchange, simulate
 
 
 class Spy:

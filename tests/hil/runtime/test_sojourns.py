@@ -15,7 +15,7 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
 from hil.rig.delay_chains import delay_chain
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from transport.laws.age import MarkovAge
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
 from transport.laws.sojourn import Table, Uniform

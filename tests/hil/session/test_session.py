@@ -21,7 +21,7 @@ from hil.log.read.run import read_run
 from hil.log.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.outcome import controller_counters, link_counters
 from hil.session.replay import compare as replay_compare

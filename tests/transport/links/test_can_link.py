@@ -19,7 +19,7 @@ from transport.links import can_open
 from transport.links.can_link import CanLink
 from transport.links.can_open import open_can
 from transport.links.contract import control, sensor
-from transport.links.message_frames import MessageFrames
+from transport.links.python_can import MessageFrames
 
 Node = can.BusABC
 

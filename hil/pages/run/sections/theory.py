@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from hil.compose.judged import caution
-from hil.measure.followed import target_of
 from hil.measure.prediction import PredictedTracking, predict
-from hil.measure.signals import with_unit
+from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import composed
 from hil.sweeps.lockstep import run_batch, supports_batch
 

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from mcap.reader import make_reader
 from msgspec.structs import replace
 
-from hil.cli.export import command
+from hil.cli.log_files import export as command
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.export import export

@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from hil.cli.recover import command
+from hil.cli.log_files import recover as command
 from hil.errors import HilError
 from hil.log.read.mcap_walk import MAGIC, walk
 from hil.log.read.recover import recover

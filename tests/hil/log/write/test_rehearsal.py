@@ -9,10 +9,9 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
-from hil.log.write import rehearsal
+from hil.log.write import pump as pumping
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES
-from hil.log.write.pump import PumpReport, pump
-from hil.log.write.rehearsal import rehearse
+from hil.log.write.pump import PumpReport, pump, rehearse
 
 
 @pytest.mark.parametrize("name", ["dc-motor-1khz", "omni-1khz", "dc-motor-two-nodes"])
@@ -29,7 +28,7 @@ def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeyp
         reports.append((pump(fd, sink, table, taps=taps), chunks))
         return reports[-1][0]
 
-    monkeypatch.setattr(rehearsal, "pump", watched)
+    monkeypatch.setattr(pumping, "pump", watched)
     rehearse(channels)
     report, chunks = reports[0]
     assert seen == set(channels) and report.complete and report.malformed == 0 == report.dropped and not report.faults

@@ -16,7 +16,7 @@ from hil.pages.run.sections.nodes import newest_ages
 from hil.pages.run.sections.nodes import section as nodes_section
 from hil.pages.run.sections.theory import section as theory_section
 from hil.pages.run.statistics import network_table
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 
 
 def test_who_spoke_and_how_old_each_newest_sample_is() -> None:

@@ -16,7 +16,7 @@ from hil.pages.html.figures import Figure, Scene, Shape
 from hil.pages.html.svg import draw_scene, scene_legend
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections.wall import section as wall_section
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from tests.hil.pages.runs import run_of
 
 

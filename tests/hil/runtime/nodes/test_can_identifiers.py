@@ -18,9 +18,8 @@ from hil.rig.session_link import FirstIdentifiers, link_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.simulated import simulate
 from hil.runtime.slot import Slot
-from hil.runtime.virtual import DirectExchange
+from hil.runtime.virtual import DirectExchange, simulate
 from tests.hil.log.recording import provenance
 from transport.packets import node_of
 

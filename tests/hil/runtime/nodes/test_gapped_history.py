@@ -22,7 +22,7 @@ from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import SampleHistory
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from transport.draws import DELIVERED
 
 SETS = {

@@ -14,7 +14,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from transport.draws import DELIVERED
 
 SETS = {

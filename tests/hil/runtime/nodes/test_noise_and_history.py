@@ -13,8 +13,8 @@ from hil.experiment import load_experiment
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
-from hil.runtime.simulated import simulate
 from hil.runtime.streams import rng_for
+from hil.runtime.virtual import simulate
 from plants.parts.draws import Normals
 
 HISTORY = "plant.initial_history=[[1, 2, -3, 0.5], [0, 4, 1, 1], [2, 2, 2, 2]]"

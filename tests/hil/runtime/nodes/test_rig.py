@@ -19,10 +19,10 @@ from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, session_wire
-from hil.runtime.simulated import simulate
 from hil.runtime.slot import Slot
 from hil.runtime.time.clock import VirtualClock
 from hil.runtime.time.kernel import Kernel
+from hil.runtime.virtual import simulate
 from transport.packets import ControlPacket, encode_control
 
 

@@ -27,7 +27,7 @@ from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
 from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import states_of_many
 from tests.hil.runtime.nodes.state_moments import StateMoments, state_moments

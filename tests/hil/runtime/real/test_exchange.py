@@ -212,8 +212,8 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
     from hil.runtime.nodes.controller_node import ControlNode
     from hil.runtime.nodes.rig import Rig
     from hil.runtime.real.exchange import LocalLink
-    from hil.runtime.simulated import simulate
     from hil.runtime.slot import Slot
+    from hil.runtime.virtual import simulate
 
     loop, wire = compose(load_experiment("dc-motor-hinf", ["duration=3"])), session_wire(b"l" * 16)
     sink = MemorySink(channels_of(loop))

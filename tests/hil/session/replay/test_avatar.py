@@ -10,7 +10,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
-from hil.runtime.simulated import simulate
+from hil.runtime.virtual import simulate
 from hil.session.replay import avatar
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 

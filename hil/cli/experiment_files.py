@@ -1,16 +1,41 @@
-"""``hil solve``: solve the gains that experiments ask for, and store them beside their files."""
+"""``hil show``, ``hil schema``, ``hil solve``: the file of an experiment, and the gains that stand beside it."""
 
 from __future__ import annotations
 
+import json
+
 import click
 
+from hil.cli.completion import EXPERIMENT
 from hil.cli.terminal import Working
 from hil.errors import HilError
 
 
 @click.command()
+@click.argument("experiment", type=EXPERIMENT)
+def show(experiment: str) -> None:
+    """Print the file of a shipped EXPERIMENT: hil show dc-motor-hinf > mine.toml"""
+    from hil.errors import HilError, nearest
+    from hil.experiment import shipped
+
+    found = shipped()
+    if experiment not in found:
+        hint = nearest(experiment, found, cutoff=0.4) or ";"
+        raise HilError(f"no shipped experiment {experiment!r:.80}{hint} `hil list` shows them")
+    print(found[experiment].read_text(encoding="utf-8"), end="")
+
+
+@click.command()
+def schema() -> None:
+    """Print the JSON Schema of experiment files (for editors: put its path in the file's `#:schema` line)."""
+    from hil.experiment.schema import experiment_schema
+
+    print(json.dumps(experiment_schema(), indent=2))
+
+
+@click.command()
 @click.argument("experiments", metavar="EXPERIMENT...", nargs=-1, required=True)
-def command(experiments: tuple[str, ...]) -> None:
+def solve(experiments: tuple[str, ...]) -> None:
     """Solve the gains of every EXPERIMENT and store them in gains/NAME.json beside its file.
 
     What is solved differs from machine to machine in its last digits. With the file beside it an experiment has the same
