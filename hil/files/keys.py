@@ -12,9 +12,10 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.files.outputs import written_whole
+from hil.files.regular import read_regular
 from transport.links.certificates import FILE, cryptography_needed, revoked_names
 from transport.links.link import TransportError
-from transport.links.private_directory import read_secret
+from transport.links.private_directory import MOST_BYTES, read_secret
 
 with cryptography_needed():
     from cryptography import x509
@@ -150,9 +151,13 @@ def authority_key(folder: Path, what: str) -> tuple[ec.EllipticCurvePrivateKey, 
         HilError: one is not to be had, or they do not belong together.
     """
     try:
-        root = load_pem_private_key(read_secret(str(folder / "ca.key"), "the private key of the authority"), None)
-    except (TransportError, ValueError, TypeError) as error:
+        data = read_secret(str(folder / "ca.key"), "the private key of the authority")
+    except TransportError as error:
         raise HilError(f"{error}; {what} where the authority's key is kept") from error
+    try:
+        root = load_pem_private_key(data, None)
+    except (ValueError, TypeError) as error:
+        raise HilError(f"{folder / 'ca.key'}: is no private key in PEM: {error}") from error
     if not isinstance(root, ec.EllipticCurvePrivateKey):
         raise HilError(f"{folder / 'ca.key'}: expected a key as `hil keys new` makes it")
     path = folder / "ca.pem"
@@ -168,9 +173,10 @@ def read_certificate(path: Path) -> x509.Certificate:
     Raises:
         HilError: there is none.
     """
+    data = read_regular(path, MOST_BYTES, "a certificate")
     try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except (OSError, ValueError) as error:
+        return x509.load_pem_x509_certificate(data)
+    except ValueError as error:
         raise HilError(f"{path}: is no certificate: {error}") from error
 
 

@@ -64,7 +64,7 @@ def from_plain(plain: Any) -> Any:
     """What `as_plain` was given.
 
     Raises:
-        ValueError, KeyError, TypeError, AttributeError: if it is nothing that `as_plain` gives.
+        ValueError, KeyError, TypeError, AttributeError, OverflowError: if it is nothing that `as_plain` gives.
     """
     if isinstance(plain, list):
         return [from_plain(each) for each in plain]
@@ -78,6 +78,7 @@ def from_plain(plain: Any) -> Any:
 
 
 FORMAT = "hil-reproduce/1"
+_OPENING = f'{{"format": "{FORMAT}"'.encode()
 LARGEST = 500_000_000
 """Bytes of a state; whole chapters have some tens of millions."""
 
@@ -119,7 +120,7 @@ class KeptStages:
         while block := self._file.read(1 << 20):
             data += block
         first, *lines = bytes(data).split(b"\n")
-        if data and not first.startswith(head[: len('{"format": "hil-reproduce/1"')][: len(first)]):
+        if data and first[: len(_OPENING)] != (_OPENING if lines else _OPENING[: len(first)]):  # without lines it is torn
             raise HilError(f"{self.path}: is not the state of a reproduction; move it away")
         if first + b"\n" != head or not lines:  # new, torn in its first line, or of other code
             self._file.truncate(0)
@@ -131,7 +132,7 @@ class KeptStages:
                 kept = json.loads(line)
                 part = from_plain(kept["part"])
                 chapter, stage = str(kept["chapter"]), str(kept["stage"])
-            except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 raise HilError(f"{self.path}: line {number} is no stage of a reproduction; move the file away") from error
             if not isinstance(part, Part):
                 raise HilError(f"{self.path}: line {number} is no stage of a reproduction; move the file away")

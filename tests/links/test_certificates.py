@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -111,3 +112,32 @@ def test_renewal_needs_the_key_of_the_authority_and_replaces_nothing_without_it(
     with pytest.raises(HilError, match=r"ca.key: .*renewed where the authority's key is kept"):
         renew_certificates(folder)
     assert all(path.read_bytes() == data for path, data in before.items() if path.name != "ca.key")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder", "long", "bytes"])
+@pytest.mark.parametrize("name", ["ca.pem", "rig.pem"])
+def test_what_is_no_certificate_is_refused_and_never_waited_for(folder: Path, name: str, kind: str) -> None:
+    """A check of `hil doctor` waited for a pipe without end, and took all memory for a device."""
+    path = folder / name
+    path.unlink()
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    elif kind == "folder":
+        path.mkdir()
+    else:
+        path.write_bytes(b"\xff" * (2 << 20) if kind == "long" else b"\xff\0")
+    uri = f"zenoh:tls/127.0.0.1:{free_port()}?keys={folder}"
+    ok, said, _ = doctor._certificates(doctor._certificates_of(uri))
+    assert not ok and name in said
+    with pytest.raises(TransportError, match=f"link .*{name}"):
+        open_link(uri, "rig")
+    with pytest.raises(HilError, match=name):
+        renew_certificates(folder)
+
+
+def test_a_key_of_the_authority_that_is_none_names_its_file(folder: Path) -> None:
+    (folder / "ca.key").write_text("no key")
+    with pytest.raises(HilError, match=r"ca\.key: is no private key in PEM"):
+        renew_certificates(folder)

@@ -7,7 +7,6 @@ its end gets another name and a certificate for it, and zenoh's access-control l
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from transport.links.link import TransportError
+from transport.links.private_directory import read_bounded
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -36,24 +36,13 @@ def revoked_names(ca: str | Path) -> frozenset[str]:
         TransportError: the list cannot be read, is no regular file, no text, or too large.
     """
     path = Path(ca).parent / FILE
-    try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return frozenset()
-    except OSError as error:
-        raise TransportError(f"{path}: the list of revoked names cannot be read: {error.strerror}") from error
-    try:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise TransportError(f"{path}: is no regular file, not a list of revoked names")
-        data = os.read(descriptor, _MOST_BYTES + 1)
-    finally:
-        os.close(descriptor)
+    data = read_bounded(path, "a list of revoked names", _MOST_BYTES)
     try:
         text = data.decode()
     except UnicodeDecodeError as error:
         raise TransportError(f"{path}: is no text, not a list of revoked names") from error
-    if len(data) > _MOST_BYTES:
-        raise TransportError(f"{path}: more than {_MOST_BYTES} bytes, too many for a list of revoked names")
     return frozenset(filter(None, map(str.strip, text.splitlines())))
 
 
@@ -97,9 +86,10 @@ def check_certificate(ca: str, cert: str, name: str, now: datetime | None = None
 
     chains = []
     for path in (ca, cert):
+        data = read_bounded(path, "a certificate in PEM", _MOST_BYTES)
         try:
-            chains.append(x509.load_pem_x509_certificates(Path(path).read_bytes()))
-        except (OSError, ValueError) as error:
+            chains.append(x509.load_pem_x509_certificates(data))
+        except ValueError as error:
             raise TransportError(f"{path}: is no certificate in PEM: {error}") from error
     (roots, (own, *between)), now = chains, now or datetime.now(UTC)
     for path, each in ((cert, own), *((cert, one) for one in between), *((ca, root) for root in roots[:1])):

@@ -93,18 +93,28 @@ MOST_BYTES = 65_536
 
 
 def read_secret(path: str, what: str) -> bytes:
-    """Return the bytes of a secret file.
+    """Return the bytes of a secret file; see `read_bounded`.
 
-    The file is regular, small, and its owner's alone to read.
+    Raises:
+        TransportError: as there, or others than its owner may read or write it.
+    """
+    return read_bounded(path, what, secret=True)
 
-    Type and mode are asked of the open file, so that no other can be put in its place between question and reading.
+
+def read_bounded(path: str | Path, what: str, most_bytes: int = MOST_BYTES, *, secret: bool = False) -> bytes:
+    """Return the bytes of a small regular file.
+
+    Type and mode are asked of the open file, so that no other can be put in its place between question and reading; a pipe is
+    not waited for.
 
     Args:
         path: the file.
         what: what it should be, with its article ("the key of the frames"), for the message.
+        most_bytes: the most that it may have.
+        secret: whether it must be its owner's alone to read and write.
 
     Raises:
-        TransportError: it cannot be read, is no regular file, is too large, or others than its owner may read or write it.
+        TransportError: it cannot be read, is no regular file, is too large, or is not its owner's alone.
     """
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -112,15 +122,15 @@ def read_secret(path: str, what: str) -> bytes:
             status = os.fstat(descriptor)
             if not stat.S_ISREG(status.st_mode):
                 raise TransportError(f"{path}: is no regular file, not {what}")
-            if stat.S_IMODE(status.st_mode) & 0o077:
+            if secret and stat.S_IMODE(status.st_mode) & 0o077:
                 raise TransportError(f"{path}: other users can read it (mode {stat.S_IMODE(status.st_mode):o}); chmod 600 it")
-            data = os.read(descriptor, MOST_BYTES + 1)
+            data = os.read(descriptor, most_bytes + 1)
         finally:
             os.close(descriptor)
     except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
         raise TransportError(f"{path}: {what} cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if len(data) > MOST_BYTES:
-        raise TransportError(f"{path}: more than {MOST_BYTES} bytes, too many for {what}")
+    if len(data) > most_bytes:
+        raise TransportError(f"{path}: more than {most_bytes} bytes, too many for {what}")
     return data
 
 

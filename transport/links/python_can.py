@@ -2,6 +2,7 @@
 
 asammdf is imported where it is installed, and with it pandas and cryptography. Only who reads or writes ``.mf4`` needs it
 (`with_mf4`). Its import takes longer than all others of a process of a loop together, and swallows a Ctrl-C that comes meanwhile.
+What python-can notes of single frames is not printed: a file of a million odd lines would print a million.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ else:
         import can
     finally:
         del sys.modules["asammdf"]
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # else Python prints warnings; a program that asks for them has them
 
 __all__ = ["INTERFACES", "MessageFrames", "can", "join_interface", "options_of", "with_mf4"]
 

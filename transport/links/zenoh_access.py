@@ -15,7 +15,6 @@ from __future__ import annotations
 import os
 import re
 import socket
-import stat
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
@@ -154,21 +153,14 @@ def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Acce
         raise TransportError(f"link {uri!r}: {', '.join(sorted(tls))}: certificates need an endpoint tls/host:port")
     peer = said.get("controller", "controller") if role == "rig" else said.get("rig", "rig")
     try:
-        for name in ("ca", "cert"):
-            if name in tls and not stat.S_ISREG(Path(tls[name]).stat().st_mode):
-                raise TransportError(f"link {uri!r}: {name}={tls[name]}: is no regular file")
         if tls:
-            read_secret(tls["key"], f"the private key of the {role}")
             check_certificate(tls["ca"], tls["cert"], said.get(role, role))
+            read_secret(tls["key"], f"the private key of the {role}")
             refuse_revoked(tls["ca"], peer)
         if "users" in said:
             read_secret(said["users"], "the file of passwords")
-    except OSError as error:
-        raise TransportError(f"link {uri!r}: {error.filename}: {error.strerror}") from error
-    except ValueError as error:  # a name with a zero byte
-        raise TransportError(f"link {uri!r}: a file of it: {error}") from error
     except TransportError as error:
-        raise error if str(error).startswith("link ") else TransportError(f"link {uri!r}: {error}") from error
+        raise TransportError(f"link {uri!r}: {error}") from error
     revoked = revoked_names(tls["ca"]) if tls else frozenset[str]()
     absolute = {k: str(Path(v).absolute()) for k, v in tls.items()}
     return Access(role=role, peer=peer, tls=absolute, users=said.get("users", ""), revoked=revoked)
@@ -181,7 +173,7 @@ _PATIENCE_S: Final = 1.5 * LEASE_S
 """For so long one that died without a word may still stand in its role."""
 
 _MOST: Final = 256
-"""Controllers that a rig keeps in mind."""
+"""Controllers that an end keeps in mind."""
 
 
 def own_name(session: str) -> str:
@@ -244,7 +236,10 @@ class Claims:
 
     def _seen(self, sample: zenoh.Sample) -> None:
         who = _end_of(sample)
-        self._commanders = self._commanders | {who} if _came(sample) else self._commanders - {who}
+        if not _came(sample):
+            self._commanders = self._commanders - {who}
+        elif len(self._commanders) < _MOST:
+            self._commanders = self._commanders | {who}
 
     def admits(self, sample: zenoh.Sample) -> bool:
         """Return whether a packet is to be taken: not from a controller of ours that the rig does not accept, and not by one.

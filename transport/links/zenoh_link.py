@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
+LARGEST: Final = 4096
+"""Bytes of a packet (`transport.wire.layout`); a longer payload is counted as malformed."""
 
 ONE_THREAD: Final = (
     "(app: (worker_threads: 1), " + ", ".join(f"{part}: (handover: app)" for part in ("acc", "net", "tx", "rx")) + ")"
@@ -176,6 +178,8 @@ def _take(
     keep()
     if not roles.admits(sample):
         add_refused(counters)
+    elif len(sample.payload) > LARGEST:
+        counters.malformed += 1
     elif queue.qsize() < QUEUE_LIMIT:
         queue.put(sample.payload.to_bytes())
     else:
@@ -227,6 +231,7 @@ def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
         "transport/link/tx/lease": round(1e3 * LEASE_S),
         # `transport/unicast/lowlatency` is a quarter faster, but there a peer that is stopped (SIGSTOP) blocks `put` for ever.
         "transport/link/tx/queue/size/real_time": 16,  # the default of 2 is less than the frames of one slot may be
+        "transport/link/rx/max_message_size": 1 << 20,  # the default of 1 GiB is kept for every peer that begins such a message
         **entries,
     }.items():
         config.insert_json5(key, json.dumps(value))

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import struct
+import subprocess
+import sys
 from pathlib import Path
 
 import can
@@ -15,6 +17,7 @@ import hil
 from hil.errors import HilError
 from hil.log.recordings.read import read_recording, shipped_recordings
 from hil.log.recordings.recording import packet_records
+from tests.waiting import LIMIT_S
 from transport.law_fit.law_fit import fit_law
 
 DATA = Path(__file__).parents[3] / "data"
@@ -98,6 +101,17 @@ def capture(path: Path, *, replies: bool = True, order: str = "<", magic: int = 
         for t, data in frames:
             file.write(struct.pack(order + "IIII", 1_700_000_000 + int(t), round(t % 1 * 1e6), len(data), len(data)) + data)
     return path
+
+
+def test_a_log_of_odd_lines_prints_nothing_of_each(tmp_path: Path) -> None:
+    """Python prints the warnings of a library for which nobody asked: python-can has one for every such line."""
+    head = "date Thu Jan 1 00:00:00.000 am 1970\nbase hex  timestamps absolute\ninternal events logged\n"
+    line = "   {:.6f} CANFD 1 Rx 123                    0 0 8  4 {:02x} 22 33 44   130000  130   203000 0 0 0 0 0\n"
+    for name in ("sender", "receiver"):
+        (tmp_path / f"{name}.asc").write_text(head + "".join(line.format(k / 10, k) for k in range(9)))
+    command = [str(Path(sys.executable).with_name("hil")), "identify", "law", "sender.asc", "receiver.asc", "--json"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1 and "9 packets, at least 299" in done.stderr
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
