@@ -30,7 +30,6 @@ class LinearLaw(Struct, frozen=True, kw_only=True, eq=False):
     C: NDArray[np.float64]
     D: NDArray[np.float64]
 
-
     def one_row(self) -> RowsLaw:
         """Return the same law as one that answers with a row."""
         return RowsLaw(A=self.A, B=self.B, C=self.C[None], D=self.D[None])

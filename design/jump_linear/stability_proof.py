@@ -69,7 +69,6 @@ def is_positive(family: Array) -> bool:
     return True
 
 
-
 MOST_ENTRIES = 3_000_000
 """Entries of the sparse matrix; more of them fill the memory when it is factored."""
 DENSITY = 0.05

@@ -40,7 +40,6 @@ CERTIFIERS: tuple[Certifier, ...] = (
 """Asked in this order; the first that knows the kind of loop answers."""
 
 
-
 def certify(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
     """Return the verdict on a loop whose plant and controller were tested to be what they say: see `judge` and `tested`.
 

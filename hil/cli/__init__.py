@@ -63,6 +63,7 @@ _SHARED_FILES = {
     "can": "can", "dbc": "can",
     "new": "new", "check": "new",
     "bench": "bench", "probe": "bench",
+    "guide": "guide", "licences": "guide",
     "stiffness-map": "design_wall",
 }  # fmt: skip
 """Files of several commands, each a function of the command's name; elsewhere it is ``command`` in a file of its name."""
@@ -119,7 +120,7 @@ class LazyGroup(click.Group):
             print("\nhil: interrupted", file=sys.stderr)
             sys.exit(at.status if isinstance(at, Terminated) else 130)
         except click.UsageError as e:
-            from hil.cli.usage import expected, near_options, suggestion
+            from hil.cli.option_types import expected, near_options, suggestion
 
             if isinstance(e, click.NoSuchOption):
                 raise click.NoSuchOption(e.option_name, possibilities=near_options(e), ctx=e.ctx) from e

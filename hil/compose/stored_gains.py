@@ -33,6 +33,7 @@ FORMAT: Final = "hilrig-gains/1"
 LARGEST: Final = 16_000_000
 """Bytes of a file."""
 
+
 class NoDigest(ValueError):
     """A part of the problem has no digest, such as a function."""
 

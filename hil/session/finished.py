@@ -131,7 +131,6 @@ def _units(run: Run, topic: str) -> dict[str, str]:
     return {f.name: f.unit for f in schema.fields} if schema is not None else {}
 
 
-
 class Session(Struct, frozen=True, kw_only=True):
     """What a finished run leaves behind.
 

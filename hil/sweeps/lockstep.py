@@ -37,6 +37,7 @@ ENTRIES = 1_000_000
 MOST_RUNS = 1000
 """Runs that are computed at once: from there on a run costs the same."""
 
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BatchResult:
     """Runs that were computed at once.

@@ -15,7 +15,7 @@ from transport import TransportError
 from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.planned_faults import BusFault
-from transport.links.can_errors import changed, destroyed, location, status
+from transport.links.can_datagram import changed, destroyed, location, status
 from transport.links.link import BusStatus
 
 SOON_NS = 10**9

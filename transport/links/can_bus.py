@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from transport.links.can_datagram import (
     BITRATE_SWITCH,
+    CONTROLLER,
     ERROR,
     ERROR_STATE,
     EXTENDED,
@@ -33,7 +34,6 @@ from transport.links.can_datagram import (
     OWN,
     REMOTE,
 )
-from transport.links.can_errors import CONTROLLER
 from transport.links.hil_channel import join_channel, matches_of
 from transport.links.hil_frames import HilFrames
 from transport.links.link import TransportError
@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 _STATES: Final = {"passive": can.BusState.PASSIVE, "off": can.BusState.ERROR}
+
 
 def message_of(datagram: bytes, channel: str) -> can.Message:
     """Return a datagram as a message of python-can.
@@ -67,7 +68,6 @@ def message_of(datagram: bytes, channel: str) -> can.Message:
         bitrate_switch=bool(flags & BITRATE_SWITCH),
         error_state_indicator=bool(flags & ERROR_STATE),
     )
-
 
 
 class HilBus(can.BusABC):

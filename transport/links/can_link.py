@@ -23,8 +23,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec.structs import replace
 
-from transport.links.can_datagram import ERROR, ID_MASK, REMOTE
-from transport.links.can_errors import status
+from transport.links.can_datagram import ERROR, ID_MASK, REMOTE, status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.hil_frames import HilFrames
 from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError

@@ -12,8 +12,18 @@ from typing import TYPE_CHECKING, Any, Final
 
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.node import State
-from transport.links.can_datagram import BITRATE_SWITCH, ERROR, FD_FRAME, FRAME, LOOK, OWN, frame_of
-from transport.links.can_errors import BUS_ERROR, changed, destroyed
+from transport.links.can_datagram import (
+    BITRATE_SWITCH,
+    BUS_ERROR,
+    ERROR,
+    FD_FRAME,
+    FRAME,
+    LOOK,
+    OWN,
+    changed,
+    destroyed,
+    frame_of,
+)
 from transport.links.link import LOOK_S, TransportError
 from transport.links.unix_mesh import Mesh
 

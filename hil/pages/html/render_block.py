@@ -178,7 +178,6 @@ def _reduced(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDAr
     return np.arange(x.size, dtype=np.intp) if x.size <= WHOLE else bucket_extremes(x, y, BUCKETS)
 
 
-
 def _legend(bars: Bars) -> str:
     if len(bars.groups) < 2:
         return ""

@@ -130,7 +130,6 @@ def _bar_class(colour: int, hollow: bool) -> str:
     return f"bar c{colour % 8}{' hollow' if hollow else ''}"
 
 
-
 def _linear(low: float, high: float, start: float, end: float) -> Callable[[float], float]:
     span = (high - low) or 1.0
     return lambda value: start + (value - low) / span * (end - start)

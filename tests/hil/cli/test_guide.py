@@ -10,7 +10,8 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli import main
-from hil.cli.guide import command, pages
+from hil.cli.guide import guide as command
+from hil.cli.guide import pages
 from tests.bench.catalogue import PARTS
 from tests.bench.page import page_of
 

@@ -10,8 +10,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
-from hil.runtime.nodes.controller_node import HELLO, ControlNode
-from hil.runtime.nodes.questions import NEAR, SILENCE_NS, Questions, Refusals
+from hil.runtime.nodes.controller_node import HELLO, NEAR, SILENCE_NS, ControlNode, Questions, Refusals
 from hil.runtime.nodes.wire import SEGMENT, Wire, before, session_wire
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire.tags import echo
