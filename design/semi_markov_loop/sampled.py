@@ -3,10 +3,12 @@
     dx/dt = A_i x + B_i u,    u(t) = K(r, h) x((k - tau) T) computed in slot k, held over [(k + d) T, (k + d + 1) T)
 
 The mode i jumps at any instant; the controller sees it (Chapter 2), or a detected mode r with a clock of its own (Chapter 4), at
-the samples only, and counts the sojourn h from its first sight in whole periods. Five proofs:
+the samples only, and counts the sojourn h from its first sight in whole periods. Six proofs:
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
   where the sides are far apart, ``sojourn_cells`` has ages in parts of a period;
+- an uncertain plant: the same upper side, then ``sampled_uncertain``, a Lyapunov function over age and phase; it certifies, and a
+  constant plant within the bounds that is not stable refuses;
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
 - random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
 - a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
@@ -19,7 +21,7 @@ What neither decides is undecided, with the reason. References: thesis (2.16)-(2
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import msgspec
@@ -27,12 +29,14 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
+from design.lmi.program import LmiSolution
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_delayed_state import delayed_decrease
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
+from design.semi_markov_loop.sampled_uncertain import uncertain_decrease
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
@@ -147,9 +151,11 @@ def _renewal(
             lower, which = own, name
         if lower > 1.0 + TOLERANCE:
             return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
-    slacks, certain = _slacks(system), system.uncertainty is None
+    if system.uncertainty is not None:
+        why = f"second moments{which} are multiplied by at least {lower:.6g}, and by at most {upper:.6g}"
+        return _uncertain(loop, f"{why} from one seen change of the mode to the next", assumed)
     try:
-        finer = refined(loop, modes, slacks=(0.0,) if certain else slacks, refute=certain)
+        finer = refined(loop, modes)
     except np.linalg.LinAlgError:  # moments of too many sizes
         finer = None
     if finer is not None:
@@ -162,6 +168,27 @@ def _renewal(
         )  # fmt: skip
     why = f"second moments{which} are multiplied by at least {lower:.6g}"
     return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
+
+
+def _searched(search: Callable[[], LmiSolution]) -> tuple[bool, float | None, str]:
+    """Whether a Lyapunov function was found, the largest eigenvalue of its change per second, and what is known, in words."""
+    try:
+        found = search()
+        return found.margin > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
+    except TooLarge as error:
+        return False, None, str(error)
+
+
+def _uncertain(loop: SampledLoop, bracket: str, assumed: tuple[str, ...]) -> Verdict:
+    """The verdict on an uncertain plant that the bounds of its second moments leave open."""
+    proved, number, said = _searched(lambda: uncertain_decrease(loop))
+    return Verdict(
+        kind="mean-square stability", state="certified" if proved else "undecided", number=number, limit=0.0,
+        reason=f"{'a' if proved else 'no'} Lyapunov function falls within every period and at every sample, however the "
+        f"uncertainty varies: {said}" + ("" if proved else f"; {bracket}"),
+        quantity="largest eigenvalue of the change of V per second", assumptions=assumed,
+        method="sampled jump loop, uncertain: Lyapunov function over age and phase of a period",
+    )  # fmt: skip
 
 
 def _constant_plants(system: JumpSystem) -> Iterable[tuple[str, JumpSystem]]:
@@ -249,12 +276,7 @@ def _delayed(
         return _undecided("a rate has no finite bound")
     undelayed = JumpSystem(a=system.a, b=system.b)
     loop = SampledLoop(system=undelayed, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
-    number: float | None = None
-    try:
-        found = delayed_decrease(system, loop)
-        proved, number, said = found.margin > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
-    except TooLarge as error:
-        proved, said = False, str(error)
+    proved, number, said = _searched(lambda: delayed_decrease(system, loop))
     if not proved and least_s > 0.0:
         said += f"; that it is stable without a delay is not asked, as the plant has {least_s:g} s at least"
     elif not proved:

@@ -43,10 +43,9 @@ class _Side:
         reached: modes that can be reached, counted from 0.
         parts: G, cells in a period.
         upper: whether the map is larger than the true one, or smaller.
-        slack: epsilon of ``uncertain_moments`` (1/s).
     """
 
-    def __init__(self, loop: SampledLoop, reached: Sequence[int], parts: int, *, upper: bool, slack: float) -> None:
+    def __init__(self, loop: SampledLoop, reached: Sequence[int], parts: int, *, upper: bool) -> None:
         modes, n, m = loop.system.modes, loop.size, loop.system.inputs
         step, self._parts = loop.period_s / parts, parts
         ages = [rates_by_age(loop.process, i, step) for i in range(modes)]
@@ -55,14 +54,13 @@ class _Side:
         q = svec_size(n + m)
         self.work = float(len(self.seen) * modes * self._cells * q * q * parts)
         self.p = svec_size(n)
-        self._loop, self._ages, self._upper, self._slack, self._step = loop, ages, upper, slack, step
+        self._loop, self._ages, self._upper, self._step = loop, ages, upper, step
 
     def prepare(self) -> None:
         """Compute the maps of one step."""
         loop, upper, modes = self._loop, self._upper, self._loop.system.modes
-        maps = period_moments(
-            loop.system, [each.over(0, 0) for each in self._ages], self._step, loop.delay, upper, self._slack, held=True
-        )  # fmt: skip
+        fresh = [each.over(0, 0) for each in self._ages]
+        maps = period_moments(loop.system, fresh, self._step, loop.delay, upper, held=True)
         q, nodes = maps.still.shape[-1], len(maps.nodes_s)
         self._still = np.ascontiguousarray(np.swapaxes(maps.still, 1, 2))
         self._jumped = np.transpose(maps.jumped, (0, 5, 1, 3, 2, 4)).reshape(-1, modes * q)  # from (l, q, j, g) to (k, p)
@@ -120,39 +118,28 @@ class Refined(NamedTuple):
     parts: int
 
 
-def refined(
-    loop: SampledLoop, modes: Sequence[int], *, slacks: Sequence[float] = (0.0,), refute: bool = True
-) -> Refined | None:  # fmt: skip
+def refined(loop: SampledLoop, modes: Sequence[int]) -> Refined | None:
     """Return what cells decide that become finer until they do; None where nothing is decided within the budget.
 
     Args:
-        loop: the loop.
+        loop: the loop, its system without uncertainty.
         modes: those that can be reached, counted from 0.
-        slacks: of an uncertain system, see ``uncertain_moments``.
-        refute: whether the smaller side is asked too; an uncertain system has none.
     """
-    parts, before = 2, math.inf
+    parts = 2
     while parts <= FINEST:
-        found: list[tuple[float, float, _Side]] = []
-        for slack in slacks:
-            side = _Side(loop, modes, parts, upper=True, slack=slack)
-            if side.work * ROUNDS > WORK:
-                return None
-            side.prepare()
-            found.append((_settled(side)[0], slack, side))
-        growth, slack, side = min(found, key=lambda each: each[0])
+        side = _Side(loop, modes, parts, upper=True)
+        if side.work * ROUNDS > WORK:
+            return None
+        side.prepare()
+        growth, _ = _settled(side)
         proved = _contracts(side, growth) if growth < 1.0 - MARGIN else None
         if proved is not None:
             return Refined("certified", proved, parts)
-        if not refute and before - growth < SETTLED * abs(1.0 - growth):
-            return None  # cells that are finer change this side no more
-        slacks, before = [slack], growth
-        if refute:
-            side = _Side(loop, modes, parts, upper=False, slack=0.0)
-            side.prepare()
-            larger, X = _settled(side)
-            if larger > 1.0 + MARGIN and _grows(side, X, 0.5 * (1.0 + larger)):
-                return Refined("refused", 0.5 * (1.0 + larger), parts)
+        side = _Side(loop, modes, parts, upper=False)
+        side.prepare()
+        larger, X = _settled(side)
+        if larger > 1.0 + MARGIN and _grows(side, X, 0.5 * (1.0 + larger)):
+            return Refined("refused", 0.5 * (1.0 + larger), parts)
         parts *= 2
     return None
 

@@ -186,10 +186,11 @@ def test_the_resolved_form_of_a_shipped_experiment_is_the_same_experiment(name: 
 
 
 LONG_DESIGNS = {"dc-motor-ours-hinf", "dc-motor-ours-integral", "dc-motor-ours-mixed"}
-LONG_CERTIFICATES = {"smjls-robust-reference", "vtol-delayed-published"}
+LONG_CERTIFICATES = {"vtol-delayed-published"}
 CERTIFIED_ELSEWHERE = {
     "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-hinf-supply",  # tests/hil/certify/test_region.py
     "smjls-robust", "vtol-delayed", "vtol-fault",  # tests/hil/test_rigs.py
+    "smjls-robust-reference",  # tests/design/semi_markov_loop/test_sampled_uncertain.py
 }  # fmt: skip
 LONG = LONG_DESIGNS | LONG_CERTIFICATES | CERTIFIED_ELSEWHERE
 
