@@ -8,14 +8,13 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.errors import FieldError, PlantError
+from plants.errors import FieldError, PlantError, require_finite, require_not_negative, require_positive
 from plants.parts.actuators import Axes, Driver, Encoder, FreeAxes, MotorRuns
 from plants.parts.friction import Friction
 from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.motor_run import DCMotorRun
 from plants.parts.protocols import Departure, PlantRun
 from plants.parts.rubbing_axes import RubbingAxes
-from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _NEVER_NS = 1 << 62
 DRIVER, DRY, ROUNDS = "a driver that saturates, rounds or has a dead zone", "dry friction", "an encoder that rounds"

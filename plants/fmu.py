@@ -12,11 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from plants.errors import FieldError, PlantError
+from plants.errors import FieldError, PlantError, require_rows
 from plants.fmu_run import FMURun
 from plants.parts.exponential import Rows
 from plants.parts.linear import Signal, StateSpace
-from plants.parts.validation import require_rows
 
 MOST_BYTES: Final = 500_000_000
 LEAST_BYTES: Final = 1 << 24

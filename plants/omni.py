@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from plants.errors import FieldError, PlantError
+from plants.errors import FieldError, PlantError, require_finite, require_not_negative, require_positive
 from plants.parts.damping_zones import DampingZone, check_zones
 from plants.parts.driven import NoisyRun
 from plants.parts.hand import Hand
@@ -14,7 +14,6 @@ from plants.parts.held_run import HeldRun
 from plants.parts.linear import Signal, StateSpace
 from plants.parts.linear_run import LinearRun
 from plants.parts.protocols import PassiveElement, PlantRun
-from plants.parts.validation import require_finite, require_not_negative, require_positive
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
 _HELD = (

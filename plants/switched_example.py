@@ -8,18 +8,18 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from plants.errors import FieldError
-from plants.parts.exponential import Rows
-from plants.parts.flow import Flow, Source, pass_time
-from plants.parts.jump_process import JumpProcess
-from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.semi_markov import NEVER_NS, JumpModel, JumpRates, TransitionRates, check_clip, check_mode
-from plants.parts.validation import (
+from plants.errors import (
+    FieldError,
     require_choice,
     require_not_negative,
     require_vector,
     require_whole_nanoseconds,
 )
+from plants.parts.exponential import Rows
+from plants.parts.flow import Flow, Source, pass_time
+from plants.parts.jump_process import JumpProcess
+from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.parts.semi_markov import NEVER_NS, JumpModel, JumpRates, TransitionRates, check_clip, check_mode
 
 _A: tuple[Rows, Rows] = (((1.1555, -0.4006), (-0.4470, -0.7930)), ((-0.0274, 0.0249), (-0.3835, 0.3026)))
 _B: tuple[Rows, Rows] = (((1.0,), (1.0,)), ((1.0,), (0.0,)))

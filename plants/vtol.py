@@ -7,11 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.errors import FieldError
+from plants.errors import FieldError, require_vector
 from plants.parts.exponential import Rows
 from plants.parts.linear import Signal, StateSpace
 from plants.parts.linear_run import LinearRun, LinearRuns
-from plants.parts.validation import require_vector
 
 VTOL_STATES = (
     Signal("horizontal_velocity", "kn"),

@@ -7,17 +7,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from plants.errors import FieldError
-from plants.parts.delayed_run import DelayedVTOLRun, delay_ns
-from plants.parts.linear import Signal, StateSpace
-from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
-from plants.parts.validation import (
+from plants.errors import (
+    FieldError,
     require_finite,
     require_not_negative,
     require_positive,
     require_vector,
     require_whole_nanoseconds,
 )
+from plants.parts.delayed_run import DelayedVTOLRun, delay_ns
+from plants.parts.linear import Signal, StateSpace
+from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.vtol import AIRSPEEDS_KN, VTOL_INPUTS, VTOL_STATES, vtol_matrices
 
 # Lower, middle and upper bounds of sec. 3.4. Only the section boundary 1.8 s is printed; that the rates rise linearly over

@@ -64,6 +64,7 @@ _SHARED_FILES = {
     "new": "new", "check": "new",
     "bench": "bench", "probe": "bench",
     "guide": "guide", "licences": "guide",
+    "compare": "compare", "problems": "compare",
     "stiffness-map": "design_wall",
 }  # fmt: skip
 """Files of several commands, each a function of the command's name; elsewhere it is ``command`` in a file of its name."""

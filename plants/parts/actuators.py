@@ -9,10 +9,9 @@ from typing import Protocol
 import numpy as np
 from msgspec import Struct
 
-from plants.errors import FieldError
+from plants.errors import FieldError, require_not_negative, require_positive
 from plants.parts.exponential import zero_order_hold
 from plants.parts.linear import NS_PER_S, Matrix
-from plants.parts.validation import require_not_negative, require_positive
 
 
 class Driver(Struct, frozen=True, kw_only=True):

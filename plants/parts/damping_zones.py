@@ -11,9 +11,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from plants.errors import FieldError
+from plants.errors import FieldError, require_finite, require_not_negative
 from plants.parts.hand import NEVER_NS
-from plants.parts.validation import require_finite, require_not_negative
 
 LOOK_NS: Final = 1_000_000
 """How long the damping is that of the place where the tip was."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from plants.errors import FieldError
-from plants.parts.validation import require_not_negative
+from plants.errors import FieldError, require_not_negative
 
 _CHORDS = 24
 _REACH = 3.0  # the Stribeck curve ends at 3 Stribeck speeds, where exp(-9) of it is left

@@ -6,8 +6,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from plants.errors import FieldError
-from plants.parts.validation import require_finite, require_not_negative, require_positive, require_step
+from plants.errors import FieldError, require_finite, require_not_negative, require_positive, require_step
 
 NEVER_NS = 1 << 62
 Way = Literal["straight", "lissajous", "wander"]

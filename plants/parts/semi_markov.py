@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from plants.errors import FieldError
+from plants.errors import SHORTEST_STEP_S, FieldError, require_finite, require_not_negative, require_positive
 from plants.parts.exponential import Rows
-from plants.parts.validation import SHORTEST_STEP_S, require_finite, require_not_negative, require_positive
 
 NEVER_NS = 1 << 62
 
