@@ -102,7 +102,7 @@ class PacedClock:
             self._steps, self._from = 0, (time.monotonic_ns(), self._now)
             self._changed.notify_all()
 
-    def step(self, slots: int = 1) -> None:
+    def step(self, slots: int) -> None:
         """Hold, and let so many slots pass."""
         with self._changed:
             self._held = True

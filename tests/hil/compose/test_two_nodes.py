@@ -18,6 +18,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
+from hil.rig.loop_chains import loop_chains
 from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
@@ -38,6 +39,17 @@ def test_it_is_designed_for_and_certified_over_all_ages(loop: Loop) -> None:
     assert loop.verdict.number == pytest.approx(0.6649, abs=1e-3)
     K = np.array(loop.controller.gains)[:, 0, 0]
     assert np.abs(K[1] - K[2]).max() > 1e-3  # (0, 1) and (1, 0) have the same oldest age, and gains of their own
+
+
+def test_over_a_bus_each_pair_of_ages_that_gains_distinguish_has_a_label_of_its_own() -> None:
+    """Nodes take turns: the newest samples are 0 and 1 slots old, or 1 and 0; never does one gain act for both."""
+    bus = 'network.media.bus={kind="round-robin", nodes=["angle", "speed"]}'
+    ideal = [f'network.nodes.{name}.law={{kind="constant", age=0}}' for name in ("angle", "speed")]
+    of = compose(load_experiment("dc-motor-two-nodes", [FIXED % GAINS, bus, *ideal, EARLY, "allow_uncertified=true"]))
+    found = loop_chains(of.rig, of.chains, of.controller, of.model).sc
+    assert found is not None
+    assert sorted(found.label.tolist()) == [1, 2]
+    assert found.held_outputs(2).tolist() == [[label == 2, label == 1] for label in found.label]  # what did not come is held
 
 
 def test_mean_and_spread_of_the_runs_are_those_predicted(loop: Loop) -> None:

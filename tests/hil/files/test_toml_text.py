@@ -39,6 +39,11 @@ def test_what_stands_in_strings_and_comments_is_no_nesting(text: str) -> None:
     assert parse_toml(text) == tomllib.loads(text)
 
 
+def test_what_is_closed_again_leaves_no_room_for_more() -> None:
+    with pytest.raises(ValueError, match="nested too deeply"):
+        parse_toml("a = " + "[[]," * (DEEPEST + 1) + "]" * (DEEPEST + 1))
+
+
 def test_as_deep_as_is_allowed_is_read() -> None:
     key = ".".join(["a"] * DEEPEST)
     assert parse_toml(f"{key} = 1") == tomllib.loads(f"{key} = 1")
