@@ -90,8 +90,8 @@ class Rig:
             medium, channel = self._network[0], OneWay(back)
         self._uplink = faults.uplink(medium)
         self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
-        limits = [(names.index(name), name, bound) for name, bound in e.limits.state.items()]
-        safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns)
+        limits = [(names.index(name), e.plant.states[names.index(name)], bound) for name, bound in e.limits.state.items()]
+        safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns, e.plant.inputs)
         self._port = loop.rig.port.output if loop.rig.port is not None and e.limits.passivity is not None else None
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop), loop.rig.row_sojourns)
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.rig.sensors)]

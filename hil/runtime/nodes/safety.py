@@ -10,6 +10,7 @@ from math import inf, isfinite, isinf, isnan
 from typing import NamedTuple
 
 from hil.rig.loop import Loop
+from plants import Signal
 
 
 class Safety:
@@ -19,19 +20,22 @@ class Safety:
 
     Args:
         input_limits: sequence of float or None, length m. Largest absolute command per input.
-        state_limits: (index, name, bound) each. Largest absolute value of plant states.
+        state_limits: (index, signal, bound) each. Largest absolute value of plant states.
         watchdog_slots: slots in a row without a usable command that trip the watchdog.
         period_ns: sample period, ns: as many periods trip it too where slots take longer.
+        inputs: names and units, length m, for the reason in words.
     """
 
     def __init__(
         self,
         input_limits: Sequence[float] | None,
-        state_limits: Sequence[tuple[int, str, float]],
+        state_limits: Sequence[tuple[int, Signal, float]],
         watchdog_slots: int,
         period_ns: int = 0,
+        inputs: Sequence[Signal] = (),
     ) -> None:
         self._inputs = input_limits
+        self._signals = inputs
         self._states = state_limits
         self._watchdog_slots = watchdog_slots
         self._watchdog_ns = (watchdog_slots - 1) * period_ns
@@ -41,9 +45,9 @@ class Safety:
     def check_state(self, state: Sequence[float]) -> str | None:
         """Trip on a state beyond its bound or not finite; return the reason when this call trips."""
         if self.tripped is None:
-            for i, name, bound in self._states:
+            for i, signal, bound in self._states:
                 if not -bound <= state[i] <= bound:
-                    return self.trip(f"{name} = {state[i]:.4g} is beyond its limit {bound:g}")
+                    return self.trip(_beyond(signal, state[i], bound))
             total = 0.0
             for value in state:
                 total += value
@@ -54,15 +58,11 @@ class Safety:
     def check_command(self, u: Sequence[float]) -> str | None:
         """Trip on a command beyond its bound; return the reason when this call trips. Any other command feeds the watchdog."""
         if self.tripped is None and self._inputs is not None:
-            for value, bound in zip(u, self._inputs):
-                if abs(value) > bound:
-                    return self.trip(self._beyond(u))
+            for i, bound in enumerate(self._inputs):
+                if abs(u[i]) > bound:
+                    return self.trip(f"command {_beyond(self._signals[i], u[i], bound)}")
         self._missing = 0
         return None
-
-    def _beyond(self, u: Sequence[float]) -> str:
-        wrong = ((i, value, bound) for i, (value, bound) in enumerate(zip(u, self._inputs or ())) if abs(value) > bound)
-        return "command {} = {:.4g} is beyond its limit {:g}".format(*next(wrong))
 
     def starved(self, now_ns: int = 0) -> str | None:
         """No usable command in this slot; return the reason when this trips the watchdog, by slots or by the clock.
@@ -90,6 +90,11 @@ class Safety:
             return None
         self.tripped = reason
         return reason
+
+
+def _beyond(signal: Signal, value: float, bound: float) -> str:
+    unit = "" if signal.unit in ("", "1") else f" {signal.unit}"
+    return f"{signal.name} = {value:.4g}{unit} is beyond its limit {bound:g}{unit}"
 
 
 class Injected(NamedTuple):

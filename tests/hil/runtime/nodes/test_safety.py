@@ -7,13 +7,14 @@ import math
 import pytest
 
 from hil.runtime.nodes.safety import Safety
+from plants import Signal
 
 
 @pytest.mark.parametrize("value", [2.1, -2.1, math.nan, math.inf, -math.inf])
 def test_state_beyond_its_bound_or_not_finite_trips(value: float) -> None:
-    safety = Safety(None, [(1, "speed", 2.0)], 3)
+    safety = Safety(None, [(1, Signal("speed", "m/s"), 2.0)], 3)
     assert safety.check_state((0.0, 2.0)) is None
-    assert "speed" in (safety.check_state((0.0, value)) or "")
+    assert safety.check_state((0.0, value)) == f"speed = {value:.4g} m/s is beyond its limit 2 m/s"
     assert safety.tripped
 
 
@@ -21,8 +22,17 @@ def test_unlimited_state_that_is_not_finite_trips_too() -> None:
     assert Safety(None, [], 3).check_state((math.nan,)) == "the plant's state is not finite"
 
 
+def test_a_command_beyond_its_bound_is_told_by_the_name_and_unit_of_its_input() -> None:
+    safety = Safety((1.0, 5.0), [], 3, 0, (Signal("flow", "1"), Signal("voltage", "V")))
+    assert safety.check_command((0.5, -5.2)) == "command voltage = -5.2 V is beyond its limit 5 V"
+
+
+def test_a_command_of_a_pure_number_has_no_unit() -> None:
+    assert Safety((1.0,), [], 3, 0, (Signal("flow", "1"),)).check_command((1.5,)) == "command flow = 1.5 is beyond its limit 1"
+
+
 def test_command_beyond_its_bound_trips_once_and_stays_tripped() -> None:
-    safety = Safety((1.0,), [], 3)
+    safety = Safety((1.0,), [], 3, 0, (Signal("voltage", "V"),))
     assert safety.check_command((1.0,)) is None
     assert safety.check_command((1.01,)) is not None
     assert safety.check_command((0.0,)) is None  # said once
