@@ -142,11 +142,9 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
     def described(each: Departure) -> str:
         size = f"{each.size * float(unit.max()):.3g} {unit_name}"
         which, u = each.signal
-        amount = (
-            f"{each.found:.4g} {u} where the model has {each.foretold:.4g} {u}" if np.isfinite(each.found) else "it is not finite"
-        )
-        share = f"{_percent(each.share)} of the motion at most"
-        return f"inputs up to {size} move its {which} by {amount} in slot {each.slot} ({share})"
+        found, foretold = _told_apart(each.found, each.foretold)
+        amount = f"{found} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
+        return f"inputs up to {size} move its {which} by {amount}, first in slot {each.slot} ({_percent(each.share)} at most)"
 
     if found[0].share <= EQUAL:
         return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {described(worst)}"
@@ -157,8 +155,14 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
     return "refused", f"{name}: {described(worst)}"
 
 
+def _told_apart(a: float, b: float) -> tuple[str, str]:
+    """Return two numbers by four digits, or by as many as tell them apart."""
+    digits = next((digits for digits in range(4, 17) if f"{a:.{digits}g}" != f"{b:.{digits}g}"), 17)
+    return f"{a:.{digits}g}", f"{b:.{digits}g}"
+
+
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} %" if np.isfinite(share) and share < 1e3 else "more than 1000 times"
+    return f"{100.0 * share:.2g} % of the motion" if np.isfinite(share) and share < 1e3 else "more than 1000 times the motion"
 
 
 def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Array) -> Check:

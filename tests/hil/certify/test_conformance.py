@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
@@ -179,3 +180,10 @@ def test_the_test_draws_nothing_from_the_run() -> None:
     noisy = Plant("noise")
     runs = [hil.run("dc-motor-h2", plant=noisy, controller=Table(), duration=1, **{"limits.state": {}}) for _ in range(2)]
     assert runs[0].summary["log"]["sha256"] == runs[1].summary["log"]["sha256"]
+
+
+def test_a_departure_is_told_by_numbers_that_differ() -> None:
+    """Where the cubic spring is first felt, what moved and what the model has are the same by four digits."""
+    found = verdict_on(plant=Plant("a cubic spring"), controller=Table(), **{"limits.state": {}})
+    told = re.search(r"by (\S+) m where the model has (\S+) m, first in slot", found.reason)
+    assert told is not None and told[1] != told[2] and float(told[1]) == pytest.approx(float(told[2]), rel=1e-4)
