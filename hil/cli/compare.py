@@ -215,10 +215,11 @@ def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[s
         best, own = known.get(problem.name, {}), found.get(problem.name)
         bound = best.get("lower_bound")
         row = [problem.name, _mean(best.get("mean"), best.get("low"), best.get("high")), "-" if bound is None else f"{bound:.4g}"]
-        rows.append(row + ([best.get("controller", "-")] if own is None else [_mean(own.mean, own.low, own.high), own.verdict]))
-    heads = ("problem", "best known (95 %)", "lower bound", *(("yours (95 %)", "verdict") if found else ("controller",)))
+        rows.append(row + ([] if own is None else [_mean(own.mean, own.low, own.high), own.verdict]))
+    heads = ("problem", "best known (95 %)", "lower bound", *(("yours (95 %)", "verdict") if found else ()))
     print_table(Table(columns=heads, rows=rows), folds=True)
     for problem in chosen:
-        said = found[problem.name].said if problem.name in found else problem.source
+        by = known.get(problem.name, {}).get("controller", "none")
+        said = found[problem.name].said if problem.name in found else f"{problem.source}; best known with controller = {by}"
         if said:
-            print(visible(f"{problem.name}: {said}"))
+            print_folded(f"{problem.name}: {said}")

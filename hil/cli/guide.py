@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from hil.cli.terminal import json_option, print_json
+from hil.cli.terminal import Line, json_option, print_folded, print_json, print_lines
 from hil.errors import HilError, nearest
 
 ORDER = (
@@ -84,12 +84,13 @@ def licences(as_json: bool) -> None:
     if as_json:
         print_json({"packages": rows})
         return
-    width = max(len(row["name"]) for row in rows)
+    width = max(len(row["version"]) for row in rows)
+    lines = []
     for row in sorted(rows, key=lambda row: (not row["copyleft"], row["name"])):
-        mark = "!" if row["copyleft"] else " "
-        needed = "" if row["needed_by_hil"] else "  (tests)"
-        print(f"{mark} {row['name']:<{width}}  {row['version']:<14}  {row['licence']}{needed}")
-    print("! a licence with conditions for who passes the package on: python-can is LGPL-3.0, imported and not changed by hil")
+        mark, needed = "!" if row["copyleft"] else " ", "" if row["needed_by_hil"] else "  (tests)"
+        lines.append(Line(f"{mark} {row['name']}", f"{row['version']:<{width}}  {row['licence']}{needed}"))
+    print_lines(lines)
+    print_folded("! a licence with conditions for who passes the package on: python-can is LGPL-3.0, which hil imports as it is")
 
 
 def bill() -> list[dict[str, Any]]:

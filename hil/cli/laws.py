@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import Working, json_option, print_json, print_table, visible
+from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, print_table, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -104,17 +104,20 @@ def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], note
         if len(law.age_shares) > 10:
             shares += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
         for note in notes:
-            print(f"  {visible(note)}")
-        note = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
-        print(f"  age of the newest packet  {shares or 'nothing ever arrives'}{note}")
+            print_folded(note)
+        sampled = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
         above = "above " if law.older > NEGLIGIBLE else ""
-        print(f"  mean age                  {above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms")
+        lines = [
+            Line("age of the newest packet", f"{shares or 'nothing ever arrives'}{sampled}"),
+            Line("mean age", f"{above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms"),
+        ]
         if not math.isnan(law.mean_latency_s):
-            print(f"  mean latency              {law.mean_latency_s * 1e3:.4g} ms")
-        full = f", {law.overflow:.4g} at the full queue{note}" if law.overflow else ""
-        print(f"  lost                      {law.loss_probability:.4g} of the packets{full}")
+            lines.append(Line("mean latency", f"{law.mean_latency_s * 1e3:.4g} ms"))
+        full = f", {law.overflow:.4g} at the full queue{sampled}" if law.overflow else ""
+        lines.append(Line("lost", f"{law.loss_probability:.4g} of the packets{full}"))
         if not math.isnan(law.unused):
-            print(f"  never used                {law.unused:.4g} of the packets")
+            lines.append(Line("never used", f"{law.unused:.4g} of the packets"))
+        print_lines(lines)
         print()
 
 

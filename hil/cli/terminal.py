@@ -129,6 +129,9 @@ def print_table(table: Table, *, folds: bool = False) -> None:
     console = Console()
     whole = console.options.update(max_width=10_000)
     excess = console.measure(shown, options=whole).maximum - console.width if folds else 0
+    if excess > sum(max(natural - NARROWEST, 0) for natural, _ in folding):  # one blank between columns then
+        shown.padding = 0
+        excess = console.measure(shown, options=whole).maximum - console.width
     for natural, words in sorted(folding, key=lambda each: -each[0]):  # rich would narrow one below its least, and crop it
         words.width = max(natural - max(excess, 0), min(natural, NARROWEST))
         excess -= natural - words.width

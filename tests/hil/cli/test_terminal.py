@@ -83,3 +83,14 @@ def test_a_log_is_its_users_alone_unless_asked_otherwise(cli: Hil, tmp_path: Pat
     assert [(tmp_path / f"{n}.mcap").stat().st_mode & 0o777 for n in "abc"] == [0o600, 0o644, 0o600]
     status, _, err = cli("run", "dc-motor-hinf", "--log-mode", "477")
     assert status == 2 and "--log-mode" in err
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["can analyse dc-motor-busy-can", "laws dc-motor-wifi", "problems", "licences", "sweep dc-motor-hinf --runs 2", "list"],
+)
+def test_what_is_printed_stays_within_80_columns(cli: Hil, asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = cli(*asked.split())
+    assert status == 0
+    assert [line for line in out.splitlines() if len(line.rstrip()) > 80] == []
