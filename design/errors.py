@@ -20,6 +20,10 @@ class NotStable(DesignError):
     """The closed loop is not mean-square stable; ``value`` is the radius of its second-moment operator."""
 
 
+class NotInstalled(DesignError):
+    """A package of an extra is not there: nothing was asked of the theory."""
+
+
 class TooLarge(DesignError):
     """A loop of more modes or states than is computed with: nothing of it was built, and nothing is known."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import Any
 
-from design.errors import DesignError
+from design.errors import NotInstalled
 
 INSTALL = "pip install 'hilrig[design]'"
 
@@ -17,11 +17,17 @@ def solver(package: str) -> Any:
         package: as it is imported.
 
     Raises:
-        DesignError: it is not installed, with the command that installs it.
+        NotInstalled: it is not installed, with the command that installs it.
     """
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
         if error.name is None or error.name.partition(".")[0] != package:
             raise
-        raise DesignError(f"this design needs {package}, which is not installed: {INSTALL}") from None
+        raise NotInstalled(f"this needs {package}, which is not installed: {INSTALL}") from None
+
+
+def check_solvers() -> None:
+    """Raise NotInstalled where one of them is missing: before long work, and not in its midst."""
+    for package in ("cvxpy", "clarabel", "scs", "control"):
+        solver(package)

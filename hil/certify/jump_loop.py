@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from design.controllers import LoopModel, ModeSchedule
 from design.controllers.contract import StatesConstraint
-from design.errors import DesignError
+from design.errors import DesignError, NotInstalled
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
 from hil.plugins.protocols import JumpPlant
@@ -119,6 +119,8 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
         found = sampled_verdict(
             system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca, least_delay_s=stated.min_delay_s
         )
+    except NotInstalled as error:
+        return undecided(loop, KIND, f"its certificate was not computed: {error}")
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
     asked = controller.constraint_of_modes() if isinstance(controller, StatesConstraint) else None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
+from design.solvers import check_solvers
 from hil.errors import unknown_name
 from hil.reproduce.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.reproduce.judgement import VERDICTS, Check, Row, Verdict
@@ -47,7 +48,13 @@ def chapters() -> tuple[str, ...]:
 
 
 def reproduce(chapter: str, progress: Progress = lambda step: None, kept: Checkpoint | None = None) -> Reproduction:
-    """Compute a chapter, but for the stages that were kept. Raises KeyError if it is not one of ``chapters()``."""
+    """Compute a chapter, but for the stages that were kept.
+
+    Raises:
+        KeyError: it is not one of ``chapters()``.
+        DesignError: the packages of ``hilrig[design]`` are not installed.
+    """
+    check_solvers()
     return compute(_asked(chapter), progress, chapter, kept)
 
 
