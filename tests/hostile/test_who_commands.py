@@ -79,7 +79,7 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
         status, summary, _ = raided(tmp_path, uri)
     said = summary["problems"]["second_controller"]  # the latter: the first question was empty, and no sample had left
     assert status == 5 and ("answered twice, differently" in said or "which was never sent" in said), said
-    assert summary["accepted_from"] == "any process on this machine"
+    assert summary["accepted_from"] == "any process on this machine (no key set)"
 
 
 def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_named(tmp_path: Path) -> None:

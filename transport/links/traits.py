@@ -170,7 +170,10 @@ def traits_of(uri: str) -> LinkTraits:
     ours = _OURS.get(uri.partition(":")[0]) if ":" in uri else None
     found = _foreign(uri) if ours is None else ours(uri)
     keyed = key_file(uri)
-    return found if keyed is None else replace(found, keyed=True, commanders=f"holders of the key {keyed}")
+    if keyed is not None:
+        return replace(found, keyed=True, commanders=f"holders of the key {keyed}")
+    open_to_others = ours is not None and found.certificates is None and not found.one_process
+    return replace(found, commanders=f"{found.commanders} (no key set)") if open_to_others else found
 
 
 def scheme_of(uri: str) -> str:
