@@ -190,7 +190,10 @@ def _check_drawn(law: AgeLaw) -> NDArray[np.int64]:
 
 __all__ = ["check_answers", "check_controller", "check_law", "check_table"]
 
-RUNNING = {"selection": f"which row is applied: one of {', '.join(SELECTIONS)}", "rows": "a method that gives the rows of a slot"}
+RUNNING = {
+    "selection": f'which row of the packet is applied: "constant" where it has one, else one of {", ".join(SELECTIONS[1:])}',
+    "rows": "a method that gives the rows of a slot",
+}
 
 
 def check_controller(controller: Controller, model: LoopModel) -> list[str]:
