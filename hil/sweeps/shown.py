@@ -15,6 +15,7 @@ from hil.errors import unknown_name
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
+from hil.sweeps.axis import axis_for
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -121,6 +122,11 @@ def paint_distributions(groups: Mapping[str, Values], quantity: Quantity) -> Cal
             finite = np.sort(sample[np.isfinite(sample)])
             if finite.size:
                 axis.step(finite, np.arange(1, finite.size + 1) / finite.size, where="post", label=name)
+        kind = axis_for([values[quantity.name] for values in groups.values()])
+        if kind.log:
+            axis.set_xscale("log")
+        elif kind.asinh is not None:
+            axis.set_xscale("asinh", linear_width=kind.asinh)
         axis.set_xlabel(with_unit(quantity.title, quantity.unit))
         axis.set_ylabel("share of runs at or below")
         axis.set_ylim(0.0, 1.0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.measure.measure import Quantity
-from hil.pages.many_runs import CRUSHED, DECADES, Axis, _shares, axis_for, compare_page, parameter_page
+from hil.pages.many_runs import _shares, compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import grid, latin_hypercube
@@ -67,18 +67,6 @@ def test_an_experiment_far_off_takes_a_logarithmic_axis(outlier: float, logarith
     signed = {"a": columns(drawn - 10.5), "b": columns(drawn - outlier)}
     page = compare_page(Comparison(runs=30, values=signed, quantities=(SSE,)))
     assert ('"xAsinh":null' not in page) is logarithmic and '"xLog":true' not in page
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
-def test_an_axis_follows_its_values_whatever_their_unit(unit: float) -> None:
-    def axis(*groups: list[float]) -> Axis:
-        return axis_for([unit * np.array(group) for group in groups])
-
-    assert axis([11.0, 12.0], [350.0]) == Axis(log=True)
-    assert axis([1.0, 1.0], [float("nan")], [CRUSHED]) == axis() == axis([]) == axis([0.0, 0.0, 9e9]) == Axis()
-    assert axis([1.0, 1.0], [1.01 * CRUSHED]) == Axis(log=True)
-    assert axis([0.0, 1.0, 1.0], [1.01 * CRUSHED]).asinh == pytest.approx(unit)
-    assert axis([0.0, 1.0, 1.0], [2.0 * 10.0**9]).asinh == pytest.approx(2e9 * unit / DECADES)
 
 
 def test_a_share_of_runs_begins_at_0_and_ends_at_1_over_the_whole_axis() -> None:
