@@ -62,7 +62,9 @@ def as_svg(paint: Callable[[Figure], None]) -> str:
 
 
 Cell = str | float | int | None
-SIDE = 'style="text-align:{side};padding:2px 10px"'
+SIDE = "text-align:{side};padding:2px 10px"
+WHOLE = 26
+"""Characters of a cell that stay on one line: a number with its exponent, an interval, a name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,11 +90,9 @@ class Result:
         from html import escape  # its table of names is large
 
         said = "".join(f"<p><b>{escape(sentence)}</b></p>" for sentence in self.answer)
-        heads = "".join(f"<th {SIDE.format(side=_side(self.rows, i))}>{escape(c)}</th>" for i, c in enumerate(self.columns))
-        body = "".join(
-            "<tr>" + "".join(f"<td {SIDE.format(side=_side(self.rows, i))}>{_text(v)}</td>" for i, v in enumerate(row)) + "</tr>"
-            for row in self.rows
-        )
+        sides = [SIDE.format(side=_side(self.rows, i)) for i in range(len(self.columns))]
+        heads = "".join(f'<th style="{side}">{escape(head)}</th>' for side, head in zip(sides, self.columns))
+        body = "".join("<tr>" + "".join(map(_cell, sides, row)) + "</tr>" for row in self.rows)
         table = f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>" if self.rows else ""
         return f"<div><p>{escape(self.line)}</p>{said}{table}{as_svg(self.paint) if self.paint else ''}</div>"
 
@@ -152,6 +152,11 @@ def _text(value: Cell) -> str:
     from html import escape
 
     return escape(value) if isinstance(value, str) else f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+def _cell(side: str, value: Cell) -> str:
+    text = _text(value)
+    return f'<td style="{side}{";white-space:nowrap" if len(text) <= WHOLE else ""}">{text}</td>'
 
 
 def _side(rows: Sequence[Sequence[Cell]], column: int) -> str:

@@ -239,8 +239,16 @@ def test_a_chapter_that_is_none_is_answered_with_those_that_are() -> None:
 def test_words_of_a_cell_stand_at_the_left_and_numbers_at_the_right() -> None:
     cell = Result(line="a < b", columns=("name", "count", "mean"), rows=[("x", 3, None), ("<y>", 4, 1.0 / 3.0)]).html()
     table = cell[cell.index("<table>") :]
-    styles = {side: SIDE.format(side=side) for side in ("left", "right")}
-    heads = [f"<th {styles[side]}>{head}</th>" for side, head in (("left", "name"), ("right", "count"), ("right", "mean"))]
-    last = [f"<td {styles[side]}>{text}</td>" for side, text in (("left", "&lt;y&gt;"), ("right", "4"), ("right", "0.33333"))]
-    assert "".join(heads) in table and "".join(last) in table and f"<td {styles['right']}>-</td>" in table
+    sides = {side: SIDE.format(side=side) for side in ("left", "right")}
+    heads = [f'<th style="{sides[side]}">{head}</th>' for side, head in (("left", "name"), ("right", "count"), ("right", "mean"))]
+    kept = [
+        f'<td style="{sides[side]};white-space:nowrap">{text}</td>'
+        for side, text in (("left", "&lt;y&gt;"), ("right", "4"), ("right", "0.33333"), ("right", "-"))
+    ]
+    assert "".join(heads) in table and "".join(kept[:3]) in table and kept[3] in table
     assert "<p>a &lt; b</p>" in cell and "<table>" not in Result(line="a").html()
+
+
+def test_a_number_stays_on_one_line_and_a_sentence_folds() -> None:
+    cell = Result(line="", columns=("mean", "rule"), rows=[(-1.8489e-08, "a sentence that is longer than its column")]).html()
+    assert 'white-space:nowrap">-1.8489e-08<' in cell and cell.count("nowrap") == 1
