@@ -28,7 +28,7 @@ LATENESS: Final = (0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_0
 """Edges of the histogram of lateness, us."""
 GIVEN: Final = "given"
 """State that is the passivity observer, see `plants.omni.Omni`."""
-QUIET: Final = ("repeated", "sent", "delivered")
+QUIET: Final = ("repeated", "sent", "delivered", "none-yet")
 """Fates of packets that are no news."""
 
 

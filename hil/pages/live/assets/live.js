@@ -83,7 +83,7 @@ function showWords(run) {
   run.rests.hidden = !rests;
   if (run.rests.textContent !== `rests on${rests}`) run.rests.replaceChildren(text("summary", "rests on"), text("p", rests));
   const fates = Object.entries(now.fates).map(([topic, n]) =>
-    `${topic.endsWith("sc") ? "to the controller" : "to the actuator"}: ${Object.entries(n).map(([k, v]) => `${v} ${k}`).join(", ") || "nothing lost"}`);
+    `${topic.endsWith("sc") ? "to the controller" : "to the actuator"}: ${Object.entries(n).map(([k, v]) => `${v} ${k.replace("-", " ")}`).join(", ") || "nothing lost"}`);
   const t = now.timing;
   run.counters.textContent = [
     ...fates, `${now.changes} change${now.changes === 1 ? "" : "s"}`, `${now.refused} request${now.refused === 1 ? "" : "s"} refused`,

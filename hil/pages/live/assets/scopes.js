@@ -45,7 +45,8 @@ function makeScope(place, title, traces, view) {
   panel.append(at);
   place.append(panel);
   const scope = { traces, quiet: false, title };
-  const name = (trace) => (trace.topic === "/reference" ? `reference ${trace.field}` : traces.filter((t) => t.field === trace.field).length > 1 ?
+  const name = (trace) => (trace.topic === "/reference" ? `reference ${trace.field}` :
+    trace.topic === "/actuator/applied" && trace.field.startsWith("w_") ? `disturbance ${trace.field.slice(2)}` : traces.filter((t) => t.field === trace.field).length > 1 ?
     `${trace.field} ${trace.topic === "/network/sc" ? "to the controller" : trace.topic === "/network/ca" ? "to the actuator" : trace.topic === "/plant/measurement" ? "measured" : ""}`.trim() : trace.field);
   traces.forEach((trace) => { trace.label = name(trace); trace.title = title; });
   const axis = (size) => ({ stroke: () => css("--muted"), grid: { stroke: () => css("--line-soft"), width: 1 }, ticks: { stroke: () => css("--line") }, size,

@@ -202,3 +202,14 @@ def test_the_keyboard_alone_reaches_every_control_and_applies_a_change(page: Pag
     until(lambda: page.view()["draft"]["state"] == "ready", "the certificate")
     press("Enter", 13, "\r")
     until(lambda: page.view()["draft"]["state"] == "armed", "the change")
+
+
+def test_a_scope_names_an_input_and_its_disturbance_and_counts_no_slot_before_the_first_packet(
+    page: Page, browser: chromium.Page
+) -> None:
+    browser.open(page.url)
+    page.wish(do="step", slots=40)
+    shows(browser, "document.querySelector('main')?.innerText || document.body.innerText", "superseded")
+    shows(browser, "[...document.querySelectorAll('.u-legend')].map(each => each.textContent).join()", "disturbance voltage")
+    said = str(browser.evaluate("document.body.innerText"))
+    assert "w_voltage" not in said and "none-yet" not in said
