@@ -136,8 +136,8 @@ test-compiled: compiled ## the tests in virtual time with the loop compiled, in 
 	cd runs/compiled && PYTHONPATH=$$PWD $(CURDIR)/$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -p no:cacheprovider \
 	    -m "not realtime" $(PYTEST_ARGS) $(or $(TESTS),tests)
 
-pictures: $(INSTALLED) ## the pictures of the live page in README and guide, by Chromium
-	$(BIN)/python -m tests.pictures hil/guide
+pictures: $(INSTALLED) ## the pictures of README and guide, by Chromium
+	$(BIN)/python -m tests.pictures hil/guide README.png
 
 # Sphinx is wanted by nobody but this target: it is installed when it is first asked for.
 docs: $(INSTALLED) ## the guide as a site with a gallery of all experiments, in runs/docs

@@ -1,6 +1,7 @@
-"""The pictures of the live page in README and guide: ``python -m tests.pictures FOLDER`` makes them in Chromium.
+"""The pictures of README and guide, in Chromium: ``python -m tests.pictures FOLDER README.png``.
 
-What they show is done as the guide says it: a worse network, Apply, Push; one hand at two walls; a phone that watches.
+A report; and the live page, where what they show is done as the guide says it: a worse network, Apply, Push; one hand at two
+walls; a phone that watches.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from io import BytesIO
 from pathlib import Path
 from typing import Final
 
+import hil
 from tests.hil.pages import chromium
 from tests.hil.pages.live.test_live import Page, asked
 from tests.waiting import until
 
-COLOURS: Final = 128
+COLOURS: Final = 256
 WALLS: Final = ["allow_uncertified=true", "plant.hand={damping_n_s_per_m=2,stiffness_n_per_m=20}"]
 LATE: Final = {"kind": "constant", "age": 1}
 
@@ -58,9 +60,20 @@ def shown(browser: chromium.Page, slots: int) -> None:
     browser.evaluate("new Promise(go => setTimeout(go, 600))")
 
 
-def main(folder: str) -> int:
-    """Write the pictures into a folder."""
+def report(file: Path) -> None:
+    """Write the upper part of a run's page."""
+    with tempfile.TemporaryDirectory() as folder, chromium.Page(width=1400, height=900) as browser:
+        page, *_ = hil.report(hil.run("dc-motor-hinf"), output=Path(folder) / "page.html")
+        browser.open(page.as_uri())
+        until(lambda: browser.evaluate("document.querySelectorAll('canvas').length") > 2, "the plots")
+        browser.evaluate("new Promise(go => setTimeout(go, 600))")
+        take(browser, file, 1330)
+
+
+def main(folder: str, readme: str) -> int:
+    """Write the pictures of the live page into a folder, and the one of a report."""
     to = Path(folder)
+    report(Path(readme))
     with (
         runs(("dc-motor-local-fast", "dc-motor-hinf-fast"), ["allow_uncertified=true"]) as page,
         chromium.Page(width=1400, height=900) as browser, chromium.Page(width=390, height=800, dark=True) as phone,
@@ -88,4 +101,4 @@ def main(folder: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(*sys.argv[1:]))
