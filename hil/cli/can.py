@@ -92,7 +92,7 @@ def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, res
         ) as bus, can.Bus(interface, interface="socketcan", fd=flexible, ignore_config=True) as beside:  # fmt: skip
             said = f"its error frames: candump -e {interface},0:0,#FFFFFFFF"
             print(f"{interface} is a node of the bus {channel}; {said}", flush=True)
-            bridge(bus, beside, lambda: False)
+            bridge(bus, beside)
     except (can.CanError, OSError) as error:
         if str(error).startswith("hil:"):
             raise HilError(str(error).removeprefix("hil: ")) from error

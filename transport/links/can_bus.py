@@ -17,10 +17,8 @@ itself knows neither time nor errors: it hands a frame to the other programs on 
 from __future__ import annotations
 
 import select
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from transport.links.can_datagram import (
     BITRATE_SWITCH,
@@ -220,52 +218,33 @@ class HilBus(can.BusABC):
 
 
 _LOOK_S: Final = 0.1
-_AT_ONCE: Final = 64
 _TX_OVERFLOW: Final = 0x02  # CAN_ERR_CRTL_TX_OVERFLOW
 
 
-@dataclass(slots=True)
-class BridgeCounters:
-    """What passed.
+def bridge(bus: HilBus, interface: can.BusABC) -> NoReturn:
+    """Be the CAN controller of an interface, until an exception such as Ctrl-C's ends it.
 
-    Attributes:
-        to_bus, to_interface: frames.
-        errors: error frames, written onto the interface.
-        overflows: frames for which the transmit buffer had no room; each is an error frame too.
-        failed: frames that the interface did not take.
-    """
-
-    to_bus: int = 0
-    to_interface: int = 0
-    errors: int = 0
-    overflows: int = 0
-    failed: int = 0
-
-
-def bridge(bus: HilBus, interface: can.BusABC, stopped: Callable[[], bool]) -> BridgeCounters:
-    """Be the CAN controller of an interface until it is to stop.
+    A frame that finds no room in the transmit buffer is answered with an error frame; what the interface does not take is lost.
 
     Args:
         bus: joined with ``timed=True``, and with ``berr_reporting=True`` where every destroyed frame is to be an error frame.
         interface: a bus of python-can's ``socketcan``.
-        stopped: asked ten times a second, and behind every frame.
     """
-    counted = BridgeCounters()
     ready = select.poll()
     for each in (bus, interface):
         ready.register(each.fileno(), select.POLLIN)
-    while not stopped():
-        ready.poll(1000 * _LOOK_S)
-        for _ in range(_AT_ONCE):
-            sent, came = _received(interface), _received(bus)
-            if sent is not None and not sent.is_error_frame:
-                _to_bus(bus, interface, sent, counted)
-            if came is not None:
-                counted.errors += came.is_error_frame
-                _to_interface(interface, came, counted)
-            if (sent is None and came is None) or stopped():
-                break
-    return counted
+    while True:
+        sent, came = _received(interface), _received(bus)
+        if sent is not None and not sent.is_error_frame:
+            try:
+                bus.send(sent)
+            except can.CanOperationError:
+                full = bytes((0, _TX_OVERFLOW, 0, 0, 0, 0, 0, 0))
+                _to_interface(interface, can.Message(arbitration_id=CONTROLLER, is_error_frame=True, data=full))
+        if came is not None:
+            _to_interface(interface, came)
+        if sent is None and came is None:
+            ready.poll(1000 * _LOOK_S)
 
 
 def _received(bus: can.BusABC) -> can.Message | None:
@@ -274,20 +253,7 @@ def _received(bus: can.BusABC) -> can.Message | None:
     return None
 
 
-def _to_bus(bus: HilBus, interface: can.BusABC, sent: can.Message, counted: BridgeCounters) -> None:
-    try:
-        bus.send(sent)
-        counted.to_bus += 1
-    except can.CanOperationError:
-        counted.overflows += 1
-        full = bytes((0, _TX_OVERFLOW, 0, 0, 0, 0, 0, 0))
-        _to_interface(interface, can.Message(arbitration_id=CONTROLLER, is_error_frame=True, data=full), counted)
-
-
-def _to_interface(interface: can.BusABC, frame: can.Message, counted: BridgeCounters) -> None:
+def _to_interface(interface: can.BusABC, frame: can.Message) -> None:
     frame.is_extended_id = frame.is_extended_id and not frame.is_error_frame
-    try:
+    with suppress(can.CanError, OSError):
         interface.send(frame)
-        counted.to_interface += not frame.is_error_frame
-    except (can.CanError, OSError):
-        counted.failed += 1

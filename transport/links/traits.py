@@ -84,13 +84,12 @@ class CanFraming(Struct, frozen=True, kw_only=True):
     Args:
         base: first identifier, a multiple of 0x100.
         fd: CAN FD, or classic frames.
-        names_nodes, names_control: whether the URI itself says the identifiers of the nodes, and of the control packets.
+        names_nodes: whether the URI itself says the identifiers of the nodes.
     """
 
     base: int = BASE
     fd: bool = True
     names_nodes: bool = False
-    names_control: bool = False
 
     @property
     def frame_bytes(self) -> int:
@@ -163,7 +162,7 @@ def traits_of(uri: str) -> LinkTraits:
         TransportError: no such scheme, or a URI of another form than the scheme's.
 
     >>> traits_of("can:hil:rig0?base=0x200&fd=0").can
-    CanFraming(base=512, fd=False, names_nodes=False, names_control=False)
+    CanFraming(base=512, fd=False, names_nodes=False)
     >>> traits_of("zenoh:").can is None, traits_of("local:").in_process
     (True, True)
     """
@@ -220,8 +219,7 @@ def with_options(uri: str, options: Mapping[str, str]) -> str:
 def _can(uri: str) -> LinkTraits:
     _, address, options = split_uri(uri)
     framing = CanFraming(
-        base=base_of(uri, options), fd=options.get("fd", "1") == "1", names_nodes=bool(options.keys() & {"nodes", "ids"}),
-        names_control="control" in options,
+        base=base_of(uri, options), fd=options.get("fd", "1") == "1", names_nodes=bool(options.keys() & {"nodes", "ids"})
     )  # fmt: skip
     interface, _, channel = address.partition(":")
     commanders = on_can(interface, channel, hops=options.get("hop_limit", "0"))
