@@ -154,9 +154,27 @@ class Wall:
         return math.inf if self.force_limit_n is None else self.force_limit_n
 
     @property
+    def met(self) -> tuple[int, ...]:
+        """Indices of the materials that the avatar can come upon, in their order."""
+        if self.pattern is not None:
+            return tuple(sorted({patch.material for patch in self.pattern.patches}))
+        found, ahead = {self.material}, [self.material]
+        while self.chain is not None and ahead:
+            more = {j for j, chance in enumerate(self.chain[ahead.pop()]) if chance > 0.0} - found
+            found |= more
+            ahead += more
+        return tuple(sorted(found))
+
+    @property
     def touched(self) -> tuple[Material, ...]:
         """The materials that the avatar can come upon."""
-        return (self.materials[self.material],) if self.pattern is None and self.chain is None else self.materials
+        return tuple(self.materials[i] for i in self.met)
+
+    @property
+    def alike(self) -> bool:
+        """Whether a change of material moves no surface by the energy rule: what is touched stores alike."""
+        kinds = {(m.stiffness_n_per_m, (m.damping_n_s_per_m, m.spared_m_per_n) if self.spares else ()) for m in self.touched}
+        return len(kinds) == 1
 
     @property
     def passive(self) -> bool:
@@ -164,8 +182,7 @@ class Wall:
 
         The energy rule keeps it so; with the plain one only a wall of one stiffness is, or of one material.
         """
-        kinds = {(m.stiffness_n_per_m, (m.damping_n_s_per_m, m.spared_m_per_n) if self.spares else ()) for m in self.touched}
-        return self.switching == "energy" or len(kinds) == 1
+        return self.switching == "energy" or self.alike
 
     @property
     def spares(self) -> bool:

@@ -80,18 +80,24 @@ def certify_wall(
         "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
     }  # fmt: skip
     places = [(i, d) for i in range(len(wall.touched)) for d in delays]
-    radii = {f"{named(wall.touched[i])} at a delay of {d}": loop_radius(loop, i, d, sides, wall) for i, d in places}
-    where, radius = max(radii.items(), key=lambda item: item[1])
+    radii = [loop_radius(loop, i, d, sides, wall) for i, d in places]
+    where, radius = max(zip((f"{named(wall.touched[i])} at a delay of {d}" for i, d in places), radii), key=lambda item: item[1])
     details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
+    stays = [1.0 if wall.chain is None else wall.chain[i][i] for i in wall.met]  # probability, per slot; a hand may rest
+    linear, moment = wall.switching == "plain" or wall.alike, 0.0  # else the energy rule moves the surface
     if material_chain is not None:
-        moment = loop.jump_system(wall.touched, material_chain, sc, ca).radius()
-        details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies else radius < 1.0}
-        if varies and moment >= 1.0:
-            reason = f"in contact the second moment grows (radius {moment:.5g}) under the delays and materials of this loop"
-            return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
-    if not varies and radius >= 1.0:
+        inside = np.ix_(wall.met, wall.met)
+        moment = loop.jump_system(wall.touched, np.asarray(material_chain, dtype=np.float64)[inside], sc, ca).radius()
+        details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies and linear else radius < 1.0}
+        if varies and not linear:  # of the paths alone on which a material stays
+            alone = [loop.jump_system((m,), [[1.0]], sc, ca).radius() for m in wall.touched]
+            moment = max(stay * each for stay, each in zip(stays, alone))
+    if not varies and max(stays[i] * each**2 for each, (i, _) in zip(radii, places)) >= 1.0:
         reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.5g})"
         return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
+    if (varies or linear) and moment >= 1.0:
+        reason = f"in contact the second moment grows (radius {moment:.5g}) under the delays and materials of this loop"
+        return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
     needed = damping_needed(coupler, period_s, asked, varying=varies)
     moves = varies and is_passive_over(coupler, period_s, beta, *asked) and keeps_order(sc)
     held = [is_passive_over(coupler, period_s, beta, d) for d in delays]

@@ -48,6 +48,9 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     ca: DelayChain | int = loop.ca
     if controller.equalise:  # both ends wait for the largest delay that they have rows for, even if the law has none so large
         sc, ca = loop.model.tau_max, loop.model.d_max
+        if loop.sc.max_delay > sc:
+            late = f"samples come up to {loop.sc.max_delay} slots old, and the wall waits for {sc}: raise network.sc.max_age"
+            return undecided(loop, "passivity", f"{late}, or discard_older = {sc} in the law")
         needed, has = 1 + sc - int(loop.sc.delay.min()), packet_samples(controller)
         if has < needed:
             short = f"[controller] equalises delays of {loop.sc.delay.min()} to {sc} slots, which takes {needed} samples a packet"
@@ -87,7 +90,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     from design.passivity.loop import HeldDevice
     from design.passivity.model_following import contact_matrices
 
-    running, count = controller.start(loop.model), len(controller.wall.materials)
+    running, met = controller.start(loop.model), list(controller.wall.met)
     sc, ca = loop.sc.max_delay, loop.ca.max_delay  # what happens, however large the delays are that the controller is made for
 
     def radius(mass: float, damping: float, stiffness: float) -> float:
@@ -95,9 +98,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
             mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_mass_kg=mass, hand_damping_n_s_per_m=damping,
             hand_stiffness_n_per_m=port.stiffness + stiffness,
         )  # fmt: skip
-        found = contact_matrices(
-            running, device, period_s=loop.model.period_s, sc=sc, ca=ca, materials=count
-        )
+        found = contact_matrices(running, device, period_s=loop.model.period_s, sc=sc, ca=ca, materials=met[-1] + 1)[met]
         return float(np.abs(np.linalg.eigvals(found)).max())
 
     own = radius(0.0, 0.0, 0.0)

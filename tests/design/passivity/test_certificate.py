@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from design.controllers.rendered_wall import Coupler, wave_coupler
-from design.controllers.wall import Wall
-from design.controllers.wall_pattern import square_rows
+from design.controllers.wall import Contact, Material, Wall
+from design.controllers.wall_pattern import Patch, Pattern, square_rows
 from design.passivity.certificate import certify_wall
 from design.passivity.loop import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
@@ -81,3 +81,53 @@ def test_damping_of_the_hand_is_counted_and_named():
 
 def test_no_damping_at_all_is_not_certified():
     assert not certify(device=HeldDevice(mass_kg=1.0, damping_n_s_per_m=0.0)).certified
+
+
+SOFT_AND_HARD = (Material(stiffness_n_per_m=22.0), Material(stiffness_n_per_m=2140.0))
+IN_TURNS = ((0.0, 1.0), (1.0, 0.0))
+HELD = HeldDevice(mass_kg=0.5, damping_n_s_per_m=8.0, hand_stiffness_n_per_m=60.0)
+EIGHT = stiffest_coupler(range(3), period_s=PERIOD_S, damping_n_s_per_m=8.0).coupler
+HALF = Coupler(taps_m_per_n=tuple(0.5 * tap for tap in EIGHT.taps_m_per_n))
+
+
+def settles(wall: Wall, sc: int) -> bool:
+    """Whether the held device comes to rest under a constant push, its position late by sc and its force by 1."""
+    A, B = HELD.discretise(PERIOD_S)
+    contact, x, seen, forces = Contact(wall, PERIOD_S, 0), np.zeros(2), [0.0] * 9, [0.0] * 20
+    places = []
+    for k in range(1500):
+        contact.change(k % 2)
+        seen = [float(x[0]), *seen[:-1]]
+        past = sum(tap * f for tap, f in zip(HALF.taps_m_per_n[1:], forces))
+        forces = [contact.press(seen[sc] - past, HALF.taps_m_per_n[0]), *forces[:-1]]
+        x = A @ x + B * (5.0 - forces[1])
+        places.append(float(x[0]))
+    return float(np.std(places[-300::2])) < 1e-6
+
+
+@pytest.mark.parametrize("sc", [1, DelayChain(transition=[[0.5, 0.5], [0.5, 0.5]], delays=[0, 1])])
+def test_contacts_that_never_last_and_surfaces_that_move_refuse_nothing(sc):
+    """A hard material that is there for a slot at a time does not throw the hand off, where the energy rule moves its surface."""
+    wall = {rule: Wall(materials=SOFT_AND_HARD, switching=rule, chain=IN_TURNS) for rule in ("energy", "plain")}
+    found = {
+        rule: certify(device=HELD, coupler=HALF, sc=sc, ca=1, wall=own, material_chain=IN_TURNS) for rule, own in wall.items()
+    }
+    assert found["energy"].state == "undecided" and "misses the condition" in found["energy"].reason
+    assert found["plain"].state == "refused" and found["plain"].number > 1.0
+    assert [settles(wall["energy"], late) for late in (0, 1)] == [True, True] and not settles(wall["plain"], 1)
+    stays = Wall(materials=SOFT_AND_HARD, chain=((0.5, 0.5), (0.001, 0.999)))
+    assert certify(device=HELD, coupler=HALF, sc=sc, ca=1, wall=stays, material_chain=stays.chain).state == "refused"
+
+
+def test_a_material_that_is_never_met_decides_nothing():
+    for never, there in (
+        ({"chain": ((1.0, 0.0), (0.001, 0.999))}, {"chain": ((0.5, 0.5), (0.0, 1.0))}),
+        ({"pattern": square(0)}, {"pattern": square(1)}),
+    ):
+        walls = [Wall(materials=SOFT_AND_HARD, **which) for which in (never, there)]
+        found = [certify(device=HELD, coupler=HALF, sc=1, ca=1, wall=wall, material_chain=wall.chain) for wall in walls]
+        assert [verdict.state for verdict in found] == ["undecided", "refused"]
+
+
+def square(material):
+    return Pattern(width_m=1.0, height_m=1.0, patches=(Patch(y_m=0.0, z_m=0.0, width_m=1.0, height_m=1.0, material=material),))

@@ -105,3 +105,23 @@ def test_ends_that_have_too_few_samples_to_equalise_are_not_certified():
         found = compose(experiment_of("omni-wifi", controller=own, allow_uncertified=True)).verdict
         assert found.state == state, found.reason
     assert "takes 5 samples a packet; it has 4" in found.reason
+
+
+def test_ends_that_equalise_and_do_not_wait_for_what_comes_later_are_not_certified():
+    """Packets are up to 4 slots old, and the wall waits for 2 or for 4."""
+    late = "network.sc.law={kind='packet',latency={dist='uniform',loc='15 ms',scale='25 ms'}}"
+    back = "network.ca={max_age=2,law={kind='constant',age=2}}"
+    found = verdict(late, back, "network.sc.max_age=2", name="omni-wifi")
+    assert found.state == "undecided" and "samples come up to 4 slots old, and the wall waits for 2" in found.reason
+    assert verdict(late, back, "network.sc.max_age=4", name="omni-wifi").certified
+
+
+def test_a_material_that_is_never_met_decides_nothing_of_model_following():
+    """Row 0 alone runs where one material is touched; pulling on another one, it pulls nobody."""
+    asked = experiment_of("omni-push", controller={"kind": "model-following"}, allow_uncertified=True)
+    loop = compose(asked)
+    own = loop.controller
+    assert own.wall.met == (own.wall.material,) == (0,)
+    pulls = tuple(row if i == 0 else tuple(-30.0 * each for each in row) for i, row in enumerate(own.feedback))
+    found = compose(experiment_of("omni-push", controller=replace(own, feedback=pulls), allow_uncertified=True)).verdict
+    assert found.details["spectral_radius"] == loop.verdict.details["spectral_radius"]
