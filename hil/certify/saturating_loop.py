@@ -83,6 +83,8 @@ def ends_from_anywhere(
         return verdict
     if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
         return verdict
+    if loop.sc.holds.any() or loop.ca.holds.any():  # what is held has no largest age
+        return verdict
     from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean, integrator
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C

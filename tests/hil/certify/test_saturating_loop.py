@@ -104,6 +104,18 @@ def test_later_networks_end_further() -> None:
     assert far["angle"] > near["angle"] + 3 * 0.05 * 48.85 * 0.058
 
 
+@pytest.mark.parametrize("side", ["network.sc", "network.ca"])
+def test_a_loop_that_holds_what_it_had_for_any_time_ends_nowhere_surely(side: str) -> None:
+    """In a burst of losses it leaves every bound; a clock of the sensor alone makes samples older than the law's ages."""
+    lossy = {"kind": "packet", "latency": "5 ms", "loss": 0.5}
+    changes: dict[str, Any] = {"controller": {"kind": "local", "gain": [[-0.05]]}}
+    loop = compose(load_experiment("dc-motor-hinf-friction", **CALM | changes | {f"{side}.max_age": 1, f"{side}.law": lossy}))
+    found = verdict_of(loop)
+    assert found.state == "undecided" and "ends_surely_within" not in found.details and "surely" not in found.reason
+    clock = {"network.nodes.sensor": {"outputs": ["angle"], "clock": {"every": 4}}}
+    assert "surely" not in hinf(**changes, **clock).reason
+
+
 class Takes(DCMotor):
     """Says that it saturates, and takes a tenth of what is beyond its limit."""
 
