@@ -109,7 +109,7 @@ class NewestSample:
         # One node that measures the outputs in their order: the beginning of its packet is what the control law takes.
         self._whole = sensors[0].outputs == tuple(range(outputs))
         self._width = outputs * loop.samples
-        self._outputs = [s.outputs for s in sensors]
+        self._places = [[i * outputs + output for i in range(loop.samples) for output in s.outputs] for s in sensors]
         self._sampled_ns = [-1] * len(sensors)
         self._y: tuple[float, ...] = (0.0,) * self._width
         self.sample_ns = -1
@@ -128,8 +128,8 @@ class NewestSample:
 
     def _with(self, node: int, y: tuple[float, ...]) -> tuple[float, ...]:
         known = list(self._y)
-        for output, value in zip(self._outputs[node], y):
-            known[output] = value
+        for place, value in zip(self._places[node], y):
+            known[place] = value
         return tuple(known)
 
     def rows(self, k: int) -> Rows:

@@ -14,6 +14,7 @@ from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows,
 from design.historical_data.cost_bounds import CostMoments, cost_moments
 from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
+from hil.api.experiment_source import load_experiment as experiment_of
 from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import compose
 from hil.design_questions.historical_bounds import judge_historical
@@ -289,6 +290,24 @@ def test_a_controller_of_one_sensor_is_served_by_several_nodes() -> None:
     take(3, 7, 4.0)
     received.rows(10)
     assert newest.reported == [(10, 3, (1.0, 2.0, 3.0, 4.0))] and received.sample_ns == 9 * 50_000_000
+
+
+def test_every_sample_of_a_packet_is_put_in_the_order_of_the_outputs() -> None:
+    """One node that measures the outputs in another order: its loop is that of the outputs in their order."""
+
+    def last(*outputs: str) -> list[float]:
+        plant = {"kind": "state-space", "A": [[-1.0, 1.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+        law = {"kind": "send-all", "selection": "constant", "samples": 2, "gains": [[[[-1.0, 0.5, 0.7, -0.9]]]]}
+        here = {"max_age": 0, "law": {"kind": "constant", "age": 0}}
+        only = {"outputs": list(outputs), "buffer": 3}
+        run = simulate(compose(experiment_of(
+            "dc-motor-h2", duration="1 s", limits={}, reference=[], disturbance=[], allow_uncertified=True, controller=law,
+            plant=plant | {"initial_state": [1.0, 2.0]}, **{"network.sc": here, "network.ca": here, "network.nodes.only": only},
+        )), 0, ["/plant/state"])  # fmt: skip
+        states = run.arrays["/plant/state"]
+        return [float(states[name][-1]) for name in ("x1", "x2")]
+
+    assert last("y2", "y1") == last("y1", "y2") != [0.0, 0.0]
 
 
 def test_a_controller_knows_what_has_arrived_newest_first_and_no_more_than_it_asked_for() -> None:
