@@ -52,16 +52,20 @@ class Chains(Struct, frozen=True, kw_only=True):
 
     def initial(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
         """Return the distributions of the modes of both chains in slot 0, None where a law has no chain."""
-        ca, known = self.applied.states, [way.states.initial for way in self.arriving if way.states is not None]
-        if ca is None or len(known) < len(self.arriving):
-            return None
-        from design.processes.delay_chain import kron_of
-
-        return kron_of(known), ca.initial
+        sc, ca = begun(self.arriving), begun((self.applied,))
+        return None if sc is None or ca is None else (sc, ca)
 
     def neglects(self) -> str:
         """Return what the chains leave out, in words; empty where they are exact."""
         return next(filter(None, (way.neglects() for way in (*self.arriving, self.applied))), "")
+
+
+def begun(ways: Sequence[Received]) -> NDArray[np.float64] | None:
+    """Return the distribution of the modes of some laws together in slot 0, None where one of them has no chain."""
+    from design.processes.delay_chain import kron_of
+
+    known = [way.states.initial for way in ways if way.states is not None]
+    return kron_of(known) if len(known) == len(ways) else None
 
 
 def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from math import gcd
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -21,7 +23,8 @@ from design.controllers import (
 )
 from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
-from hil.rig.delay_chains import Chains, within_reach
+from hil.rig.delay_chains import Chains, begun, within_reach
+from hil.rig.packet_ages import Received
 from hil.rig.received_ages import BANDS, received_ages, recorded_cycle
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import NetworkLaw, RecordedLaw
@@ -58,16 +61,14 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         model: what it knows of the loop.
     """
     if can_bus_of(rig) is not None:
-        return _over_bus(rig, controller, model)
-    sc, ca, begun, unmet = chains.sc, chains.ca, chains.initial(), ""
-    if sc is not None and ca is not None:
-        if begun is not None:
-            modes = sc.modes, ca.modes
-            sc, ca = within_reach(sc, begun[0]), within_reach(ca, begun[1])
-            if (sc.modes, ca.modes) != modes:
-                never = sum(modes) - sc.modes - ca.modes
-                unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
-        return LoopChains(sc, ca, unmet, "")
+        return _over_bus(rig, chains, controller, model)
+    sc = None if chains.sc is None else _begins(chains.sc, chains.arriving)
+    ca = None if chains.ca is None else _begins(chains.ca, (chains.applied,))
+    unmet, drawn = "", (sc is not None, ca is not None)
+    if sc is not None and ca is not None and chains.sc is not None and chains.ca is not None:
+        if never := chains.sc.modes + chains.ca.modes - sc.modes - ca.modes:
+            unmet = f"the network begins as its laws state: it never comes to {never} of their modes"
+        return LoopChains(*_in_phase(sc, ca, drawn), unmet, "")
     if sojourns_distinguished(controller) or (ca is None and row_sojourns_distinguished(controller) > 1):
         return LoopChains(sc, ca, "", chains.why_none)
     if ca is None:
@@ -76,18 +77,36 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         ca, why = _recorded(rig.ca_law)
         if ca is None:
             return LoopChains(sc, None, "", f"the law of network.ca {why}")
-    elif chains.applied.states is not None:
-        ca = within_reach(ca, chains.applied.states.initial)
     if sc is None:
         distinguished = _distinguished(controller, model)
         found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
         if isinstance(found, str):
             return LoopChains(None, ca, "", found)
-        return LoopChains(*settled(found, ca), "", "", *_slack(rig))
-    return LoopChains(*settled(sc, ca), "", "")
+        return LoopChains(*settled(*_in_phase(found, ca, drawn)), "", "", *_slack(rig))
+    return LoopChains(*settled(*_in_phase(sc, ca, drawn)), "", "")
 
 
-def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopChains:
+def _begins(chain: DelayChain, ways: Sequence[Received]) -> DelayChain:
+    """The modes that the chain of some laws comes to, and in which of them it begins."""
+    first = begun(ways)
+    return chain if first is None else within_reach(replace(chain, begins=first > 0.0), first)
+
+
+def _in_phase(sc: DelayChain, ca: DelayChain, drawn: tuple[bool, bool]) -> tuple[DelayChain, DelayChain]:
+    """Both chains; those that are drawn may be in any mode, unless both repeat, so that only some pairs of modes come about.
+
+    Args:
+        sc, ca: the chains.
+        drawn: of each whether a law draws it.
+    """
+    from design.jump_linear.periodic_chain import cyclic_classes
+
+    if gcd(*(len(cyclic_classes(chain.bounds[1])) for chain in settled(sc, ca))) > 1:
+        return sc, ca
+    return replace(sc, begins=None) if drawn[0] else sc, replace(ca, begins=None) if drawn[1] else ca
+
+
+def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel) -> LoopChains:
     """The chains of all ages that a CAN bus with time leaves possible."""
     by_stay = sojourns_distinguished(controller) or row_sojourns_distinguished(controller) > 1
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or by_stay:
@@ -95,7 +114,10 @@ def _over_bus(rig: RigSpec, controller: Controller, model: LoopModel) -> LoopCha
     found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
     if found is None or isinstance(found, str):
         return LoopChains(None, None, "", found or "")
-    return LoopChains(*settled(*found), "", "")
+    sc, ca = found
+    if ca.begins is None:  # control packets travel elsewhere
+        return LoopChains(*settled(*_in_phase(sc, _begins(ca, (chains.applied,)), (False, True))), "", "")
+    return LoopChains(*settled(sc, ca), "", "")
 
 
 def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Sequence[int]) -> str:

@@ -10,17 +10,19 @@ from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
+from hil.runtime.virtual import simulate
 
 CALM = {"kind": "constant", "age": 0}
 TWO_CLASSES = [[1.0, 0.0], [0.0, 1.0]]
 TRANSIENT = [[1.0, 0.0], [0.5, 0.5]]
+SWAPS = [[0.0, 1.0], [1.0, 0.0]]
 
 
 def verdict(**links: Any) -> Verdict:
     plant = {"kind": "state-space", "A": [[2.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
     controller = {"kind": "send-all", "selection": "constant", "gains": [[[[-6.0]]], [[[0.0]]]]}
-    changes = {"plant": plant, "controller": controller, "limits": {}, "reference": [], "disturbance": [], **links}
-    loop = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"network.ca.law": CALM}, **changes))
+    changes = {"plant": plant, "controller": controller, "limits": {}, "reference": [], "disturbance": []}
+    loop = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"network.ca.law": CALM} | changes | links))
     assert loop.verdict is not None
     return loop.verdict
 
@@ -56,3 +58,28 @@ def test_a_design_and_a_verdict_name_what_keeps_the_network_from_having_a_chain(
         assert found is not None and (found.state == "undecided") == (cause in found.reason) == ("trigger" in cause)
     except ExperimentError as error:
         pytest.fail(str(error))
+
+
+def test_modes_that_are_never_met_decide_nothing_beside_a_recording() -> None:
+    law = {"kind": "markov", "allow_absorbing": True, "matrix": TWO_CLASSES, "initial": [1.0, 0.0]}
+    recorded = {"kind": "trace", "ages": [0]}
+    assert verdict(**{"network.sc.law": law, "network.ca.law": recorded}).certified
+    other = law | {"initial": [0.5, 0.5]}
+    assert verdict(**{"network.sc.law": other, "network.ca.law": recorded}).state == "refused"
+
+
+@pytest.mark.parametrize("back", [{"kind": "markov", "matrix": SWAPS, "initial": [1.0, 0.0]}, {"kind": "trace", "ages": [0, 1]}])
+def test_two_laws_that_repeat_keep_their_phase(back: dict[str, Any]) -> None:
+    """Both ages take turns: together, the tables of age 0 act alone, as the run shows; apart, those of age 1."""
+    plant = {"kind": "state-space", "A": [[1.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
+    gains = [[[[-6.0]], [[-6.0]]], [[[50.0]], [[50.0]]]]
+    laws: dict[str, Any] = {"network.sc.max_age": 1, "network.ca.max_age": 1, "network.ca.law": back}
+    laws |= {"plant": plant, "controller": {"kind": "send-all", "selection": "applied", "gains": gains}, "duration": "5 s"}
+    for first, state in (([1.0, 0.0], "certified"), ([0.0, 1.0], "refused"), ("stationary", "refused")):
+        law = {"kind": "markov", "matrix": SWAPS, "initial": first}
+        changes = {"limits": {}, "reference": [], "disturbance": [], "allow_uncertified": True}
+        loop = compose(load_experiment("dc-motor-h2", **{"network.sc.law": law}, **laws, **changes))
+        assert loop.verdict is not None and loop.verdict.state == state, (first, loop.verdict.reason)
+        if first != "stationary":
+            x = simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"]
+            assert (abs(x[-1]) < 1e-3) == (state == "certified")
