@@ -48,8 +48,8 @@ def judge(
     """
     problem = _problem(experiment, rig, chains, controller, model, selection)
     verdict = certify(problem)
-    if verdict.state == "undecided" and problem.sc is not None and (silent := never_received(problem.sc, rig)):
-        verdict = replace(verdict, reason=f"{verdict.reason}; {silent}")
+    if problem.sc is not None and (silent := never_received(problem.sc, rig)):
+        verdict = _unanswered(problem, verdict, silent)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
         drawn, assumed = own_laws(rig)
@@ -61,6 +61,14 @@ def judge(
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
     _allow(experiment, verdict)
     return verdict, watched
+
+
+def _unanswered(problem: CertificationProblem, verdict: Verdict, silent: str) -> Verdict:
+    """Return the verdict on a loop with a node of which nothing comes: until something does, the input is 0."""
+    if verdict.state == "refused" and np.abs(np.linalg.eigvals(problem.motion.A)).max() <= 1.0:
+        reason = f"{verdict.reason} if the controller answered; {silent}, and until then it answers zeros"
+        return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+    return replace(verdict, reason=f"{verdict.reason}; {silent}") if verdict.state == "undecided" else verdict
 
 
 def _not_compared(plant: Plant) -> str:

@@ -158,10 +158,16 @@ def received_ages(
 
 def never_received(chain: DelayChain, rig: RigSpec) -> str:
     """Return which node's samples never come to the controller, and why; empty: of each node some come."""
-    held = chain.held_outputs(len(rig.outputs))
-    for sensor in rig.sensors:
+    lasts, follows = np.zeros(chain.modes, dtype=np.bool_), chain.bounds[1] > 0.0
+    after = ~lasts
+    while not np.array_equal(lasts, after):  # the modes of the first slots, to which none leads, say nothing
+        lasts, after = after, after & follows[after].any(axis=0)
+    held = chain.held_outputs(len(rig.outputs))[lasts]
+    for n, sensor in enumerate(rig.sensors):
         if held[:, list(sensor.outputs)].all():
-            return f"no sample of {sensor.path} ever comes to the controller: on its medium others send in every slot"
+            shared = any(n in medium.nodes for medium in rig.media)
+            cause = "on its medium others send in every slot" if shared else "none is in time under its law"
+            return f"no sample of {sensor.path} ever comes to the controller: {cause}"
     return ""
 
 

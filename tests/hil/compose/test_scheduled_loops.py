@@ -17,6 +17,7 @@ from design.jump_linear.mjls import MJLS
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.rig.loop_chains import settled
+from hil.runtime.virtual import simulate
 from tests.hil.compose.random_scheduled_loops import FAMILIES, clocked, composed, constant, experiment, grown, smith, table
 
 NEAR = 0.02
@@ -109,6 +110,21 @@ def test_a_node_that_never_gets_the_bus_is_named() -> None:
     unstable = plant | {"A": [[1.0, 0.0], [0.0, -2.0]], "B": [[0.0], [1.0]]}  # no input reaches it, whatever is held
     verdict = composed(made | {"plant": unstable, "network.media": {"bus": bus}}).verdict
     assert verdict is not None and verdict.state == "refused" and verdict.number is not None and verdict.number > 1.05
+
+
+@pytest.mark.parametrize("by_nodes", [False, True])
+def test_a_loop_that_waits_for_a_node_for_ever_is_not_refused(by_nodes: bool) -> None:
+    """The controller answers zeros until every node was heard: what it would do to the plant never happens."""
+    plant = {"kind": "state-space", "A": [[-1.0, 0.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+    controller: dict[str, Any] = {"kind": "local", "gain": [[50.0, 0.0]]}
+    if by_nodes:
+        controller = {"kind": "send-all", "selection": "constant", "ages": [1, 1], "gains": [[[[50.0, 0.0]]]]}
+    made = experiment(np.random.default_rng(0), plant | {"initial_state": [1.0, 1.0]}, controller=controller)
+    made["network.nodes"]["n1"]["law"] = {"kind": "packet", "latency": "90 ms", "discard_older": 0}
+    loop = composed(made)
+    assert loop.verdict is not None and loop.verdict.state == "undecided", loop.verdict
+    assert "no sample of network.nodes.n1 ever comes to the controller: none is in time under its law" in loop.verdict.reason
+    assert np.abs(simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"][-1]) < 1e-3
 
 
 @pytest.mark.parametrize(
