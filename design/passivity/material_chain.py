@@ -128,7 +128,11 @@ def paced_chain(
     return whole, [m for _ in step for m in range(materials)]
 
 
-def true_chain(pattern: Pattern, materials: int, step_m: float, *, directions: int = 64, points: int = 200) -> Array:
+DIRECTIONS, POINTS = 64, 200
+"""Midpoints over the circle, and over each side of the cell."""
+
+
+def true_chain(pattern: Pattern, materials: int, step_m: float) -> Array:
     """Return the exact one-step matrix of a uniformly placed point that moves step_m in a uniformly random direction.
 
     By the midpoint rule over directions and places: it shows how far the linear law of `material_chain` holds.
@@ -137,13 +141,12 @@ def true_chain(pattern: Pattern, materials: int, step_m: float, *, directions: i
         pattern: the cell.
         materials: N.
         step_m: nu T in m.
-        directions, points: midpoints over the circle, and over each side of the cell.
     """
-    y = (np.arange(points) + 0.5) * pattern.width_m / points
-    z = (np.arange(points) + 0.5) * pattern.height_m / points
+    y = (np.arange(POINTS) + 0.5) * pattern.width_m / POINTS
+    z = (np.arange(POINTS) + 0.5) * pattern.height_m / POINTS
     here = _materials_at(pattern, *np.meshgrid(y, z))
     joint = np.zeros((materials, materials))
-    for angle in (np.arange(directions) + 0.5) * (2.0 * np.pi / directions):
+    for angle in (np.arange(DIRECTIONS) + 0.5) * (2.0 * np.pi / DIRECTIONS):
         there = _materials_at(pattern, *np.meshgrid(y + step_m * np.cos(angle), z + step_m * np.sin(angle)))
         np.add.at(joint, (here, there), 1.0)
     return np.asarray(joint / joint.sum(axis=1, keepdims=True))

@@ -188,17 +188,16 @@ def _has_fileno(stream: object) -> bool:
     return True
 
 
-def end_all(children: Sequence[Endable], grace_s: float = GRACE_S, now_ns: Callable[[], int] = monotonic_ns) -> None:
-    """End processes: SIGTERM to all, one grace for all of them together, SIGKILL to what is left.
+def end_all(children: Sequence[Endable], now_ns: Callable[[], int] = monotonic_ns) -> None:
+    """End processes: SIGTERM to all, `GRACE_S` for all of them together, SIGKILL to what is left.
 
     Args:
-        children: the processes; those that have ended already are joined.
-        grace_s: time that all of them share, s. One whose turn comes after it has `LAST_LOOK_S` left.
+        children: the processes; those that have ended already are joined. One whose turn comes late has `LAST_LOOK_S` left.
         now_ns: a monotonic clock.
     """
     for child in children:
         child.terminate()
-    limit = now_ns() + round(grace_s * 1e9)
+    limit = now_ns() + round(GRACE_S * 1e9)
     for child in children:
         if not child.wait(max((limit - now_ns()) / 1e9, LAST_LOOK_S)):
             child.kill()
