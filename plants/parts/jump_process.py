@@ -47,17 +47,16 @@ class JumpProcess:
 
     Args:
         rates: the transition rates.
-        mode: mode at the start, counted from 1.
+        mode: mode at time 0, where the sojourn clock is 0 too; counted from 1.
         rng: all randomness.
-        now_ns: instant of the start; the sojourn clock is 0 there.
     """
 
     __slots__ = ("_hazards", "_rates", "_rng", "_target", "mode", "next_ns", "since_ns")
 
-    def __init__(self, rates: TransitionRates, mode: int, rng: np.random.Generator, now_ns: int = 0) -> None:
+    def __init__(self, rates: TransitionRates, mode: int, rng: np.random.Generator) -> None:
         self._rng = rng
         self.mode = mode
-        self.since_ns = now_ns
+        self.since_ns = 0
         self._target = 0.0
         self._load(rates)
         self._draw()

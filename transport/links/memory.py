@@ -35,8 +35,8 @@ class MemoryLink(Closing):
 
     __slots__ = ("_arrived", "_closed", "_queue", "_waiting", "counters", "peer", "uri")
 
-    def __init__(self, uri: str = "memory:") -> None:
-        self.uri = uri
+    def __init__(self) -> None:
+        self.uri = "memory:"
         self.counters = LinkCounters()
         self.peer: MemoryLink | None = None
         self._queue: deque[bytes] = deque()
