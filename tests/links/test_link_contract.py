@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.ports import free_port
-from transport import Link, memory_pair, open_link
+from transport import Link, TransportError, memory_pair, open_link
 from transport.links.contract import CHECKS, Pair, check_clause
 
 
@@ -53,3 +53,11 @@ def pair(template: str, directory: Path) -> Pair:
 def test_link_keeps_the_contract(template: str, check: Callable[[Link, Link], None], bus_directory: Path) -> None:
     check_clause(check, lambda: pair(template, bus_directory))
     assert not (bus_directory / "contract").exists() or os.listdir(bus_directory / "contract") == []
+
+
+@multicast
+def test_another_port_of_a_multicast_group_is_another_bus() -> None:
+    port = free_port()
+    one, other = (f"can:udp_multicast:239.74.163.2?port={each}" for each in (port, port - 1))
+    with open_link(one, "rig"), open_link(other, "rig"), pytest.raises(TransportError, match="is another rig running there"):
+        open_link(one, "rig")

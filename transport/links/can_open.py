@@ -75,7 +75,8 @@ def open_can(uri: str, role: Role) -> CanLink:
     if interface == "socketcan":
         _check_interface(uri, channel, flexible)
     with ExitStack() as held:  # until the link holds them
-        at, choose = ("can", interface, str(_world(interface)), channel), "another channel or base"
+        port = str(arguments.get("port", ""))  # on another port of a multicast group is another bus
+        at, choose = ("can", interface, str(_world(interface)), channel, port), "another channel or base"
         claims = [held.enter_context(Claim(uri, role, *at, own[0], choose=choose)) for own in accepted]
         try:
             link = CanLink(uri, role, join, identifiers=identifiers, fd=flexible, pad=pad == "1", claims=claims)
