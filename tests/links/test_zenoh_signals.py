@@ -1,4 +1,4 @@
-"""Named signals over zenoh: what a subscriber of ten lines reads is what is logged."""
+"""Named signals over zenoh: what a subscriber of ten lines reads is what is logged, by our reader of CDR and by another."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 import zenoh
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hil.log.records import Field, Schema
 from tests.ports import free_port
@@ -45,6 +46,8 @@ def test_the_subscriber_of_the_guide_reads_values_by_name() -> None:
         session = subscriber(endpoint)
         try:
             watching = guide_watch()(session, name="arm", show=seen.put)
+            bare: SimpleQueue[bytes] = SimpleQueue()
+            also = session.declare_subscriber("hil/arm/signals/**", lambda sample: bare.put(sample.payload.to_bytes()))
             payload = SCHEMA.pack(1.25, 1)
             for _ in range(round(LIMIT_S / 0.05)):  # until the declaration has come to the publisher
                 put(50_000_000, payload)
@@ -56,7 +59,13 @@ def test_the_subscriber_of_the_guide_reads_values_by_name() -> None:
             assert found == {"angle": 1.25, "late": 1}
             (reply,) = session.get("hil/arm/signals/schemas")
             assert json.loads(reply.ok.payload.to_string()) == {TOPIC: {"schema": SCHEMA.name, "text": SCHEMA.text}}
+            store = get_typestore(Stores.EMPTY)
+            store.register(get_types_from_msg(SCHEMA.text, SCHEMA.name))
+            put(100_000_000, payload)
+            message: Any = store.deserialize_cdr(bare.get(timeout=LIMIT_S), SCHEMA.name)  # a reader that knows nothing of ours
+            assert (message.angle, message.late) == (1.25, 1)
             watching.undeclare()
+            also.undeclare()
             with pytest.raises(LookupError, match="arm publishes no /plnt/x; it publishes /plant/measurement"):
                 guide_watch()(session, "/plnt/x", "arm")
             with pytest.raises(LookupError, match=r"rig7 publishes no .*nothing: does it run"):
