@@ -64,11 +64,23 @@ def new(
             new.write_text(text, encoding="utf-8")
     print("\n".join(f"wrote {visible(str(path))}" for path in texts))
     if language is not None:
-        print(f"\n  how to start it: {visible(str(next(iter(texts))))}, its first lines")
+        commands = _starts(next(iter(texts)), language, experiment, kind or "can", keyed)
+        print("\n" + "\n".join(f"  {visible(line)}" for line in commands))
         return
     print(f"\n  hil run {visible(str(folder / f'{module}.toml'))}\n  pytest {visible(str(folder / f'test_{module}.py'))}")
     if part != "experiment":
         print(f"  hil guide first-plugin   # what each line of {module}.py is for")
+
+
+def _starts(path: Path, language: str, experiment: str, kind: str, keyed: bool) -> list[str]:
+    """Return the commands that start a program and its rig."""
+    at = "tcp/127.0.0.1:7447" if kind == "zenoh" else "vcan0" if language == "c" else "rig0"
+    uri = f"zenoh:{at}" if kind == "zenoh" else f"can:{'socketcan' if language == 'c' else 'hil'}:{at}"
+    folder, stem = path.parent, path.stem
+    compiled = [f"cc -std=c99 -O2 -o {folder / stem} {path} {folder / 'hilrig.c'}"] if language == "c" else []
+    start = f"{'./' if folder == Path() else ''}{folder / stem}" if language == "c" else f"python {path}"
+    end = f"# with the key: the first lines of {path}" if keyed else "# in another terminal"
+    return [*compiled, f"hil rig {experiment} --link {uri}", f"{start} {at}   {end}"]
 
 
 def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> dict[str, str]:

@@ -159,7 +159,7 @@ def test_commands_on_a_log_run_one_after_the_other(tmp_path: Path, monkeypatch: 
 
 def test_names_in_the_text_exist() -> None:
     for name, text in TEXT.items():
-        used = set(re.findall(r"`hil ([a-z]+)", text))
+        used = set(re.findall(r"`hil ([a-z-]+)", text))
         assert used <= set(COMMANDS), name
         found = set(re.findall(r"\b(?:dc-motor|vtol|smjls)-[a-z0-9-]+[a-z0-9]\b", text))
         assert found - {"dc-motor-hinf-virtual-seed0", "dc-motor-hinf-live-seed0"} <= set(shipped()), name

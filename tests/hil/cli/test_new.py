@@ -124,3 +124,20 @@ def test_the_name_of_an_experiment_becomes_no_line_of_a_program(language: str, c
     else:
         words = ["cc", "-std=c99", "-Wall", "-Werror", "-fsyntax-only", "-I", "hostile", "hostile/mine.c", "hostile/hilrig.c"]
         assert subprocess.run(words, capture_output=True).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--language python", ("hil rig dc-motor-hinf --link can:hil:rig0", "python drive.py rig0   # in another terminal")),
+        ("--language python --link zenoh", ("--link zenoh:tcp/127.0.0.1:7447", "python drive.py tcp/127.0.0.1:7447 ")),
+        ("--language c", ("cc -std=c99 -O2 -o drive drive.c hilrig.c", "--link can:socketcan:vcan0", "./drive vcan0 ")),
+        ("--language c --keyed", ("./drive vcan0   # with the key: the first lines of drive.c",)),
+    ],
+)
+def test_a_program_comes_with_the_commands_that_start_it(
+    words: str, said: tuple[str, ...], cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, _ = cli("new", "controller", "drive", *words.split())
+    assert status == 0 and all(each in out for each in said), out
