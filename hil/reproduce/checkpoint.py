@@ -77,6 +77,10 @@ def from_plain(plain: Any) -> Any:
     return CLASSES[plain["is"]](**{name: from_plain(each) for name, each in plain["has"].items()})
 
 
+def _are(values: object, kind: type) -> bool:
+    return isinstance(values, tuple) and all(isinstance(each, kind) for each in values)
+
+
 FORMAT = "hil-reproduce/1"
 _OPENING = f'{{"format": "{FORMAT}"'.encode()
 LARGEST = 500_000_000
@@ -134,7 +138,7 @@ class KeptStages:
                 chapter, stage = str(kept["chapter"]), str(kept["stage"])
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
                 raise HilError(f"{self.path}: line {number} is no stage of a reproduction; move the file away") from error
-            if not isinstance(part, Part):
+            if not (isinstance(part, Part) and _are(part.rows, Row) and _are(part.figures, Plot)):
                 raise HilError(f"{self.path}: line {number} is no stage of a reproduction; move the file away")
             self.stages[chapter, stage] = part
             whole += len(line) + 1

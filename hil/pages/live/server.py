@@ -272,7 +272,7 @@ class Handler(BaseHTTPRequestHandler):
         if not self._may_act():
             raise Refused(HTTPStatus.FORBIDDEN, "X-Hil-Token: missing or wrong, so this browser only watches; open the whole URL")
         length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or len(length) > 9 or int(length) > MOST_BYTES:
+        if not length.isdecimal() or len(length) > 9 or int(length) > MOST_BYTES:
             raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a wish has {MOST_BYTES} bytes at most, and says how many")
         try:
             number = self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))

@@ -98,7 +98,7 @@ def test_a_torn_line_is_cut_off(tmp_path: Path, end: bytes) -> None:
 @pytest.mark.parametrize(
     "line",
     ["notes\n", '{"format": "x"}\n', '{\n "mine": 1\n}\n', "\nnotes\n", "{\n", None, '{"is": "Path", "has": {}}', "3",
-     '{"array": "O"}',
+     '{"array": "O"}', '{"is": "Part", "has": {"rows": 5}}',
      '{"is": "Row", "has": {}}', '{"array": "i", "values": [1e999]}', '{"array": "i", "values": [' + "9" * 40 + "]}"],
 )  # fmt: skip
 def test_a_file_of_another_kind_is_refused_and_left(tmp_path: Path, line: str | None) -> None:
