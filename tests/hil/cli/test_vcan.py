@@ -5,7 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import socket
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any, Never
@@ -118,3 +120,12 @@ def test_doctor_says_what_would_be_taken(doctor: list[dict[str, Any]], monkeypat
     monkeypatch.undo()
     (line,) = (check for check in doctor if check["what"] == "hil vcan")
     assert line["ok"] is what_would_run()[0]
+
+
+def test_the_kernel_is_built_on_all_cores_though_hil_computes_on_one_thread() -> None:
+    """nproc says what OMP_NUM_THREADS says, and the command line sets that to 1 for its own process."""
+    script = (kernel.HERE / "build_kernel").read_text()
+    (jobs,) = re.findall(r'^make ARCH=um -j"(.*)" linux$', script, flags=re.M)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    said = subprocess.run(["sh", "-c", f"echo {jobs}"], env=environment, capture_output=True, text=True, check=True)
+    assert int(said.stdout) == len(os.sched_getaffinity(0))
