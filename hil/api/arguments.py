@@ -69,8 +69,8 @@ def _refuse_unknown(name: str, named: Signature, kwargs: Mapping[str, Any]) -> N
     own = [key for key in named.parameters if not changes or named.parameters[key].kind is Parameter.KEYWORD_ONLY]
     keys = [*Experiment.__struct_encode_fields__] if changes else []
     for key in kwargs:
-        hint = "" if key in named.parameters or key in keys or nearest(key, keys) else nearest(key, own)
-        if hint:
+        hint = "" if key in named.parameters or key in keys else nearest(key, own)
+        if hint and hint == nearest(key, [*own, *keys]):
             raise HilError(f"hil.{name}: no argument is called {key!r}{hint}")
 
 

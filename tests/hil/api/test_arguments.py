@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import hil
+from hil.errors import HilError
 from hil.session import Session
 
 WRONG = [None, 3, 2.5, True, {}, {"plant": 1}, [], ["dc-motor-h2"], ("dc-motor-h2",), {"a"}, b"x", object(), np.zeros(3)]
@@ -85,3 +86,10 @@ def test_numbers_of_numpy_are_numbers(session: Session) -> None:
 def test_an_object_where_none_stands_is_told_where_objects_stand(path: str) -> None:
     with pytest.raises(hil.HilError, match=f"{path}: object is not .* objects stand at plant, controller, network.sc.law"):
         hil.run("dc-motor-hinf", duration="1 s", **{path: object()})
+
+
+def test_an_argument_that_is_nearer_to_one_of_the_function_than_to_a_field_is_told_so() -> None:
+    with pytest.raises(HilError, match=r"hil\.sweep: no argument is called 'grids'; did you mean 'grid'\?"):
+        hil.sweep("dc-motor-hinf", grids={"plant.gain": [150, 170]})
+    with pytest.raises(HilError, match=r"duraton.*did you mean 'duration'"):
+        hil.sweep("dc-motor-hinf", duraton=3)
