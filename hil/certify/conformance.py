@@ -162,7 +162,9 @@ def _told_apart(a: float, b: float) -> tuple[str, str]:
 
 
 def _percent(share: float) -> str:
-    return f"{100.0 * share:.2g} % of the motion" if np.isfinite(share) and share < 1e3 else "more than 1000 times the motion"
+    if not np.isfinite(share) or share >= 10.0:
+        return "more than ten times the motion"
+    return f"{100.0 * share:.{2 if share < 1.0 else 3}g} % of the motion"
 
 
 def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Array) -> Check:

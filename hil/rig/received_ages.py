@@ -83,7 +83,7 @@ def law_states(way: Received) -> LawStates | str:
         return LawStates((int(packets.delay[0]),), (((0, SURE),),), (0,))
     states = way.states
     if states is None:
-        return "states no chain"
+        return "states no chain, which transition_matrix() and mode_ages would be"
     follows = tuple(
         tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
         for i, row in enumerate(states.high)
