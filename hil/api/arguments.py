@@ -70,7 +70,7 @@ def _refuse_unknown(name: str, named: Signature, kwargs: Mapping[str, Any]) -> N
     keys = [*Experiment.__struct_encode_fields__] if changes else []
     for key in kwargs:
         hint = "" if key in named.parameters or key in keys else nearest(key, own)
-        if hint and hint == nearest(key, [*own, *keys]):
+        if hint and hint == nearest(key, [*own, *keys]) != nearest(key, keys):
             raise HilError(f"hil.{name}: no argument is called {key!r}{hint}")
 
 
