@@ -78,3 +78,11 @@ def test_an_unknown_field_without_a_near_one_names_the_valid_ones(cli: Hil) -> N
     status, _, err = cli("run", "dc-motor-hinf", "--set", "timing.colour=1", "--set", "zzz=1")
     assert status == 2 and "timing.colour: unknown field; there are deadline, priority" in err
     assert "zzz: unknown field; there are name, description" in err and "folder" not in err
+
+
+def test_no_two_experiments_of_a_plant_read_alike_at_80_columns(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = cli("list")
+    lines = [line.split(maxsplit=1) for line in out.partition("plants (hil list")[0].splitlines() if line.startswith("  ")]
+    said = [text for _, text in lines]
+    assert len(said) > 40 and len(set(said)) == len(said)
