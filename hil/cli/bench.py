@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli.option_types import Duration
+from hil.cli.option_types import Duration, Questions
 from hil.cli.terminal import Working, json_option, print_json, print_table
 from hil.errors import HilError
 from hil.experiment.tables import Affinity
@@ -17,7 +17,7 @@ SECONDS = (0.001, 86_400)
 MOST_FRAMES = 5_000_000
 
 
-@click.group()
+@click.group(cls=Questions)
 def bench() -> None:
     """Measure timing, links and endurance on this machine."""
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import Duration
+from hil.cli.option_types import Duration, Questions
 from hil.cli.terminal import json_option, show_page, visible
 from hil.errors import HilError
 
@@ -23,7 +23,7 @@ _TRAFFIC = (".csv", ".dbc")
 _CODEC = "hilrig"
 
 
-@click.group()
+@click.group(cls=Questions)
 def can() -> None:
     """Questions about CAN buses."""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.option_types import Questions
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ def running_shell() -> str:
     return found if found in SHELLS else "bash"
 
 
-@click.group()
+@click.group(cls=Questions)
 def command() -> None:
     """Let bash, zsh or fish complete commands, options, experiments and keys."""
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.laws import files_of
-from hil.cli.option_types import Duration
+from hil.cli.option_types import Duration, Questions
 from hil.cli.terminal import Working, json_option, print_facts, print_json, visible
 from hil.errors import HilError
 
@@ -137,7 +137,7 @@ def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> Non
         )
 
 
-@click.group()
+@click.group(cls=Questions)
 def command() -> None:
     """Estimate parameters from logs."""
 

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import click
 
+from hil.cli.option_types import Questions
 from hil.cli.terminal import visible
 
 
-@click.group()
+@click.group(cls=Questions)
 def command() -> None:
     """Make keys and certificates for links that let only one controller command."""
 

@@ -1,6 +1,6 @@
 """Options that commands share, and what a wrong option or value is answered with: what was expected, and the nearest name.
 
-Durations, lists of numbers, quotients, finite numbers; and the one that serves Foxglove.
+Durations, lists of numbers, quotients, finite numbers, the one that serves Foxglove; and a group of commands.
 """
 
 from __future__ import annotations
@@ -18,6 +18,15 @@ from transport.durations import in_seconds
 
 if TYPE_CHECKING:
     from hil.session import Onlooker
+
+
+class Questions(click.Group):
+    """A command of several: its help has the first sentence of each, whole, below itself where the terminal is narrow."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the list of the commands."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, each.get_short_help_str(limit=1000)) for name, each in self.commands.items()])
 
 
 class Duration(click.ParamType[float]):

@@ -94,3 +94,10 @@ def test_what_is_printed_stays_within_80_columns(cli: Hil, asked: str, monkeypat
     status, out, _ = cli(*asked.split())
     assert status == 0
     assert [line for line in out.splitlines() if len(line.rstrip()) > 80] == []
+
+
+@pytest.mark.parametrize("group", ["bench", "can", "completion", "identify", "keys"])
+def test_the_help_of_a_group_cuts_no_sentence(cli: Hil, group: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = cli(group, "--help")
+    assert status == 0 and "..." not in out.replace("[ARGS]...", "") and max(map(len, out.splitlines())) <= 80
