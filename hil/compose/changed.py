@@ -16,18 +16,20 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
+from design.verdict import Verdict
 from hil.compose.loop import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
 from hil.plugins.protocols import GoesOn
 from hil.rig.loop import Loop, digest_of
+from hil.rig.loop_chains import IN_PHASE
 from hil.rig.normal_form import rig_of
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
 """Tables to which a change adds an entry that begins in its slot."""
 
 SCHEDULES: Final = ("reference", "disturbance")
-"""Those of them that are no part of what is certified."""
+"""Those of them that are no part of what is certified, but from where it begins."""
 
 PLANT: Final = "plant."
 """What begins so is a field of the plant, where that says that it may change."""
@@ -86,12 +88,13 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
         else:
             set_field(raw, path, value, f"{path} = {value!r:.60}")
         experiment = experiment_from_resolved(raw, e.text, "change", folder=e.folder)
-        if table in SCHEDULES:  # no certificate depends on them
+        if table in SCHEDULES:  # none but those of a region depend on them
             rig_of(experiment)
             check_references(experiment, loop.controller, loop.model)
             kept = [entry for entry in getattr(e, table) if table != "reference" or round(entry.at / e.period) != k]
             entries = sorted([*kept, *getattr(experiment, table)], key=lambda entry: entry.at)
-            return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}))
+            verdict = None if loop.verdict is None else _in_the_run(loop.verdict, laws=False)
+            return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}), verdict=verdict)
         after = compose(experiment, certify=certify)
     except ExperimentError:
         raise
@@ -150,11 +153,29 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
 
 def _assuming(loop: Loop, *more: str) -> Loop:
     """Say in a certificate what nothing compares in a run that was changed."""
-    verdict = loop.verdict
+    verdict = None if loop.verdict is None else _in_the_run(loop.verdict)
     if verdict is None or not verdict.certified:
-        return loop
+        return dataclasses.replace(loop, verdict=verdict)
     own = (*verdict.assumptions, *(each for each in more if each not in verdict.assumptions))
     return dataclasses.replace(loop, verdict=replace(verdict, assumptions=own))
+
+
+def _in_the_run(verdict: Verdict, *, laws: bool = True) -> Verdict:
+    """Return a verdict on a loop that begins in slot 0 as one on the loop from a change in its run on.
+
+    Args:
+        verdict: on the loop.
+        laws: whether a network law may have begun anew.
+    """
+    why = ""
+    if verdict.kind == "stability in a region":
+        why = "where its state is then is not known"
+    elif laws and any(said.endswith(IN_PHASE) for said in verdict.assumptions):
+        why = "which phases of both directions meet then is not known"
+    if not why or verdict.state == "undecided":
+        return verdict
+    reason = f"{verdict.state} from slot 0 on; not decided from a change in the run on, as {why} ({verdict.reason})"
+    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
 
 
 def _fits(before: Loop, after: Loop, path: str) -> None:

@@ -20,7 +20,7 @@ from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, without_held
 from hil.rig.loop import Loop, digest_of
-from hil.rig.loop_chains import loop_chains
+from hil.rig.loop_chains import IN_PHASE, loop_chains
 from hil.rig.received_ages import never_received
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
@@ -48,7 +48,7 @@ def judge(
     """
     problem = _problem(experiment, rig, chains, controller, model, selection)
     verdict = certify(problem)
-    if problem.sc is not None and (silent := never_received(problem.sc, rig)):
+    if silent := never_received(problem.sc, problem.ca, rig):
         verdict = _unanswered(problem, verdict, silent)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
@@ -64,9 +64,9 @@ def judge(
 
 
 def _unanswered(problem: CertificationProblem, verdict: Verdict, silent: str) -> Verdict:
-    """Return the verdict on a loop with a node of which nothing comes: until something does, the input is 0."""
+    """Return the verdict on a loop in which a node is never heard, or no command comes: until they are, the input is 0."""
     if verdict.state == "refused" and np.abs(np.linalg.eigvals(problem.motion.A)).max() <= 1.0:
-        reason = f"{verdict.reason} if the controller answered; {silent}, and until then it answers zeros"
+        reason = f"{verdict.reason} if the controller acted; {silent}, and until then the input is 0"
         return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
     return replace(verdict, reason=f"{verdict.reason}; {silent}") if verdict.state == "undecided" else verdict
 
@@ -99,14 +99,17 @@ def _problem(
 ) -> CertificationProblem:
     """Return the loop of the controller that is named, as it is judged."""
     found = loop_chains(rig, chains, controller, model)
-    sc, ca, chainless = found.sc, found.ca, found.chainless
+    sc, ca, chainless, unmet = found.sc, found.ca, found.chainless, found.unmet
+    repeat = sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None)
+    if repeat:
+        unmet = f"{unmet}; {IN_PHASE}" if unmet else IN_PHASE
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):
         holds = next((name for name, chain in (("sc", sc), ("ca", ca)) if chain is not None and without_held(chain) is None), "")
         sc, ca = without_held(sc), without_held(ca)
         chainless = chainless or (
             f"over network.{holds} a receiver may keep what it had before, and the theory of this controller has ages alone"
         )
-        if sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None):
+        if repeat and sc is not None and ca is not None and min(sc.modes, ca.modes) > 1:
             sc, chainless = None, "both directions repeat, and the theory of this controller does not know which phases meet"
     known = sc is not None and ca is not None
     return CertificationProblem(
@@ -114,7 +117,7 @@ def _problem(
         digest=digest_of(e, controller, model),
         damped=rig.passivity, faults=len(e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
-        slack=found.slack, shares=found.shares, unmet=found.unmet,
+        slack=found.slack, shares=found.shares, unmet=unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
         steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
         pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),

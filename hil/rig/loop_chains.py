@@ -36,6 +36,9 @@ OLDEST_DISTINGUISHED = 16
 """Ages that are distinguished for a controller whose matrices all of them change."""
 
 
+IN_PHASE = "both directions repeat, and meet in the phases in which they begin in slot 0"
+
+
 class LoopChains(NamedTuple):
     """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing.
 

@@ -156,19 +156,27 @@ def received_ages(
     )  # fmt: skip
 
 
-def never_received(chain: DelayChain, rig: RigSpec) -> str:
-    """Return which node's samples never come to the controller, and why; empty: of each node some come."""
+def never_received(sc: DelayChain | None, ca: DelayChain | None, rig: RigSpec) -> str:
+    """Return what of a loop's packets never comes where it is waited for, and why; empty: of each kind some come."""
+    if sc is not None:
+        held = sc.held_outputs(len(rig.outputs))[_lasting(sc)]
+        for n, sensor in enumerate(rig.sensors):
+            if held[:, list(sensor.outputs)].all():
+                shared = any(n in medium.nodes for medium in rig.media)
+                cause = "on its medium others send in every slot" if shared else "none is in time under its law"
+                return f"no sample of {sensor.path} ever comes to the controller: {cause}"
+    if ca is not None and ca.holds[_lasting(ca)].all():
+        return "no command ever comes to the actuator: none is in time under the law of network.ca"
+    return ""
+
+
+def _lasting(chain: DelayChain) -> np.ndarray:
+    """The modes of a chain but those of the first slots, to which none leads."""
     lasts, follows = np.zeros(chain.modes, dtype=np.bool_), chain.bounds[1] > 0.0
     after = ~lasts
-    while not np.array_equal(lasts, after):  # the modes of the first slots, to which none leads, say nothing
+    while not np.array_equal(lasts, after):
         lasts, after = after, after & follows[after].any(axis=0)
-    held = chain.held_outputs(len(rig.outputs))[lasts]
-    for n, sensor in enumerate(rig.sensors):
-        if held[:, list(sensor.outputs)].all():
-            shared = any(n in medium.nodes for medium in rig.media)
-            cause = "on its medium others send in every slot" if shared else "none is in time under its law"
-            return f"no sample of {sensor.path} ever comes to the controller: {cause}"
-    return ""
+    return lasts
 
 
 def _explored(

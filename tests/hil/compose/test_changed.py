@@ -313,3 +313,28 @@ def test_a_script_counts_its_changes_while_it_composes_them(motor: Loop) -> None
     counter = Counted()
     Scripted(EVERYTHING[:3], working=nullcontext(counter)).begin(motor, {})
     assert counter.seen == [(1, 3), (2, 3), (3, 3)]
+
+
+@pytest.mark.parametrize(
+    ("path", "value"), [("reference", [30.0]), ("disturbance", {"value": [1.0], "samples": 40}), ("plant.gain", 160.0)]
+)
+def test_a_region_is_of_where_a_run_begins_and_not_of_where_it_is_changed(path: str, value: object) -> None:
+    loop = compose(load_experiment("dc-motor-hinf-supply"))
+    assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "stability in a region"
+    verdict = changed(loop, 100, path, value).verdict
+    assert verdict is not None and verdict.state == "undecided" and "where its state is then is not known" in verdict.reason
+
+
+def test_a_law_that_begins_anew_meets_the_other_direction_in_another_phase() -> None:
+    """Both ages take turns. Begun together, tables of age 0 act alone; the law that takes over in the run meets age 1 with 0."""
+    swaps = "kind='markov',matrix=[[0.0,1.0],[1.0,0.0]],initial=[1.0,0.0]"
+    plant = "plant={kind='state-space',A=[[1.0]],B=[[1.0]],C=[[1.0]],initial_state=[1.0]}"
+    table = "controller={kind='send-all',selection='applied',gains=[[[[-6.0]],[[-6.0]]],[[[50.0]],[[50.0]]]]}"
+    laws = [f"network.{way}={{max_age=1,law={{{swaps}}}}}" for way in ("sc", "ca")]
+    loop = compose(load_experiment("dc-motor-h2", [plant, table, *laws, "limits={}", "reference=[]", "disturbance=[]"]))
+    assert loop.verdict is not None and loop.verdict.certified, loop.verdict
+    assert any("meet in the phases in which they begin" in said for said in loop.verdict.assumptions)
+    for path, value in (("network.sc.law.initial", [0.0, 1.0]), ("controller", {"kind": "local", "gain": [[-6.0]]})):
+        verdict = changed(loop, 101, path, value).verdict
+        assert verdict is not None and verdict.state == "undecided" and "which phases of both directions meet" in verdict.reason
+    assert changed(loop, 101, "reference", [1.0]).verdict == loop.verdict

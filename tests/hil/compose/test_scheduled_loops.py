@@ -112,6 +112,17 @@ def test_a_node_that_never_gets_the_bus_is_named() -> None:
     assert verdict is not None and verdict.state == "refused" and verdict.number is not None and verdict.number > 1.05
 
 
+def test_a_loop_whose_commands_never_come_is_not_refused() -> None:
+    plant = {"kind": "state-space", "A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
+    made = experiment(np.random.default_rng(0), plant)
+    made["controller"] = {"kind": "output-feedback", "A": [[1.2]], "B": [[1.0]], "C": [[1.0]], "D": [[0.0]]}
+    made["network.ca"] = {"max_age": 1, "law": {"kind": "packet", "latency": "90 ms", "discard_older": 0}}
+    loop = composed(made)
+    assert loop.verdict is not None and loop.verdict.state == "undecided", loop.verdict
+    assert "no command ever comes to the actuator" in loop.verdict.reason
+    assert abs(simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"][-1]) < 1e-3
+
+
 @pytest.mark.parametrize("by_nodes", [False, True])
 def test_a_loop_that_waits_for_a_node_for_ever_is_not_refused(by_nodes: bool) -> None:
     """The controller answers zeros until every node was heard: what it would do to the plant never happens."""
