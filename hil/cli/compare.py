@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -195,7 +196,8 @@ def _write(chosen: list[Problem]) -> None:
     for problem in chosen:
         tried = [reached(problem, table, RUNS) for table in problem.tried]
         for each in tried:
-            print(f"{problem.name}: {each.controller}: {_mean(each.mean, each.low, each.high)} {each.verdict} {each.said}")
+            mean, interval = _mean(each.mean, each.low, each.high)
+            print(f"{problem.name}: {each.controller}: {mean} ({interval}) {each.verdict} {each.said}")
         best = best_of(tried)
         if best is None:
             raise HilError(f"{problem.name}: none of the controllers that are named ran")
@@ -203,21 +205,26 @@ def _write(chosen: list[Problem]) -> None:
     write_output(path, json.dumps(dict(sorted(stored.items())), indent=1) + "\n")
 
 
-def _mean(mean: float | None, low: float | None, high: float | None) -> str:
-    return "-" if mean is None or low is None or high is None else f"{mean:.5g} ({low:.5g} to {high:.5g})"
+def _mean(mean: float | None, low: float | None, high: float | None) -> tuple[str, str]:
+    return ("-", "-") if mean is None or low is None or high is None else (f"{mean:.5g}", f"{low:.5g} to {high:.5g}")
 
 
 def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[str, Reached]) -> None:
     from hil.pages.html.figures import Table
+    from hil.sweeps.problems import OBJECTIVE
+    from hil.sweeps.seeds import quantities_in
 
-    rows = []
+    rows: list[Sequence[str]] = []
     for problem in chosen:
         best, own = known.get(problem.name, {}), found.get(problem.name)
-        bound = best.get("lower_bound")
-        row = [problem.name, _mean(best.get("mean"), best.get("low"), best.get("high")), "-" if bound is None else f"{bound:.4g}"]
-        rows.append(row + ([] if own is None else [_mean(own.mean, own.low, own.high), own.verdict]))
-    heads = ("problem", "best known (95 %)", "lower bound", *(("yours (95 %)", "verdict") if found else ()))
-    print_table(Table(columns=heads, rows=rows), folds=True)
+        unit = next(quantity.unit for quantity in quantities_in(problem.load()) if quantity.name == OBJECTIVE)
+        rows.append([f"{problem.name} ({unit})", "", ""])
+        rows.append(["  best known", *_mean(best.get("mean"), best.get("low"), best.get("high"))])
+        if own is not None:
+            rows.append([f"  yours{own.verdict and f', {own.verdict}'}", *_mean(own.mean, own.low, own.high)])
+        if best.get("lower_bound") is not None:
+            rows.append(["  lower bound", f"{best['lower_bound']:.4g}", ""])
+    print_table(Table(columns=("problem", "mean", "95 % interval"), rows=rows), folds=True)
     for problem in chosen:
         by = known.get(problem.name, {}).get("controller", "none")
         said = found[problem.name].said if problem.name in found else f"{problem.source}; best known with controller = {by}"

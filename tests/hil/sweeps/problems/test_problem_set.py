@@ -62,7 +62,7 @@ def test_the_table_shows_every_problem(cli: Hil) -> None:
     status, out, _ = cli("problems")
     assert status == 0
     assert all(name in out for name in NAMES)
-    assert "bound" in out and "rank" not in out
+    assert "bound" in out and "motor-thesis (rad² s)" in out and "rank" not in out
 
 
 @pytest.mark.parametrize(("words", "said"), [
