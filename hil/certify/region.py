@@ -153,9 +153,19 @@ def _first_rows(loop: CertificationProblem) -> str:
     sojourns = sojourns_distinguished(controller)
     if row_sojourns_distinguished(controller) > 1 or (sojourns if isinstance(sojourns, int) else max(sojourns, default=1)) > 1:
         return "its stays are counted from its first packet on"
+    nodes = loop.model.nodes
+    together = not (nodes.turns or nodes.mixed or nodes.silent) and None not in nodes.delays and len(set(nodes.delays)) == 1
+    if len(nodes.names) > 1 and not together:
+        return "its rows are zeros until every node was heard"
     rule = controller.selection if isinstance(controller, GainTable) else "constant"
     same = rule in ("constant", "applied") or (rule in ("generated", "both") and loop.model.d_max <= 1)
     return "" if same else "its first rows are picked before any delay is known"
+
+
+def _first_slots(loop: CertificationProblem) -> float:
+    """Slots until all has come once that comes; inf where that is not known."""
+    chains = [chain for chain in (loop.sc, loop.ca) if chain is not None and not chain.holds.any()]
+    return 1.0 + sum(chain.max_delay for chain in chains) if len(chains) == 2 else np.inf
 
 
 def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array, str]:
@@ -187,7 +197,7 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     if max(*(slot for slot, _ in loop.steps), *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
         return [], steady, f"its reference steps, or a disturbance comes, after slot {SLOTS}"
     unlike = _first_rows(loop)
-    if unlike and (states[0] - points[0]).any():
+    if unlike and ((states[0] - points[0]).any() or any(slot <= _first_slots(loop) for slot, _ in pushes)):
         return [], steady, unlike
     slots = [0, *(slot for slot, _ in sorted(loop.steps))]
     jumps = [states[0] - points[0], *(before - after for before, after in pairwise(points))]

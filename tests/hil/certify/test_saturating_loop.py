@@ -186,3 +186,27 @@ def test_a_design_with_integral_action_is_certified_where_its_sum_is_clamped() -
     assert small.controller.integral_limit == (2.0,)
     with pytest.raises(ExperimentError, match=r"controller\.integral_limit: needs integral above 0"):
         load_experiment("dc-motor-ours-h2", **{clamp: [2.0]})
+
+
+@pytest.mark.parametrize("pushed", [False, True])
+def test_a_run_that_waits_for_a_node_begins_elsewhere(pushed: bool) -> None:
+    """Until the node of a plant's other part is heard nobody holds the unstable one: it is lost, however near it begins."""
+
+    def lost(late: int) -> tuple[Verdict, bool]:
+        plant = {"kind": "state-space", "A": [[8.0, 0.0], [0.0, -1.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
+        here: dict[str, Any] = {"max_age": 6, "law": {"kind": "constant", "age": 0}}
+        nodes = {"a": {"outputs": ["y1"]}, "b": {"outputs": ["y2"], "law": {"kind": "constant", "age": late}}}
+        start = [0.0, 0.0] if pushed else [1.0, 0.0]
+        loop = compose(load_experiment(
+            "dc-motor-h2", plant=plant | {"saturation": [40.0], "initial_state": start}, allow_uncertified=True, duration="4 s",
+            limits={}, reference=[], disturbance=[{"at": "0 s", "samples": 1, "value": [16.0]}] if pushed else [],
+            controller={"kind": "local", "gain": [[-10.0, 0.0]]},
+            **{"network.sc": here, "network.ca": here, "network.nodes": nodes},
+        ))  # fmt: skip
+        state = simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]
+        return verdict_of(loop), bool(abs(state["x1"][-1]) > 1e3)
+
+    verdict, away = lost(0)
+    assert verdict.certified and not away, verdict
+    verdict, away = lost(6)
+    assert away and verdict.state == "undecided" and "its rows are zeros until every node was heard" in verdict.reason
