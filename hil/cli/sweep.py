@@ -148,6 +148,8 @@ def command(
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
+        else:
+            print("hil: interrupted; --resume FILE would keep what is finished", file=sys.stderr)
         sys.exit(found.interrupted)
     if rule is not None and not found.reached:
         sys.exit(1)
@@ -207,6 +209,9 @@ def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
         print_json(out)
         return
     print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
+    if not out["runs"]:
+        print("no run ended, so there is nothing to show")
+        return
     print_folded(out["caution"] or "")
     rows: list[tuple[Any, ...]] = []
     none: list[str] = []

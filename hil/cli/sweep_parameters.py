@@ -99,6 +99,8 @@ def run_points(
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
+        else:
+            print("hil: interrupted; --resume FOLDER would keep what is finished", file=sys.stderr)
         sys.exit(found.interrupted)
 
 
