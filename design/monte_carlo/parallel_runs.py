@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from contextlib import ExitStack, closing, contextmanager
@@ -137,8 +138,10 @@ class Workers:
             )
 
 
-def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers) -> Iterator[Result]:
-    """Results of task(job) for every job, in order, each as soon as it and those before it are there.
+def spread(
+    task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers, *, unordered: bool = False
+) -> Iterator[Result]:  # fmt: skip
+    """Results of task(job) for every job, in order, each as soon as it and those before it are there; or as they come.
 
     The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
     computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
@@ -164,7 +167,10 @@ def spread(task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers)
         stack.enter_context(parallel_config(**options))
         stack.enter_context(safe_path())
         with _workers_ignore_interrupts():
-            results = Parallel(return_as="generator")(delayed(task)(job) for job in jobs)
+            run = Parallel(batch_size=1, return_as="generator_unordered" if unordered else "generator")
+            results = run(delayed(task)(job) for job in jobs)
+        stack.enter_context(warnings.catch_warnings())
+        warnings.filterwarnings("ignore", "[0-9]+ tasks which were still being processed", UserWarning)  # and are cancelled
         stack.enter_context(closing(results))
         try:
             yield from results

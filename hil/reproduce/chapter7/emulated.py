@@ -6,12 +6,13 @@ Every split over cores gives the same numbers.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.parallel_runs import safe_path
+from design.monte_carlo.parallel_runs import Workers, spread
 from design.networked_loop.steady_state import steady_state
 from hil.measure.batch_measure import BatchValues, BatchView
 from hil.measure.prediction import predict
@@ -103,19 +104,16 @@ def on_all_cores(
     work: Callable[..., T], asked: Sequence[Sequence[Any]], report_progress: ReportProgress, names: Sequence[str]
 ) -> list[T]:
     """``work(*arguments)`` for all of them, in their order; progress is reported as each ends. Give the longest first."""
-    from joblib import Parallel, delayed
-
-    run = Parallel(n_jobs=-1, inner_max_num_threads=1, backend="loky", batch_size=1, return_as="generator_unordered")
     found: dict[int, T] = {}
     report_progress(f"{len(asked)} pieces", 0, len(asked))
-    with safe_path():
-        for at, result in run(delayed(_numbered)(at, work, *arguments) for at, arguments in enumerate(asked)):
-            found[at] = result
-            report_progress(names[at], len(found), len(asked))
+    for at, result in spread(partial(_numbered, work), [*enumerate(asked)], Workers(backend="loky"), unordered=True):
+        found[at] = result
+        report_progress(names[at], len(found), len(asked))
     return [found[at] for at in range(len(asked))]
 
 
-def _numbered(at: int, work: Callable[..., T], *arguments: Any) -> tuple[int, T]:
+def _numbered(work: Callable[..., T], job: tuple[int, Sequence[Any]]) -> tuple[int, T]:
+    at, arguments = job
     return at, work(*arguments)
 
 

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.parallel_runs import safe_path
+from design.monte_carlo.parallel_runs import Workers, spread
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_measure import BatchView, tracking_of_batch
@@ -93,13 +94,10 @@ def _errors(view: BatchView) -> tuple[Array, Array, Array]:
 
 def errors_of_all(motor: Imperfections, seeds: Sequence[int], jobs: int = -1) -> dict[str, Array]:
     """Errors of every controller for every seed, (seeds, 3) each; the same for every number of jobs."""
-    from joblib import Parallel, delayed
-
     names = sorted(EXPERIMENT, key="local".__ne__)  # it slips and sticks most: the longest first
-    backend = "sequential" if jobs == 1 else "loky"
-    work = Parallel(n_jobs=jobs, inner_max_num_threads=None if jobs == 1 else 1, backend=backend, batch_size=1)
-    with safe_path():
-        return dict(zip(names, work(delayed(errors_of)(loop_of(name, motor), seeds) for name in names), strict=True))
+    workers = Workers() if jobs == 1 else Workers(backend="loky", jobs=jobs)
+    found = spread(partial(errors_of, seeds=seeds), [loop_of(name, motor) for name in names], workers)
+    return dict(zip(names, found, strict=True))
 
 
 def misfit(found: dict[str, Array]) -> float:
@@ -110,8 +108,8 @@ def misfit(found: dict[str, Array]) -> float:
             logs = np.log(np.maximum(found[name][:, column], 1e-9))
             if not np.isfinite(logs).all():
                 return 1e6
-            spread = max(float(logs.std()), FLOOR[column])
-            total += ((float(np.log(float(printed[column]))) - float(logs.mean())) / spread) ** 2
+            scatter = max(float(logs.std()), FLOOR[column])
+            total += ((float(np.log(float(printed[column]))) - float(logs.mean())) / scatter) ** 2
     for name, steady in STEADY.items():
         rms = float(np.sqrt(np.mean(found[name][:, 2] ** 2))) + 1e-4
         total += (float(steady) / rms) ** 2 + 2.0 * float(np.log(rms / 0.02))
