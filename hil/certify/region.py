@@ -118,9 +118,11 @@ def inside(
     if own is None or own > RISK:
         why = why or f"leaving it has a probability of up to {own:.3g}"
         return _outside(verdict, named, f"not decided from where this run begins ({why}); {region}", details)
+    counted = "" if found.slots is None else f" in the first {found.slots} slots"
     return replace(
-        verdict, kind="stability in a region", number=own, limit=RISK, quantity="bound of the probability of leaving the region",
-        reason=f"this run begins inside, leaving has a probability of at most {own:.3g}: {region}",
+        verdict, kind="stability in a region", number=own, limit=RISK,
+        quantity=f"bound of the probability of leaving the region{counted}",
+        reason=f"this run begins inside, leaving it{counted} has a probability of at most {own:.3g}: {region}",
         details={**verdict.details, **details},
         assumptions=(*verdict.assumptions, "start, reference and disturbances are the experiment's"),
         method=f"{verdict.method}; even moments of the command, Markov's inequality",

@@ -321,6 +321,7 @@ def test_a_script_counts_its_changes_while_it_composes_them(motor: Loop) -> None
 def test_a_region_is_of_where_a_run_begins_and_not_of_where_it_is_changed(path: str, value: object) -> None:
     loop = compose(load_experiment("dc-motor-hinf-supply"))
     assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "stability in a region"
+    assert loop.verdict.quantity == "bound of the probability of leaving the region in the first 1000 slots"
     verdict = changed(loop, 100, path, value).verdict
     assert verdict is not None and verdict.state == "undecided" and "where its state is then is not known" in verdict.reason
 
