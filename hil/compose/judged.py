@@ -18,7 +18,7 @@ from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant
-from hil.rig.delay_chains import Chains, gains_over, without_held
+from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import IN_PHASE, loop_chains
 from hil.rig.received_ages import never_received
@@ -152,6 +152,8 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     sc, ca = loop.chains.sc, loop.chains.ca
     if sc is None or ca is None or integral_limit(loop.controller):
         return None
+    if (first := loop.chains.initial()) is not None:
+        sc, ca = within_reach(sc, first[0]), within_reach(ca, first[1])
     model, controller = loop.model, loop.controller
     try:
         structure = loop_structure(

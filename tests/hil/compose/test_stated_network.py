@@ -8,8 +8,10 @@ import pytest
 
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
+from hil.compose.judged import caution
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
+from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 
 CALM = {"kind": "constant", "age": 0}
@@ -19,12 +21,16 @@ SWAPS = [[0.0, 1.0], [1.0, 0.0]]
 
 
 def verdict(**links: Any) -> Verdict:
+    found = loop_over(**links).verdict
+    assert found is not None
+    return found
+
+
+def loop_over(**links: Any) -> Loop:
     plant = {"kind": "state-space", "A": [[2.0]], "B": [[1.0]], "C": [[1.0]], "initial_state": [1.0]}
     controller = {"kind": "send-all", "selection": "constant", "gains": [[[[-6.0]]], [[[0.0]]]]}
     changes = {"plant": plant, "controller": controller, "limits": {}, "reference": [], "disturbance": []}
-    loop = compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"network.ca.law": CALM} | changes | links))
-    assert loop.verdict is not None
-    return loop.verdict
+    return compose(load_experiment("dc-motor-h2", allow_uncertified=True, **{"network.ca.law": CALM} | changes | links))
 
 
 @pytest.mark.parametrize(("matrix", "initial"), [(TWO_CLASSES, [1.0, 0.0]), (TRANSIENT, None)])
@@ -34,6 +40,7 @@ def test_modes_that_the_law_never_comes_to_decide_nothing(matrix: list[list[floa
     found = verdict(**{"network.sc.law": law})
     assert found.certified and found.number is not None and found.number < 1.0, found.reason
     assert any("never comes to 1 of their modes" in said for said in found.assumptions)
+    assert not caution(loop_over(**{"network.sc.law": law}))
     other = verdict(**{"network.sc.law": {**law, "matrix": TWO_CLASSES, "initial": [0.5, 0.5]}})
     assert other.state == "refused"
 
