@@ -19,7 +19,7 @@
 `sweep`, `compare`        many seeds of one experiment, at one point or many; several experiments on the same delays
 `design`                  gains for a plant over a network, with their norms and bounds
 `laws`                    what an experiment's network laws do in the long run
-`reproduce_chapter`       every number of a chapter of the thesis beside a computed one
+`reproduce`               every number of a chapter of the thesis beside a computed one
 `assert_probability`      a condition holds with at least some probability: Wald's sequential test
 `assert_law`              the delays of a run are those of its network law
 `HilError`                what all of them raise for what the caller can mend
@@ -45,7 +45,7 @@ _NAMES = {
     "hil.experiment": "Experiment",
     "hil.log.read.run": "read_run",
     "hil.log.run": "Run",
-    "hil.reproduce": "reproduce_chapter",
+    "hil.thesis": "reproduce",
     "hil.session": "Session",
     "hil.sweeps.comparison": "Comparison",
     "hil.sweeps.parameters": "ParameterSweep",

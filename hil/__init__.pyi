@@ -17,8 +17,8 @@ from hil.errors import HilError as HilError
 from hil.experiment import Experiment as Experiment
 from hil.log.read.run import read_run as read_run
 from hil.log.run import Run as Run
-from hil.reproduce import reproduce_chapter as reproduce_chapter
 from hil.session import Session as Session
 from hil.sweeps.comparison import Comparison as Comparison
 from hil.sweeps.parameters import ParameterSweep as ParameterSweep
 from hil.sweeps.sweep import Sweep as Sweep
+from hil.thesis import reproduce as reproduce

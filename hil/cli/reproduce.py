@@ -17,8 +17,8 @@ import click
 from hil.cli.terminal import json_option, print_json, terminal_columns
 
 if TYPE_CHECKING:
-    from hil.reproduce import Checkpoint, Reproduction, Row, Step
-    from hil.reproduce.checkpoint import KeptStages
+    from hil.thesis import Checkpoint, Reproduction, Row, Step
+    from hil.thesis.checkpoint import KeptStages
 
 ALL = "all"
 STATE = "reproduce.state"
@@ -44,9 +44,9 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, 
     command goes on from there.
     """
     from hil.files.outputs import write_output
-    from hil.reproduce import chapters, power, power_in_words, reproduce
-    from hil.reproduce.checkpoint import KeptStages
-    from hil.reproduce.pages import chapter_page, index_page
+    from hil.thesis import chapters, compute_chapter, power, power_in_words
+    from hil.thesis.checkpoint import KeptStages
+    from hil.thesis.pages import chapter_page, index_page
 
     if chapter not in (*chapters(), ALL):
         raise click.UsageError(f"{chapter!r} is not one of {', '.join((*chapters(), ALL))}")
@@ -62,7 +62,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, 
         progress = stack.enter_context(_Progress(names, kept))
         for name in names:
             progress.begin(name)
-            results[name] = reproduce(name, progress, kept)
+            results[name] = compute_chapter(name, progress, kept)
             if output is not None:
                 write_output(pages[name], chapter_page(results[name]))
                 click.echo(f"figures: {pages[name]}", err=True)
@@ -112,7 +112,7 @@ def _pages(chapter: str, names: tuple[str, ...], output: Path | None, force: boo
 
 
 def _show(result: Reproduction) -> None:
-    from hil.reproduce import VERDICTS
+    from hil.thesis import VERDICTS
 
     colours = dict(zip(VERDICTS, COLOURS, strict=True))
     click.secho(result.title, bold=True)
@@ -127,7 +127,7 @@ def _show(result: Reproduction) -> None:
 
 
 def _show_counts(rows: Sequence[Row]) -> None:
-    from hil.reproduce import VERDICTS
+    from hil.thesis import VERDICTS
 
     counts = ", ".join(f"{sum(row.verdict == verdict for row in rows)} {verdict}" for verdict in VERDICTS)
     click.echo(_folded(f"{len(rows)} rows: {counts}") + "\n")
@@ -148,7 +148,7 @@ class _Progress:
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-        from hil.reproduce import seconds_left
+        from hil.thesis import seconds_left
 
         console = Console(stderr=True)
         self._terminal = console.is_terminal

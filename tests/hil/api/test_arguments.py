@@ -35,7 +35,7 @@ def test_a_source_of_another_kind_is_one_error(name: str) -> None:
 def test_a_chapter_of_another_kind_is_one_error() -> None:
     for wrong in WRONG:
         with pytest.raises(hil.HilError, match="no chapter is called"):
-            hil.reproduce_chapter(wrong)  # type: ignore[arg-type]
+            hil.reproduce(wrong)  # type: ignore[arg-type]
 
 
 def test_experiments_of_a_comparison_stand_for_themselves() -> None:

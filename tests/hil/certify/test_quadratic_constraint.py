@@ -12,9 +12,9 @@ from design.requests.scheduled import QuadraticConstraint, Scheduled
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.reproduce.chapter4.further import CONSTRAINTS, constraints
-from hil.reproduce.statements import judge
-from tests.hil.reproduce.judging import assert_every_number_decides
+from hil.thesis.chapter4.further import CONSTRAINTS, constraints
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
 
 MET = "{g11=[[1.0]], g12=[[0.01, 0.0]], g22=[[-0.001, 0.0], [0.0, -0.001]]}"
 

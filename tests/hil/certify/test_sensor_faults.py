@@ -21,10 +21,10 @@ from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import _with_seen_sensors, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
-from hil.reproduce.chapter4.further import GAIN_BOUND, SENSOR_FAULT, sensor_fault
-from hil.reproduce.statements import judge
+from hil.thesis.chapter4.further import GAIN_BOUND, SENSOR_FAULT, sensor_fault
+from hil.thesis.statements import judge
 from plants import DelayedVTOL, FaultyVTOL, check_plant
-from tests.hil.reproduce.judging import assert_every_number_decides
+from tests.hil.thesis.judging import assert_every_number_decides
 
 LOST = (1.0, 1.0, 1.0, 0.0)
 PROCESS = chapter4_process(failure_restarts_detection_clock=False)

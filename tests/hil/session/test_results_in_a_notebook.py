@@ -14,7 +14,7 @@ from design.monte_carlo.confidence import mean_interval
 from hil.api.questions import Laws
 from hil.notebook import SIDE, Result
 from hil.pages.html.figures import Figure, Series
-from hil.reproduce.chapter import Plot, Reproduction
+from hil.thesis.chapter import Plot, Reproduction
 
 SHORT = {"runs": 4, "jobs": 1, "duration": 3}
 
@@ -233,7 +233,7 @@ def test_laws_and_designs_are_asked_without_a_run(design: hil.DesignResult, tmp_
 
 def test_a_chapter_that_is_none_is_answered_with_those_that_are() -> None:
     with pytest.raises(hil.HilError, match=r"no chapter is called 'ch9'.*ch7"):
-        hil.reproduce_chapter("ch9")
+        hil.reproduce("ch9")
 
 
 def test_words_of_a_cell_stand_at_the_left_and_numbers_at_the_right() -> None:

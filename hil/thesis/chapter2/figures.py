@@ -1,0 +1,259 @@
+"""Figures 2.2 to 2.4, Table 2.1 and what the sound forms certify: settling times (2.28), and one run of both controllers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from design.as_printed.examples import (
+    CHAPTER2_START,
+    chapter2_gain,
+    chapter2_process,
+    chapter2_reference_gain,
+    chapter2_system,
+)
+from design.controllers.scheduled_gain import ScheduledGain
+from design.monte_carlo.jump_loop import JumpLoop
+from design.monte_carlo.studies import mean_states, settling_times, trajectories
+from design.processes.rates import WeibullRate
+from design.processes.semi_markov import SemiMarkov
+from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Series
+from hil.thesis.chapter import Plot, ReportProgress
+from hil.thesis.judgement import TAIL
+from hil.thesis.statements import Statement, above, mean, run
+
+FloatArray = npt.NDArray[np.float64]
+DT_S = 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Settling:
+    """Settling times (2.28) per run (s): of (2.27), and of [1, 2]."""
+
+    published: FloatArray
+    reference: FloatArray
+
+
+def _time(points: int) -> FloatArray:
+    return np.asarray(np.arange(points) * DT_S)
+
+
+def _beside(title: str, y_label: str, t: FloatArray, ours: FloatArray, other: FloatArray) -> Figure:
+    """Return (2.27) beside [1, 2] over time."""
+    curves = (Series(label="(2.27)", x=t, y=ours), Series(label="[1, 2]", x=t, y=other, style="dashed"))
+    return Figure(title=title, y_label=y_label, series=curves)
+
+
+def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
+    """Figure 2.2: one run under the same switching, and 20 runs of (2.27)."""
+    first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
+    other = trajectories(reference, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
+    many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=3)
+    t = _time(first.shape[0])
+    panels = [
+        _beside(f"2.2a: x{n + 1}(t), same switching instants", f"x{n + 1}", t, first[:, n], other[:, n]) for n in (0, 1)
+    ]
+    for n in (0, 1):
+        runs = tuple(Series(label="single runs", x=t, y=many[k, :, n], colour=0, faint=True) for k in range(20))
+        panels.append(Figure(title=f"2.2b: x{n + 1}(t), 20 runs of (2.27)", y_label=f"x{n + 1}", series=runs))
+    return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
+
+
+def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settling, runs: int, seed: int) -> Plot:
+    """Figure 2.3: average states, and the distribution of the settling time."""
+    ours = mean_states(published, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
+    other = mean_states(reference, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
+    panels: list[Figure | Histogram] = [
+        _beside(f"2.3a: mean of x{n + 1}, {runs} runs", f"E x{n + 1}", ours.time_s, ours.mean[:, n], other.mean[:, n])
+        for n in (0, 1)
+    ]
+    for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):
+        counts, edges = np.histogram(values[np.isfinite(values)], bins=60)
+        panels.append(
+            Histogram(title=f"2.3b: settling time of {name}", edges=edges, counts=counts, x_label="settling time", x_unit="s")
+        )
+    return Plot(title="Figure 2.3", panels=tuple(panels))
+
+
+def convergence(settled: Settling) -> Plot:
+    """Figure 2.4: mean and deviation of the settling time against the number of runs."""
+    panels = []
+    count = np.arange(1, settled.published.size + 1, dtype=float)
+    for title, kind in (("2.4a: mean", "mean"), ("2.4b: standard deviation", "std")):
+        series = []
+        for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):
+            mean = np.cumsum(values) / count
+            spread = np.sqrt(np.maximum(np.cumsum(values**2) / count - mean**2, 0.0))
+            series.append(Series(label=name, x=count[9:], y=(mean if kind == "mean" else spread)[9:]))
+        panels.append(
+            Figure(
+                title=f"{title} of the settling time",
+                series=tuple(series),
+                x_label="runs",
+                x_unit="",
+                x_log=True,
+                y_label=kind,
+                y_unit="s",
+                sync=None,
+            )
+        )
+    return Plot(title="Figure 2.4", panels=tuple(panels))
+
+
+def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
+    """What every method certifies, by the number of sections."""
+    counts = (1, 2, 4, 8)
+    names = {"pwl": "linear in h (ours)", "pwc": "constant per section (sound)", "printed": "printed (unsound)"}
+    groups = tuple(
+        BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed") for m in ("pwl", "pwc", "printed")
+    )
+    bars = Bars(
+        title="largest certified scale of the uncertainty",
+        categories=[f"M = {n}" for n in counts],
+        groups=groups,
+        x_label="sections",
+        y_label="scale",
+    )
+    return Plot(
+        title="What partitioning buys",
+        panels=(bars,),
+        intro="A_i(t), B_2(t) as printed, equal probability, |K| <= 100.",
+    )
+
+
+RUNS = 10_000
+SEED = 1
+BASIS = "rate 2h, F of (2.25), sigma and rho constant per run and uniform in [-1, 1], 10,000 runs"
+TABLE_2_1 = ("0.87", "1.75", "3.03")
+PRINTED = {"ours": ("(2.27)", "3.5741", "0.8849"), "other": ("[1, 2]", "9.9100", "2.1895")}
+SHARES = (0.6827, 0.9545, 0.9973)
+"""Shares of a normal law within 1, 2, 3 standard deviations."""
+SAMPLES = f"{RUNS} runs and {RUNS} printed ones"
+BOOTSTRAP = f"bootstrap, {SAMPLES}"
+
+
+def weibull_process() -> SemiMarkov:
+    """The process of the published Monte Carlo runs: Weibull of scale 1 and shape 2, whose hazard is 2h."""
+    rate = WeibullRate(scale_s=1.0, shape=2.0)
+    return SemiMarkov(rates=((None, rate), (rate, None)))
+
+
+def loop_of(gain: ScheduledGain, mode: int = 0, process: SemiMarkov | None = None) -> JumpLoop:
+    """The example with these gains, from its printed initial state."""
+    return JumpLoop(
+        system=chapter2_system("printed"), gain=gain, process=process or weibull_process(), start=CHAPTER2_START, mode=mode,
+        uncertain=True,
+    )  # fmt: skip
+
+
+def settling(report_progress: ReportProgress) -> dict[str, Any]:
+    """Every number and figure of the Monte Carlo study of Section 2.5."""
+    ours, other = chapter2_gain(), chapter2_reference_gain()
+    asked = {
+        "ours": (loop_of(ours), 20.0),
+        "other": (loop_of(other), 40.0),
+        "ours from mode 2": (loop_of(ours, mode=1), 20.0),
+        "ours, printed rate (2.26)": (loop_of(ours, process=chapter2_process()), 20.0),
+        "ours, h_1 moved to 0.2 s": (loop_of(chapter2_gain(0.2)), 20.0),
+        "other, printed rate (2.26)": (loop_of(other, process=chapter2_process()), 40.0),
+    }
+    times: dict[str, FloatArray] = {}
+    for name, (loop, duration_s) in asked.items():
+        report_progress(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
+        times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
+    report_progress("figures", len(asked), len(asked) + 1)
+    settled = Settling(published=times["ours"], reference=times["other"])
+    return times_in_numbers(times) | {
+        "figures": (
+            one_run(loop_of(ours), loop_of(other)),
+            monte_carlo_average(loop_of(ours), loop_of(other), settled, RUNS, SEED),
+            convergence(settled),
+        )
+    }
+
+
+def times_in_numbers(times: dict[str, FloatArray]) -> dict[str, Any]:
+    """Moments, quantiles and standard errors of the settling times; an error counts the 10,000 printed runs too."""
+    ours, other = times["ours"], times["other"]
+    both = math.sqrt(2.0)
+    away = {name: np.quantile(np.abs(times[name] - times[name].mean()), SHARES) for name in ("ours", "ours from mode 2")}
+    ahead = other - ours
+    return {
+        "times": times, "mean": {name: found.mean() for name, found in times.items()},
+        "sd": {name: found.std() for name, found in times.items()},
+        "mean_error": {name: found.std() * math.sqrt(2.0 / found.size) for name, found in times.items()},
+        "sd_error": {name: deviation_error(found) * both for name, found in times.items()},
+        "others": {
+            name: ", ".join(
+                f"{k.replace(name, label)}: {v.mean():.2f} s, {v.std():.2f} s"
+                for k, v in times.items() if k.startswith(name) and k != name
+            )
+            for name, (label, *_) in PRINTED.items()
+        },
+        "away": away, "away_error": {name: quantile_errors(times[name]) for name in away},
+        "both": {name: both * quantile_errors(times[name]) for name in away}, "median": np.median(ours),
+        "low": np.quantile(ours, 0.005), "high": np.quantile(ours, 0.995), "late": float(np.mean(other > 10.0)),
+        "ahead": float(ahead.mean()) - 4.0 * float(ahead.std()) / math.sqrt(ahead.size),
+    }  # fmt: skip
+
+
+def deviation_error(values: FloatArray) -> float:
+    """Standard error of the standard deviation: sqrt((m4 - s^4) / (4 n s^2)), any law with a fourth moment."""
+    spread = float(values.std())
+    fourth = float(np.mean((values - values.mean()) ** 4))
+    return math.sqrt((fourth - spread**4) / (4.0 * values.size)) / spread
+
+
+def quantile_errors(values: FloatArray) -> FloatArray:
+    """Bootstrap standard errors of the quantiles of |T_s - mean|."""
+    rng = np.random.default_rng(0)
+    drawn = values[rng.integers(0, values.size, (200, values.size))]
+    away = np.abs(drawn - drawn.mean(axis=1, keepdims=True))
+    return np.asarray(np.quantile(away, SHARES, axis=1).std(axis=1))
+
+
+FROM = "ours from mode 2"
+# fmt: off
+SETTLING = (
+    *(
+        Statement(
+            f"settling time (2.28) of {label}, mean and deviation", f"{middle} s, {deviation} s",
+            (
+                mean("mean (s)", f"mean[{name}]", middle, error=f"mean_error[{name}]", why=SAMPLES),
+                mean("deviation (s)", f"sd[{name}]", deviation, error=f"sd_error[{name}]", why=SAMPLES),
+            ),
+            basis=f"{BASIS}; {{others[{name}]}}",
+        )
+        for name, (label, middle, deviation) in PRINTED.items()
+    ),
+    Statement(
+        "Figure 2.2a: one run with (2.27) converges in 2.95 s", "2.95 s",
+        (run(f"share of {RUNS} runs below 2.95 s", "times[ours]", "2.95"),),
+        computed="median {median:.2f} s, 99 % of the runs in [{low:.2f}, {high:.2f}] s", basis=f"converged as in (2.28); {BASIS}",
+    ),
+    Statement(
+        "Figure 2.2a: the same run with [1, 2] takes more than 10 s", "> 10 s",
+        (above(f"share of {RUNS} runs that take more than 10 s", "late", TAIL),),
+        basis=f"one run in {1 / TAIL:.0f} would do; {BASIS}",
+    ),
+    Statement(
+        "(2.27) settles faster than [1, 2]", "faster", (above("mean difference less 4 standard errors (s)", "ahead", 0),),
+        basis=BASIS,
+    ),
+    *(
+        Statement(
+            f"Table 2.1, +-{k + 1} standard deviation, r_0 = 1", f"{printed} s",
+            (mean("quantile (s)", f"away[ours][{k}]", printed, error=f"both[ours][{k}]", why=BOOTSTRAP),),
+            beside=(mean("quantile from r_0 = 2 (s)", f"away[{FROM}][{k}]", printed, error=f"both[{FROM}][{k}]", why=BOOTSTRAP),),
+            computed=f"{{away[ours][{k}]:.2f}} s ({{away_error[ours][{k}]:.2f}})",
+            basis=f"read as the {SHARES[k]:.2%} quantile of |T_s - mean|: the table is no multiple of 0.8849 s; from r_0 = 2, "
+            f"which is not as printed, {{away[{FROM}][{k}]:.2f}} s ({{away_error[{FROM}][{k}]:.2f}}); {BASIS}",
+        )
+        for k, printed in enumerate(TABLE_2_1)
+    ),
+)
+# fmt: on

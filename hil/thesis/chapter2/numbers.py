@@ -1,0 +1,218 @@
+"""Chapter 2: stability and robust control of semi-Markov jump linear systems; the example (2.25)-(2.28)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from design.as_printed.chapter2 import PrintedRequest, printed_stability
+from design.as_printed.examples import chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
+from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform
+from design.processes.rates import PiecewiseLinearRate, clip_rate, constant_rate
+from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop.robust_feedback import FeedbackRequest, Synthesis, largest_uncertainty
+from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
+from design.semi_markov_loop.stability import analyse
+from design.semi_markov_loop.system import JumpSystem
+from hil.thesis.chapter import Chapter, ReportProgress, Stage
+from hil.thesis.chapter2.feasibility import FEASIBILITY, FORMS, SECTIONS, feasibility, number_of, verdict_of
+from hil.thesis.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
+from hil.thesis.chapter2.in_the_loop import IN_THE_LOOP, MARKOV, in_the_loop, markov
+from hil.thesis.statements import Statement, above, below, equal, exactly, says
+
+THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")
+
+
+def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
+    """Systems that the printed conditions accept and that diverge."""
+    step = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
+    process = SemiMarkov(rates=((None, step), (step, None)))
+    first = _autonomous([[-0.6, -1], [10, -0.6]], [[-0.6, -10], [1, -0.6]])
+    second = _autonomous([[-0.7606, -0.2], [3.2, -0.7606]], [[-0.7606, -3.2], [0.2, -0.7606]])
+    wide = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.1, 10.0))
+    back = constant_rate(3.0)
+    three = _autonomous([[-0.05]], [[0.65]], [[-6.0]])
+    box = SemiMarkov(rates=((None, wide, wide), (back, None, None), (back, None, None)))
+    worst = SemiMarkov(rates=((None, constant_rate(10), constant_rate(0.1)), (back, None, None), (back, None, None)))
+    cases = ((first, process, ((0.0, 0.4967),) * 2), (second, chapter2_process(), uniform(chapter2_process(), 12)))
+    accepted = [printed_stability(system, None, law, nodes=nodes) for system, law, nodes in cases]
+    accepted.append(printed_stability(three, None, box, nodes=((0.0,),) * 3))
+    return {
+        "accepted": accepted, "margins": [verdict_of(each) for each in accepted],
+        "ours": [
+            *(analyse(system, None, law, nodes=nodes).verdict for system, law, nodes in cases),
+            analyse(three, None, box, method="pwc", nodes=((0.0,),) * 3).verdict,
+        ],
+        "growth": [
+            *(number_of(analyse(system, None, law, method="exact").spectral_radius) for system, law, _ in cases),
+            -number_of(analyse(three, None, worst, method="exact").decay_rate),
+        ],
+    }  # fmt: skip
+
+
+def _accepted_yet(item: str, number: int, growth: str, limit: float, basis: str) -> Statement:
+    """The printed condition accepts a system that the exact growth refutes."""
+    return Statement(
+        item, "stochastically stable", (below(growth, f"growth[{number}]", limit),),
+        (says("printed condition", f"accepted[{number}].verdict", "certified"), above(growth, f"growth[{number}]", limit)),
+        computed=f"printed: {{margins[{number}]}}; ours: {{ours[{number}]}}; {growth} {{growth[{number}]:.4g}}", basis=basis,
+    )  # fmt: skip
+
+
+# fmt: off
+COUNTEREXAMPLES = (
+    *(
+        _accepted_yet(
+            f"Corollary 2.1 is sufficient for stability ({what})", n, "growth of the second moments per jump", 1.0,
+            "jumps land in section 1, sections need a link",
+        )
+        for n, what in enumerate(THEOREMS)
+    ),
+    _accepted_yet(
+        "Theorem 2.2 covers the rate box for N = 3", 2, "growth of E|x|^2 at rates (10, 0.1) (1/s)", 0.0,
+        "two corners span a segment only",
+    ),
+)
+# fmt: on
+
+
+def _autonomous(*modes: list[list[float]]) -> JumpSystem:
+    a = np.array(modes, dtype=float)
+    return JumpSystem(a=a, b=np.zeros((*a.shape[:2], 1)))
+
+
+GAINS = {"ours": ("(2.27)", chapter2_gain), "other": ("[1, 2]", chapter2_reference_gain)}
+
+
+def _moments(report_progress: ReportProgress) -> dict[str, Any]:
+    """Exact second moments of the example under both controllers."""
+    process, nominal = chapter2_process(), chapter2_system("none")
+    corner = chapter2_system("vertices").at_vertex(1)
+    corner = JumpSystem(a=np.stack([nominal.a[0], corner.a[1]]), b=np.stack([nominal.b[0], corner.b[1]]))  # sigma = 0, rho = 1
+    return {
+        name: {
+            "radius": second_moment_radius(nominal, gain(), process), "edge": second_moment_radius(corner, gain(), process),
+            "decay": second_moment_decay(nominal, gain(), process) / 2,
+        }
+        for name, (_, gain) in GAINS.items()
+    }  # fmt: skip
+
+
+def _rates(report_progress: ReportProgress) -> dict[str, Any]:
+    """The Weibull law, its rate and the section boundary."""
+    h = np.array([0.1, 4.6])
+    ramp = SemiMarkov(rates=((None, clip_rate(0.1, 4.6)), (clip_rate(0.1, 4.6), None)))
+    grid = np.linspace(0.999, 1.001, 3)
+    return {
+        "rate": -float(np.gradient(np.log(np.exp(-(grid**2))), grid)[1]),  # d log(1 - F) / dh = -rate
+        "plain": float(np.exp(-0.5 * h[0] ** 2) - np.exp(-0.5 * h[1] ** 2)),
+        "doubled": float(np.exp(-(h[0] ** 2)) - np.exp(-(h[1] ** 2))),
+        "median": [float(p.sojourn(0, np.array(np.log(2.0)))) for p in (weibull_process(), ramp)],
+    }
+
+
+def _scales(report_progress: ReportProgress) -> dict[str, Any]:
+    """What every method certifies, by the number of sections."""
+    scales: dict[tuple[str, int], float] = {}
+    for method in FORMS:
+        for sections in SECTIONS:
+            report_progress(f"{method}, {sections} sections", len(scales), len(FORMS) * len(SECTIONS))
+            request: Synthesis = PrintedRequest(process=chapter2_process(), gain_bound=100.0, sections=sections)
+            if method != "printed":
+                request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections, method=method)
+            scales[method, sections] = largest_uncertainty(chapter2_system("vertices"), request, tolerance=2e-3)[0]
+    lines = {method: [scales[method, m] for m in SECTIONS] for method in FORMS}
+    return {
+        "least": {method: float(np.diff(line).min()) for method, line in lines.items()}, "figures": (certified_scales(scales),),
+        "line": {method: ", ".join(f"{scale:.2f}" for scale in line) for method, line in lines.items()},
+    }  # fmt: skip
+
+
+STRATEGIES = ("(2.22)", "(2.23)", "(2.24)")
+
+
+def _strategies(report_progress: ReportProgress) -> dict[str, Any]:
+    """Largest scale that is certified with four sections by each strategy of Remark 2.2."""
+    process = chapter2_process()
+    cuts: tuple[Partition, ...] = (equal_probability(process, 4), uniform(process, 4), rate_threshold(process, 4.5 / 4))
+    found: dict[str, Any] = {}
+    for method in ("pwc", "pwl"):
+        scales = []
+        for n, cut in enumerate(cuts):
+            report_progress(f"{method}, {STRATEGIES[n]}", len(found) * len(cuts) + n, 2 * len(cuts))
+            asked = FeedbackRequest(process=process, gain_bound=100.0, sections=cut, method=method)
+            scales.append(largest_uncertainty(chapter2_system("vertices"), asked, tolerance=2e-3)[0])
+        found[method] = {"scales": scales, "role": max(scales) / min(scales)}
+    return found | {"sections": [len(cut[0]) for cut in cuts]}
+
+
+# fmt: off
+REMARK_2_2 = (
+    Statement(
+        "the partition strategy plays a significant role: largest scale of the uncertainty by (2.22), (2.23), (2.24)",
+        "Remark 2.2",
+        (
+            above("best over worst strategy, constant per section", "pwc[role]", 1.1),
+            above("best over worst strategy, linear in h", "pwl[role]", 1.1),
+        ),
+        readings=True,
+        beside=tuple(exactly(f"sections of {name}", f"sections[{n}]", 4) for n, name in enumerate(STRATEGIES)),
+        computed="sound, constant per section: {pwc[scales][0]:.3f}, {pwc[scales][1]:.3f}, {pwc[scales][2]:.3f}; linear in h: "
+        "{pwl[scales][0]:.3f}, {pwl[scales][1]:.3f}, {pwl[scales][2]:.3f}",
+        basis="significant: by a tenth; neither size nor condition is printed; M = 4, (2.24) with a threshold of a quarter of "
+        "the range of the rate; A_i(t), B_2(t) as printed, |K| <= 100",
+    ),
+)
+MOMENTS = tuple(
+    Statement(
+        f"gains {label} stabilise the example", "stochastically stable",
+        (below("nominal radius per jump", f"{name}[radius]", 1.0), below("radius at rho = +1", f"{name}[edge]", 1.0)),
+        (above("radius at rho = +1", f"{name}[edge]", 1.0),),
+        computed=f"nominal: radius {{{name}[radius]:.5f}} per jump, |x| decays at {{{name}[decay]:.4f}}/s; "
+        f"rho = +1: radius {{{name}[edge]:.4g}}",
+        basis="exact second moments, A_2(t), B_2(t) as printed",
+    )
+    for name, (label, _) in GAINS.items()
+)
+RATES = (
+    Statement(
+        "Weibull, scale 1 and shape 2, has the rate h", "lambda(h) = h", (exactly("rate at h = 1 s", "rate", 1, 1e-6),),
+        (exactly("rate at h = 1 s", "rate", 2, 1e-6),), basis="f/(1 - F) = 2h exp(-h^2)/exp(-h^2) = 2h",
+    ),
+    Statement(
+        "Pr{0.1 <= h <= 4.6}", "> 0.99", (above("with the rate h", "plain", 0.99), above("with the rate 2h", "doubled", 0.99)),
+    ),
+    Statement(
+        "h = 0.8326 halves the probability (2.22), for the printed rate (2.26)", "0.8326 s",
+        (equal("median (s)", "median[1]", "0.8326"),),
+        beside=(equal("median of the Weibull law (rate 2h) (s)", "median[0]", "0.8326"),),
+        basis="the Weibull law, rate 2h, has the median {median[0]:.4f} s",
+    ),
+)
+SCALES = (
+    Statement(
+        "partitioning reduces conservativeness: largest scale of the uncertainty, M = 1, 2, 4, 8", "Section 2.4",
+        (
+            above("least growth from one M to the next, linear in h", "least[pwl]", 0),
+            above("least growth from one M to the next, constant per section", "least[pwc]", 0),
+        ),
+        computed="ours, linear in h: {line[pwl]}; sound, constant per section: {line[pwc]}; printed (unsound): {line[printed]}",
+        basis="A_i(t), B_2(t) as printed, equal probability (2.22), |K| <= 100; the form matters more than M, and the printed "
+        "form gains partly because more sections make it less sound",
+    ),
+)
+CHAPTER = Chapter(
+    title="Chapter 2: semi-Markov jump linear systems",
+    stages=(
+        Stage("feasibility claims", feasibility, 5, FEASIBILITY),
+        Stage("theorems", _theorems, 0.5, COUNTEREXAMPLES),
+        Stage("exact second moments", _moments, 0.5, MOMENTS),
+        Stage("rates and partition", _rates, 0.1, RATES),
+        Stage("settling times", settling, 20, SETTLING),
+        Stage("runs of the emulated loop", in_the_loop, 12, IN_THE_LOOP),
+        Stage("certified scales", _scales, 17, SCALES),
+        Stage("partition strategies", _strategies, 10, REMARK_2_2),
+        Stage("a Markov approximation", markov, 6, MARKOV),
+    ),
+)

@@ -1,0 +1,186 @@
+"""Chapter 5: every number and statement of the example of Section 5.4, beside what comes out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
+from design.historical_data.block_diagonal import functional
+from design.historical_data.cost_bounds import lower_bounds
+from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
+from design.historical_data.lifted_loop import DelayedPlant, close
+from design.historical_data.sensor_schedule import round_robin
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.pages.html.figures import Figure, Series
+from hil.runtime.virtual import simulate
+from hil.thesis.chapter import Chapter, Plot, Stage
+from hil.thesis.chapter5.equation_rows import EQUATIONS, equations
+from hil.thesis.chapter5.further import FURTHER, further
+from hil.thesis.statements import Statement, above, below, equal, exactly, says
+from plants.delayed_states import DelayedStates
+
+Array = npt.NDArray[np.float64]
+SLOTS = 100
+
+
+def published_plant() -> DelayedPlant:
+    """Return the plant of Section 5.4."""
+    plant = DelayedStates()
+    model = plant.model()
+    return DelayedPlant(A=model.A, delayed=plant.state_delays(), B=model.B, weight=plant.cost_weights()[0])
+
+
+def costs(plant: DelayedPlant, gains: Array) -> list[float]:
+    """Return J from the chapter's x(0) for I(0) = 1, 2, 3, 4."""
+    loop, x0 = close(plant, gains), DelayedStates().initial_state
+    return [cost(loop, start_at(x0, 4, phase)) for phase in range(4)]
+
+
+def gains_numbers(plant: DelayedPlant, historical: Array, newest: Array) -> dict[str, Any]:
+    """Return the numbers of the printed gains (5.16) and (5.17)."""
+    ours, theirs = costs(plant, historical), costs(plant, newest)
+    idle = costs(plant, 0.0 * newest)[0]
+    return {
+        "stray": float(np.abs(historical[:, :, 0][~round_robin(4, buffer=3).mask()]).max()),
+        "used": float(np.count_nonzero(historical)), "J": ours, "alike": sum(f"{J:.1f}" == "220.2" for J in ours),
+        "certificate": certify_cost(plant, historical, average_start(4, 4)).state, "less": ours[1] - theirs[1],
+        "least": min(ours) - max(theirs), "gain": 1.0 - ours[1] / idle, "idle": idle,
+        "ours": ", ".join(f"{J:.3f}" for J in ours), "theirs": ", ".join(f"{J:.3f}" for J in theirs),
+    }  # fmt: skip
+
+
+def theorem_numbers(plant: DelayedPlant) -> dict[str, Any]:
+    """Return the numbers of Theorem 5.1 and its functional."""
+    history = [np.array([value]) for value in (0.0, 0.0, 0.0, 1.0)]
+    P, Q = np.array([[5.6]]), np.array([[[1e-6]], [[1e-6]], [[4.0]]])
+    x, total = [float(h[0]) for h in history], 0.0
+    for _ in range(500):
+        total += x[0] ** 2
+        x = [0.1 * x[0] + 0.8 * x[3], *x[:3]]
+    return {
+        "schur": sum(bool(stabilising_intervals(plant.A, plant.B, state)) for state in range(4)),
+        "radius": min(_least_radius(plant, state) for state in (0, 1, 3)),
+        "printed": printed_functional(P, Q, history) - total, "right": functional(P, Q, history) - total,
+    }  # fmt: skip
+
+
+def _least_radius(plant: DelayedPlant, state: int) -> float:
+    e = np.eye(len(plant.A))[state : state + 1]
+    return min(float(np.abs(np.linalg.eigvals(plant.A + k * plant.B @ e)).max()) for k in np.linspace(-60.0, 60.0, 2401))
+
+
+def history_numbers(plant: DelayedPlant) -> dict[str, Any]:
+    """Return what historical data are worth once the gains are optimal."""
+    start, full = average_start(4, 4), round_robin(4, buffer=3)
+    newest = full.mask() & (np.arange(6) == 0)[None, :, None]
+    return {
+        "mean": [cost(close(plant, synthesise(plant, mask, start)), start) for mask in (full.mask(), newest)],
+        "printed": [cost(close(plant, gains), start) for gains in (historical_gains(), newest_gains())],
+        "bound": lower_bounds(plant, full, start).causal,
+    }
+
+
+def figures() -> dict[str, Any]:
+    """Return Figures 5.3 and 5.4 from runs on the rig, and what the text reads from them."""
+    runs, panels = {}, []
+    for number, name in (("5.3", "newest"), ("5.4", "published")):
+        loop = compose(load_experiment(f"multisensor-{name}", [f"duration={SLOTS * 0.05}"]))
+        states = simulate(loop, 0).arrays["/plant/state"]
+        x = runs[number] = np.column_stack([states[f"x{i + 1}"] for i in range(4)])
+        series = tuple(Series(label=f"x{i + 1}", x=np.arange(SLOTS), y=x[:, i], colour=i) for i in range(4))
+        panels.append(Figure(title=f"{number}: {name} gains", series=series, x_label="k", x_unit="", y_label="x"))
+    rough = {number: np.abs(np.diff(x, 2, axis=0)).sum(axis=0) for number, x in runs.items()}
+    ratios = rough["5.4"] / rough["5.3"]
+    return {
+        "figures": (Plot(title="Figures 5.3 and 5.4", panels=tuple(panels)),), "ratios": ratios,
+        "rough": rough["5.4"].sum() / rough["5.3"].sum(), "later": _settled(runs["5.4"]) - _settled(runs["5.3"]),
+        "x2_x4": max(ratios[[1, 3]]), "x1_x3": min(ratios[[0, 2]]),
+    }  # fmt: skip
+
+
+def _settled(x: Array) -> float:
+    outside = np.flatnonzero(np.abs(x).max(axis=1) > 0.02 * np.abs(x[0]).max())
+    return float(outside[-1] + 1) if len(outside) else 0.0
+
+
+# fmt: off
+GAINS = (
+    Statement(
+        "(5.16): zero-element constraints (5.8)", "hold",
+        (exactly("largest forbidden entry", "stray", 0, 1e-12), exactly("entries used", "used", 60)),
+        basis="n = 4, m = 3, tau = 5",
+    ),
+    Statement(
+        "J of (5.16)", "220.2",
+        (equal("J for I(0) = 2", "J[1]", "220.2"), exactly("number of I(0) whose J is 220.2", "alike", 1)),
+        basis="I(0) is not stated; exact, by the periodic Lyapunov equation on the stacked state: J for I(0) = 1 to 4: {ours}",
+    ),
+    Statement(
+        "the proposed controller stabilises the plant", "yes", (says("the certificate", "certificate", "certified"),),
+        basis="growth of |X|^2 on the stacked state",
+    ),
+    Statement(
+        "5.5: the proposed controller outperforms the conventional technique", "outperforms (5.17)",
+        (below("J of (5.16) for I(0) = 2, less that of (5.17),", "less", 0),),
+        (
+            above("least J of (5.16) over I(0), less the largest of (5.17),", "least", 0),
+            below("gain over no control at all, as a share of J,", "gain", 0.05),
+        ),
+        basis="(5.17) costs {theirs} for I(0) = 1, 2, 3, 4, no control {idle:.3f}; in smoothness and peak input (5.16) is the "
+        "better one",
+    ),
+)
+THEOREM = (
+    Statement(
+        "Theorem 5.1: a bound V(x(0)) = 616.5 for Section 5.4", "feasible",
+        (exactly("sensors whose A + B K(i, 0) can be Schur, as (5.9) needs,", "schur", 4),),
+        (
+            below("sensors for which some K(i, 0) makes it Schur", "schur", 4),
+            above("least spectral radius over all K(i, 0) of the others", "radius", 1),
+        ),
+        basis="the mask leaves one number in K(i, 0); exact for the count, over 2401 numbers for the radius",
+    ),
+    Statement(
+        "(5.15): J < V(x(0)) with any history", "holds", (above("printed V less J", "printed", 0),),
+        (below("printed V less J", "printed", 0), above("V with the sum from h = -j, less J,", "right", 0)),
+        basis="x(k+1) = 0.1 x(k) + 0.8 x(k-3) after (0, 0, 0, 1): the printed sum pairs Q_j with the lag tau + 1 - j",
+    ),
+)
+HISTORY = (
+    Statement(
+        "historical data make a better controller", "yes", (below("mean cost with history", "mean[0]", "mean[1]"),),
+        basis="gains of least mean cost, x(0) ~ N(0, I); newest sample only {mean[1]:.4f}, no causal controller goes below "
+        "{bound:.4f}; printed gains {printed[0]:.4f} and {printed[1]:.4f}",
+    ),
+)
+FIGURES = (
+    Statement(
+        "Figures 5.3, 5.4: the proposed controller is smoother", "yes",
+        (below("sum of second differences, (5.16) over (5.17),", "rough", 1),), basis="I(0) = 2, on the rig",
+    ),
+    Statement(
+        "Figures 5.3, 5.4: smoother especially in x2 and x4", "yes",
+        (below("larger ratio of x2 and x4, beside the smaller one of x1 and x3,", "x2_x4", "x1_x3"),),
+        basis="sum of second differences, (5.16) over (5.17), of x1 to x4: {ratios[0]:.3f}, {ratios[1]:.3f}, {ratios[2]:.3f}, "
+        "{ratios[3]:.3f}",
+    ),
+    Statement(
+        "Figures 5.3, 5.4: the proposed controller settles later", "yes",
+        (above("slots to 2 %, (5.16) less (5.17),", "later", 0),), basis="I(0) = 2, on the rig",
+    ),
+)
+CHAPTER = Chapter(
+    title="Chapter 5: guaranteed cost control from historical data",
+    stages=(
+        Stage("equations", lambda report: equations(published_plant()), 3, EQUATIONS),
+        Stage("printed gains", lambda report: gains_numbers(published_plant(), historical_gains(), newest_gains()), 0.1, GAINS),
+        Stage("Theorem 5.1", lambda report: theorem_numbers(published_plant()), 0.3, THEOREM),
+        Stage("history", lambda report: history_numbers(published_plant()), 0.5, HISTORY),
+        Stage("further", lambda report: further(published_plant(), report), 8, FURTHER),
+        Stage("runs", lambda report: figures(), 0.3, FIGURES),
+    ),
+)

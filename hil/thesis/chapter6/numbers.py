@@ -1,0 +1,213 @@
+"""Chapter 6: every statement that can be computed, beside what comes out."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from design.as_printed.chapter6 import (
+    DELAY,
+    LAMBDA,
+    PERIOD_S,
+    energy_of_a_press,
+    least_real_part,
+    meets_printed_condition,
+    printed_distortion,
+    theorem_61_coupler,
+)
+from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
+from design.controllers.wall import MATERIALS
+from design.jump_linear.bounded_real import hinf_norm
+from design.passivity.loop import HapticLoop, HeldDevice, push_response
+from design.passivity.synthesis import stiffest_coupler
+from design.passivity.transparency import distortion, distortion_bound
+from hil.pages.html.figures import Figure, Series
+from hil.thesis.chapter import Chapter, Plot, Stage
+from hil.thesis.chapter6.equation_rows import EQUATIONS, WALL, equations, wall
+from hil.thesis.chapter6.material_rows import LATER, OWN, materials
+from hil.thesis.chapter6.statement_rows import IDENTIFICATION, SLIDE, STATEMENTS, identification, slide, statements
+from hil.thesis.statements import Statement, above, below, exactly, says
+from plants.omni import Omni
+
+SLOTS = 800
+CUTOFF_HZ = 3.0
+
+
+def published_device() -> HeldDevice:
+    """Return the device of (6.2) without a hand."""
+    omni = Omni()
+    return HeldDevice(mass_kg=omni.inertia, damping_n_s_per_m=omni.damping)
+
+
+def loop_of(device: HeldDevice, coupler: Coupler) -> HapticLoop:
+    """Return the published loop, three samples of delay on each side, with a coupler."""
+    return HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
+
+
+def passivity(device: HeldDevice) -> dict[str, Any]:
+    """Return the numbers of Section 6.3."""
+    b = device.damping_n_s_per_m
+    printed = theorem_61_coupler(b)
+    loop = loop_of(device, printed)
+    return {
+        "b": b, "bare": min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS),
+        "B": min(m.damping_n_s_per_m for m in MATERIALS),
+        "radius": [max(loop.radius(m, n, 0) for m in MATERIALS) for n in (0, 1, DELAY)],
+        "meets": "meets (6.9)" if meets_printed_condition(printed, b) else "misses (6.9)",
+        "moments": loop.jump_system(MATERIALS, LAMBDA, DELAY, 0).radius(),
+        "real": [least_real_part(device, n) for n in (0, DELAY)], "press": [energy_of_a_press(r) for r in ("plain", "energy")],
+    }  # fmt: skip
+
+
+def transparency(device: HeldDevice) -> dict[str, Any]:
+    """Return the numbers of Section 6.4."""
+    wave, cutoff = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY), CUTOFF_HZ
+
+    def norm(coupler: Coupler) -> float:
+        return hinf_norm(distortion(MATERIALS[:1], [[1.0]], coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff))
+
+    creep = loop_of(device, Coupler(taps_m_per_n=wave.taps_m_per_n, integrator_m_per_n=0.0025))
+    depth = push_response(creep, MATERIALS[0], DELAY, 0, 1.0, 4000)
+    return {
+        "meant": hinf_norm(distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff)),
+        "printed": hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff)),
+        "off": MATERIALS[0].stiffness_n_per_m, "best": norm(wave), "without": norm(static_coupler(0.0)),
+        "bound": distortion_bound(MATERIALS[0], period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff),
+        "drift": float(depth[4000] - depth[2000]),
+    }  # fmt: skip
+
+
+def safe_coupler(device: HeldDevice) -> Coupler:
+    """Return the stiffest coupler for 0 to 8 samples of delay."""
+    return stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=device.damping_n_s_per_m).coupler
+
+
+def push(device: HeldDevice) -> dict[str, Any]:
+    """Return the numbers and the picture of Section 6.5.1."""
+    safe = safe_coupler(device)
+    responses = [push_response(loop_of(device, safe), m, DELAY, 0, 1.0, SLOTS) for m in MATERIALS]
+    final, peak = [float(x[-1]) for x in responses], [float(x.max()) for x in responses]
+    return {
+        "apart": 1e3 * abs(final[1] - final[2]), "final": 1e3 * final[1], "deeper": 1e3 * (final[1] - final[0]),
+        "overshoot": 1e3 * min(p - x for p, x in zip(peak, final)), "start": 1e3 * float(responses[0][1]),
+        "rest": 1e3 * max(float(np.abs(x[-100:] - x[-1]).max()) for x in responses), "figures": (push_plot(device, safe),),
+    }  # fmt: skip
+
+
+def push_plot(device: HeldDevice, safe: Coupler) -> Plot:
+    """Return Figure 6.8: the three materials with the safe coupler, and the printed one beside."""
+    t = np.arange(SLOTS // 2 + 1) * PERIOD_S
+    curves = tuple(
+        Series(label=f"material {i + 1}", x=t, y=1e3 * push_response(loop_of(device, safe), m, DELAY, 0, 1.0, SLOTS // 2))
+        for i, m in enumerate(MATERIALS)
+    )
+    wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
+    lossless = push_response(loop_of(device, wave), MATERIALS[0], DELAY, 0, 1.0, SLOTS // 2)
+    printed = push_response(loop_of(device, theorem_61_coupler(device.damping_n_s_per_m)), MATERIALS[0], DELAY, 0, 1.0, 50)
+    panels = (
+        Figure(title="6.8: penetration under 1 N, delays 0 to 8 safe", series=curves, y_label="depth", y_unit="mm"),
+        Figure(
+            title="the same with other couplers, material 1",
+            series=(
+                Series(label="wave coupler for six samples", x=t, y=1e3 * lossless),
+                Series(label="T/(2 b) of Theorem 6.1", x=t[:51], y=1e3 * printed, style="dashed"),
+            ),
+            y_label="depth",
+            y_unit="mm",
+        ),
+    )
+    return Plot(title="Figure 6.8", panels=panels)
+
+
+# fmt: off
+PASSIVITY = (
+    Statement(
+        "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed", "not b > K T/2 + |B|",
+        (
+            above("least K T/2 + |B| of the materials, N s/m,", "bare", "b"),
+            above("least |B|, which remains as T -> 0,", "B", "b"),
+        ),
+        basis="metre reading, b = {b:g} N s/m: it fails for every material at every period, so that a coupler is needed",
+    ),
+    Statement(
+        "Theorem 6.1: (6.9) makes the networked system oscillation free", "for every passive hand, over the delays",
+        (below("spectral radius at six samples", "radius[2]", 1),),
+        (
+            says("T/(2 b)", "meets", "meets (6.9)"), below("radius without delay", "radius[0]", 1),
+            above("radius at one sample", "radius[1]", 1),
+        ),
+        basis="no hand, which is passive; the worst material",
+    ),
+    Statement(
+        "Remark 6.3: passivity establishes stochastic stability", "mean-square stable",
+        (below("second-moment radius under Lambda", "moments", 1),), (above("that radius", "moments", 1),),
+        basis="the coupler T/(2 b) at six samples of delay",
+    ),
+    Statement(
+        "(6.10) is positive real", "for every delay", (above("least real part at six samples", "real[1]", 0),),
+        (above("least real part without delay", "real[0]", 0), below("at six samples", "real[1]", 0)),
+        basis="z^-n times a positive real function is not positive real",
+    ),
+    Statement(
+        "(6.11): the switching wall is passive", "v f >= change of V_E",
+        (above("energy that a press at 800 and a release at 1000 N/m absorbs, J,", "press[0]", -1e-9),),
+        (below("that energy", "press[0]", 0), above("with the energy rule", "press[1]", -1e-9)),
+        basis="V_E has no mode in it; 0.1 m deep",
+    ),
+)
+TRANSPARENCY = (
+    Statement(
+        "(6.14), the subject of (6.17): the system of Figure 6.6, weighted by (6.13)", "F",
+        (exactly("norm of (6.14) as printed beside that of Figure 6.6, N/m,", "printed", "meant", 1e-6),),
+        (below("norm of (6.14)", "printed", 1e-9), above("of Figure 6.6", "meant", 100)),
+        basis=f"B_w is missing from the last rows, so that nothing drives W; wave coupler, weight of {CUTOFF_HZ:g} Hz, Lambda",
+    ),
+    Statement(
+        "(6.12): the smallest distortion is the most transparent wall", "-",
+        (below(f"distortion of the stiffest safe coupler under a weight of {CUTOFF_HZ:g} Hz, N/m,", "best", "off"),),
+        (
+            above("distortion of that coupler", "best", "off"), above("without a coupler", "without", "off"),
+            below("at least, for any causal rendering,", "bound", "off"),
+        ),
+        basis="material 1; no wall at all has {off:g} N/m: it is nearer to the target, which has no delay",
+    ),
+    Statement(
+        "6.4: C = C_bar + d z/(z - 1) + D_c, with a constant depth", "constant depth (Figure 6.8)",
+        (below("creep of the avatar in 100 s under 1 N with d = 0.0025, m,", "drift", 0.01),),
+        (above("that creep", "drift", 1),), basis="an integrator lets the static stiffness vanish: d must be 0",
+    ),
+)
+PUSH = (
+    Statement(
+        "Figure 6.8: materials 2 and 3 end at one depth", "the same",
+        (
+            exactly("difference of the final depths, mm,", "apart", 0, 1e-3, "final"),
+            exactly("deeper than material 1, mm,", "deeper", 0.25, 1e-3),
+        ),
+        basis="1 N on the free device; the stiffest coupler for 0 to 8 samples of delay, as no coupler is printed",
+    ),
+    Statement(
+        "Figure 6.8: decaying oscillation, then a constant depth", "yes",
+        (above("least overshoot, mm,", "overshoot", 1), below("movement in the last 5 s, mm,", "rest", 0.1)), basis="the same",
+    ),
+    Statement(
+        "Figure 6.8: the delays of the responses are caused by the network", "the response begins late",
+        (below("movement after one sample, mm,", "start", 1e-9),), (above("movement after one sample, mm,", "start", 0.1),),
+        basis="the push acts on the device itself; only its image arrives late",
+    ),
+)
+CHAPTER = Chapter(
+    title="Chapter 6: a haptic example",
+    stages=(
+        Stage("identification", lambda report: identification(), 1, IDENTIFICATION),
+        Stage("equations", lambda report: equations(published_device()), 1, EQUATIONS),
+        Stage("statements", lambda report: statements(published_device()), 1, STATEMENTS),
+        Stage("mixed wall", lambda report: wall(), 2, WALL),
+        Stage("passivity", lambda report: passivity(published_device()), 1, PASSIVITY),
+        Stage("transparency", lambda report: transparency(published_device()), 1, TRANSPARENCY),
+        Stage("materials", lambda report: materials(published_device()), 2, (*OWN, *LATER)),
+        Stage("push", lambda report: push(published_device()), 1, PUSH),
+        Stage("slide", lambda report: slide(), 1, SLIDE),
+    ),
+)

@@ -1,0 +1,111 @@
+"""Chapter 5: verdicts with the numbers that they rest on, and verdicts that turn with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.as_printed.chapter5 import historical_gains, newest_gains
+from design.historical_data.block_diagonal import tangent_scheme
+from design.historical_data.lifted_loop import DelayedPlant
+from design.historical_data.sensor_schedule import round_robin
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.runtime.virtual import simulate
+from hil.thesis import Statement, chapters
+from hil.thesis.chapter5 import equation_rows as equations
+from hil.thesis.chapter5.further import FURTHER, any_order, delay, further, proof_numbers, variant_plant
+from hil.thesis.chapter5.numbers import FIGURES, GAINS, THEOREM, figures, gains_numbers, published_plant, theorem_numbers
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
+
+PLANT = published_plant()
+X0 = np.array([-4.0, 3.0, -6.0, 1.0])
+BETTER = "5.5: the proposed controller outperforms the conventional technique"
+BOUND = "Theorem 5.1: a bound V(x(0)) = 616.5 for Section 5.4"
+
+
+def verdicts(statements: Sequence[Statement], values: Mapping[str, Any]) -> dict[str, str]:
+    rows = judge(statements, values)
+    assert_every_number_decides(rows)
+    return {row.item: row.verdict for row in rows}
+
+
+def changed(before: dict[str, str], after: dict[str, str]) -> dict[str, str]:
+    return {item: verdict for item, verdict in after.items() if before[item] != verdict}
+
+
+def test_the_printed_numbers_and_claims() -> None:
+    assert "ch5" in chapters()
+    found = verdicts(GAINS, gains_numbers(PLANT, historical_gains(), newest_gains()))
+    assert found.pop(BETTER) == "claim false" and set(found.values()) == {"reproduced"}
+    theorem = verdicts(THEOREM, theorem_numbers(PLANT))
+    assert theorem[BOUND] == theorem["(5.15): J < V(x(0)) with any history"] == "claim false"
+
+
+def test_verdicts_turn_with_their_numbers() -> None:
+    """Gains 2 % larger cost another J; (5.16) is better than nothing; with A(3,3) = 0.6 the theorem is not refuted."""
+    turned = verdicts(GAINS, gains_numbers(PLANT, historical_gains() * 1.02, newest_gains()))
+    assert turned["J of (5.16)"] == "not reproduced"
+    none = verdicts(GAINS, gains_numbers(PLANT, historical_gains(), 0.0 * newest_gains()))
+    assert none[BETTER] == "reproduced"
+    stable = DelayedPlant(A=PLANT.A - 0.5 * np.diag([0, 0, 1, 0]), delayed=PLANT.delayed / 4, B=PLANT.B, weight=PLANT.weight)
+    assert verdicts(THEOREM, theorem_numbers(stable))[BOUND] == "reproduced"
+
+
+def test_the_figures_are_runs_on_the_rig() -> None:
+    values = figures()
+    assert [panel.title[:3] for panel in values["figures"][0].panels] == ["5.3", "5.4"]
+    assert set(verdicts(FIGURES, values).values()) == {"reproduced"}
+    assert list(changed(verdicts(FIGURES, values), verdicts(FIGURES, values | {"x2_x4": 0.6})).values()) == ["not reproduced"]
+
+
+def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
+    """Each row is judged as it is, and once more with one thing wrong: a node, a gain, a weight, an entry, a path."""
+    values = equations.equations(PLANT)
+    said = verdicts(equations.EQUATIONS, values)
+    claims = {item for item in said if item.startswith(("the controller has 24", "Remark 5.3"))}
+    assert {item for item, verdict in said.items() if verdict != "reproduced"} == claims and len(said) == 11
+    assert {said[item] for item in claims} == {"claim false"}
+    info = round_robin(4, buffer=3)
+    assert equations.wrong_turns([0, 1, 2, 3, 0]) == 0 and equations.wrong_turns([0, 1, 3, 3, 0]) > 0
+    loop = compose(load_experiment("multisensor-published", ["duration=1"]))
+    x = np.column_stack([simulate(loop, 0).arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
+    wrong_loop = equations.loop_difference(PLANT, np.roll(historical_gains(), 1, axis=0), x)
+    unstable = equations.equations(replace(PLANT, weight=np.eye(4)))
+    for change, start in (
+        ({"wrong": 1}, "(5.2)"), ({"loop": wrong_loop}, "(5.1), (5.4)"), ({"spent": 220.3}, "(5.3)"),
+        ({"spent": np.nan}, "(5.3)"), ({"m": 4}, "m = tau"), (equations.mask_numbers(info.mask()[1], 3), "(5.8)"),
+        (equations.mask_numbers(round_robin(4, buffer=2, memory=5).mask()[2], 2), "(5.8)"),
+        (equations.mask_numbers(round_robin(4, buffer=5).mask()[2][:6], 5), "Remark 5.1"), ({"xi": unstable["xi"]}, "5.4"),
+        ({"newest": "refused"}, "Figures 5.3"), ({"random_radius": 1.01}, "5.5"),
+    ):  # fmt: skip
+        turned = changed(said, verdicts(equations.EQUATIONS, values | change))
+        assert any(item.startswith(start) for item in turned) and set(turned.values()) == {"not reproduced"}, start
+    turned = changed(said, verdicts(equations.EQUATIONS, values | {"shape": (4, 1), "paths": 4.0}))
+    assert set(turned) == claims and set(turned.values()) == {"reproduced"}
+
+
+@pytest.mark.slow
+def test_every_row_beyond_the_chapter_is_as_said() -> None:
+    """A bound of J for any order of the sensors, least J at the published peak inputs, the tangent scheme's bound."""
+    values = further(PLANT, lambda text, done=0, total=0, /: None)
+    said = verdicts(FURTHER, values)
+    assert sorted(said.values()) == ["claim false"] + ["reproduced"] * 7
+    prompt = round_robin(4, buffer=3, memory=6).mask()
+    slow = prompt.copy()
+    slow[:, 0] = False
+    variant = variant_plant(PLANT)
+    none = proof_numbers(variant, tangent_scheme(variant, round_robin(4, buffer=3).mask(), X0, iterations=0), X0)
+    bound, worst = any_order(PLANT, newest_gains(), X0)
+    assert bound > worst and delay(prompt, slow)["missing"] == 0
+    for change, verdict in (
+        (delay(prompt, slow), "reproduced"), ({"more": [0.1, 0.1]}, "not reproduced"), ({"share": [1.1, 1.1]}, "not reproduced"),
+        ({"order": 1.006}, "not reproduced"), ({"noise": [2.0, 1.0, 3.0]}, "not reproduced"),
+        ({"bound": 200.0}, "not reproduced"), ({"tangent": none}, "not reproduced"),
+    ):  # fmt: skip
+        assert set(changed(said, verdicts(FURTHER, values | change)).values()) == {verdict}, change

@@ -1,0 +1,103 @@
+"""Chapter 6: verdicts with the numbers that they rest on, and verdicts that turn with them."""
+
+import pytest
+
+from design.as_printed.chapter6 import (
+    LAMBDA,
+    PERIOD_S,
+    energy_of_a_press,
+    least_real_part,
+    meets_printed_condition,
+    printed_distortion,
+    theorem_61_coupler,
+)
+from design.controllers.rendered_wall import wave_coupler
+from design.controllers.wall import MATERIALS
+from design.jump_linear.bounded_real import hinf_norm
+from design.passivity.loop import HeldDevice
+from design.passivity.transparency import distortion
+from hil.thesis import chapters, reproduce
+from hil.thesis.chapter6.material_rows import LATER, OWN, materials
+from hil.thesis.chapter6.numbers import PASSIVITY, PUSH, passivity, push
+from hil.thesis.chapter6.statement_rows import STATEMENTS, statements
+from hil.thesis.pages import chapter_page
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
+
+DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
+
+
+@pytest.mark.slow
+def test_the_chapter_with_its_page():
+    assert "ch6" in chapters()
+    result = reproduce("ch6")
+    found = {r.item: r for r in result.rows}
+    verdicts = {item.partition(":")[0]: r.verdict for item, r in found.items()}
+    assert found["6.5: Lambda from a pattern of patches"].verdict == "reproduced"
+    assert verdicts["Theorem 6.1"] == verdicts["(6.11)"] == verdicts["(6.3)"] == "claim false"
+    assert "radius at one sample 1.083" in found["Theorem 6.1: (6.9) makes the networked system oscillation free"].computed
+    assert found["Figure 6.8: materials 2 and 3 end at one depth"].verdict == "reproduced"
+    assert found["Figure 6.10: the modes {2, 3, 2, 3, 2, 1}"].verdict == "reproduced"
+    assert len(result.rows) >= 37
+    reported = {"Remark 6.1", "6.2.2", "6.3", "6.6", "(6.15), (6.16)", "6.5.2"}
+    assert reported <= set(verdicts)
+    reported = {"(6.1)", "(6.8)", "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "Remark 6.2", "Figures 6.5, 6.6"}
+    assert {verdicts[item] for item in reported} == {"reproduced"} and verdicts["(6.17)"] == "claim false"
+    assert "certifies" in found["(6.17): a level gamma that it certifies bounds the distortion"].computed
+    assert found["(6.2): m and b from a square wave of 0.4545 Hz and 0.02"].verdict == "reproduced"
+    assert verdicts["(6.14), of which (6.17) speaks"] == "claim false"
+    assert found["Figure 6.9: the avatar's displacement along x is very small"].verdict == "reproduced"
+    assert_every_number_decides(result.rows)
+    page = chapter_page(result)
+    assert "Figure 6.8" in page and "Figures 6.9 and 6.10" in page and page.startswith("<!doctype html>")
+
+
+def test_a_verdict_turns_with_its_number():
+    """With the damping of a joint on a lever the device needs no coupler: b > K T/2 + |B| holds, Theorem 6.1 still fails."""
+    joint = HeldDevice(mass_kg=0.7943 / 0.135**2, damping_n_s_per_m=1.9857 / 0.135**2)
+    turned = {r.item: r.verdict for r in judge(PASSIVITY, passivity(joint))}
+    printed = {r.item: r.verdict for r in judge(PASSIVITY, passivity(DEVICE))}
+    condition = "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed"
+    assert printed[condition] == "reproduced" and turned[condition] == "not reproduced"
+
+
+def test_statements_with_the_number_that_decides_each():
+    found = judge(STATEMENTS, statements(DEVICE))
+    assert_every_number_decides(found)
+    rows = {r.item.partition(":")[0]: r for r in found}
+    verdicts = {item: r.verdict for item, r in rows.items()}
+    assert verdicts["(6.7)"] == verdicts["6.4"] == "claim false"
+    assert {v for item, v in verdicts.items() if item not in ("(6.7)", "6.4")} == {"reproduced"}
+    assert rows["(6.7)"].witness[0].value == pytest.approx(0.478, abs=0.01)
+    assert 0.5 < rows["(6.15), (6.16)"].checks[0].value < 1.0  # not by far: the bound is a close one
+
+
+def test_couplers_per_material_with_the_number_that_decides_each():
+    found = judge((*OWN, *LATER), materials(DEVICE))
+    assert_every_number_decides(found)
+    verdicts = {r.item: r.verdict for r in found}
+    false = {item for item, verdict in verdicts.items() if verdict == "claim false"}
+    assert {item.partition(":")[0] for item in false} == {"6.4", "(6.15)"} and len(false) == 2
+    assert {v for item, v in verdicts.items() if item not in false} == {"reproduced"}
+
+
+def test_the_printed_statements_and_their_counterexamples():
+    assert meets_printed_condition(theorem_61_coupler(1.9857), 1.9857)
+    assert least_real_part(DEVICE, 0) == pytest.approx(0.0006, abs=2e-4)
+    assert [least_real_part(DEVICE, n) for n in (1, 2, 6)] == pytest.approx([-0.50, -0.40, -0.49], abs=0.01)
+    assert energy_of_a_press("plain") == pytest.approx(-0.91, abs=0.2)
+    assert energy_of_a_press("energy") > -1e-9
+    assert PERIOD_S == 0.05
+
+
+@pytest.mark.parametrize(("cutoff", "norm"), [(0.3, 845.1), (3.0, 1718.6)])
+def test_the_printed_weighted_system_is_driven_by_nothing(cutoff, norm):
+    wave = wave_coupler(PERIOD_S, DEVICE.damping_n_s_per_m, 6)
+    meant = distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=6, cutoff_hz=cutoff)
+    assert hinf_norm(meant) == pytest.approx(norm, rel=1e-3)
+    assert hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff)) == 0.0
+
+
+def test_the_device_moves_at_once():
+    late = next(r for r in judge(PUSH, push(DEVICE)) if "the delays of the responses" in r.item)
+    assert late.verdict == "claim false" and late.witness[0].value > 1.0  # mm after one sample

@@ -1,0 +1,174 @@
+"""Chapter 7: verdicts with the numbers that they rest on, and a fit that finds what it looks for."""
+
+import numpy as np
+import pytest
+
+from design.jump_linear.bounded_real import hinf_norm
+from design.jump_linear.h2 import h2_norm
+from design.networked_loop.closed_loop import loop_structure
+from hil.thesis import reproduce
+from hil.thesis.chapter7.emulated import errors, sums_of_squares
+from hil.thesis.chapter7.friction import (
+    EXPERIMENT,
+    EXPERIMENT_ROWS,
+    Imperfections,
+    errors_of_all,
+    experiment,
+    loop_of,
+    misfit,
+)
+from hil.thesis.chapter7.further import LEVELS, TRADE_OFF, trade_off
+from hil.thesis.chapter7.local import LOCAL_DESIGNS, local_designs, peak
+from hil.thesis.chapter7.models import H2, MODELS, VTOL_LOCAL, models, motor, vtol
+from hil.thesis.chapter7.tables import (
+    PERIODS_S,
+    TABLE_7_1_ROWS,
+    TABLE_7_2_ROWS,
+    motor_numbers,
+    motor_prediction,
+    motor_signals,
+    vtol_numbers,
+)
+from hil.thesis.judgement import rank
+from hil.thesis.pages import chapter_page
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
+
+LABORATORY = Imperfections(
+    saturation_v=0.0576, coulomb_v=0.0017, static_ratio=2.5, dead_zone_v=0.0021, encoder_rad=0.0019
+)
+
+
+def verdicts(rows):
+    return {r.item: r.verdict for r in rows}
+
+
+def quietly(text, done=0, total=0):
+    pass
+
+
+def test_printed_model_and_statements_are_distinguished():
+    rows = judge(MODELS, models(quietly))
+    found = verdicts(rows)
+    assert found["motor: A, B at T = 0.05 s"] == "claim false"
+    assert found["VTOL: A, B at T = 0.01 s"] == "reproduced"
+    assert found["VTOL: eigenvalues of A"] == "reproduced"
+    assert found["Remark 7.5: P1 > P2 implies Gamma(P1) < Gamma(P2)"] == "claim false"
+    assert found["(7.19): the H2 norm sums |E z|^2"] == "claim false"
+    assert_every_number_decides(rows)
+
+
+@pytest.mark.slow
+def test_table_7_2_was_made_at_half_the_stated_period():
+    """The local controller is judged by 20,000 runs at half the period: in the whole chapter, below."""
+    names = ("H-infinity", "H2")
+    values = {f"{name}_{n}": motor_numbers(name, period_s) for name in names for n, period_s in enumerate(PERIODS_S)}
+    rows = judge(TABLE_7_2_ROWS[:2], values)
+    assert [r.verdict for r in rows] == ["not reproduced"] * 2
+    assert all(check.holds for r in rows for check in r.beside) and all(len(r.beside) == 2 for r in rows)
+    assert_every_number_decides(rows)
+
+
+def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1():
+    """Its runs span seven decades: 0.3319 and 0.2051 are among them, and so is 1000; the rank decides nothing."""
+    values = dict.fromkeys(("local H2", "local H-infinity"), vtol_numbers("local H2"))
+    rows = judge(TABLE_7_1_ROWS[2:], values)
+    assert [r.verdict for r in rows] == ["undecided"] * 2 and "passes at the size 0.5, 2" in rows[0].rule
+    assert_every_number_decides(rows)
+    wide = values["local H2"]["sums"][0]
+    for printed in (0.02, 0.2051, 0.3319, 1000.0, 400_000.0):
+        assert rank("", wide, printed).undecided
+
+
+def test_emulated_runs_have_the_predicted_mean_and_spread():
+    """4.5 standard errors, twice two numbers: error rate 3e-5; a row rule or a delay mistaken moves the mean by more than ten."""
+    reference, disturbance = motor_signals(0.05)
+    runs = 4000
+    error = errors(motor(), H2, "generated", reference, disturbance=disturbance[:, None], runs=runs) + (reference - 3.0)[:, None]
+    predicted = motor_prediction(H2, "generated", 0.05)
+    for k, start in enumerate((0, 100)):
+        found = sums_of_squares(error, 0.05, start)
+        assert abs(found.mean() - predicted.sum_mean[k]) < 4.5 * found.std() / runs**0.5
+        fourth = np.mean((found - found.mean()) ** 4)
+        assert abs(found.var() - predicted.sum_sd[k] ** 2) < 4.5 * ((fourth - found.var() ** 2) / runs) ** 0.5
+
+
+def test_the_printed_local_gain_of_the_vtol_is_no_optimum_under_either_label():
+    """Other gains have a smaller H2 norm and a smaller H-infinity norm: 0.0837 < 0.1105 and 0.1093 < 0.1708."""
+    alone = loop_structure(*vtol(), np.eye(1), np.eye(1), "generated", output="sum")
+
+    def norms(gain):
+        system = alone.system(np.reshape(gain, (1, 1, 2, 1)))
+        return h2_norm(system), hinf_norm(system)
+
+    printed, smaller_h2, smaller_peak = norms(VTOL_LOCAL), norms([-9.41, 8.75]), norms([-71.4, -27.0])
+    assert printed == pytest.approx((0.1105, 0.1708), abs=1e-4)
+    assert smaller_h2[0] < 0.77 * printed[0] and smaller_peak[1] < 0.65 * printed[1]
+    assert peak(VTOL_LOCAL) == pytest.approx(printed[1], rel=1e-3)
+
+
+def test_the_networked_gains_of_the_vtol_bear_the_right_labels():
+    rows = judge(LOCAL_DESIGNS, local_designs(quietly))
+    found = next(r for r in rows if "labels" in r.item)
+    assert found.verdict == "reproduced" and "0.1220 and 0.1271" in found.computed and "0.4051 and 0.3390" in found.computed
+    local = next(r for r in rows if "is the local H2 gain" in r.item)
+    assert local.verdict == "claim false" and not local.beside[0].holds
+    assert_every_number_decides(rows)
+
+
+def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_delays(monkeypatch):
+    """The radius over the chain of ages, beside what each receiver holds and nothing else; one loss more in a row moves it.
+
+    Of the five levels of `hil reproduce` the outermost two: their designs are those that the curve's claims rest on.
+    """
+    monkeypatch.setattr("hil.thesis.chapter7.further.LEVELS", (LEVELS[0], LEVELS[-1]))
+    found = trade_off(quietly)
+    rows = judge(TRADE_OFF, found)
+    assert [row.verdict for row in rows] == ["reproduced", "reproduced"]
+    assert found["gamma"][0] < 0.95 * found["gamma"][-1] and found["beta"][0] > 1.02 * found["beta"][-1]
+    assert_every_number_decides(rows)
+
+
+@pytest.mark.slow
+def test_friction_brings_the_experiment_column_near():
+    near = errors_of_all(LABORATORY, range(3), jobs=1)
+    far = errors_of_all(Imperfections(**{**_fields(LABORATORY), "saturation_v": 0.3}), range(3), jobs=1)
+    assert set(near) == set(EXPERIMENT) and near["hinf"].shape == (3, 3)
+    assert misfit(near) < 30 < misfit(far)
+
+
+def _fields(motor):
+    return {name: getattr(motor, name) for name in motor.__slots__}
+
+
+def test_fitted_motor_is_the_plant_that_runs():
+    plant = loop_of("h2", LABORATORY).experiment.plant
+    assert plant.driver.saturation_v == 0.0576 and np.isclose(plant.friction.static_v, 2.5 * 0.0017)
+
+
+@pytest.mark.slow
+def test_experiment_rows_tell_the_parameters_and_the_rule():
+    rows = judge(EXPERIMENT_ROWS, experiment(LABORATORY, 0.0, quietly, seeds=3))
+    assert len(rows) == 5 and "saturation 0.0576 V" in rows[0].basis and "share of 3 runs" in rows[0].rule
+    assert_every_number_decides(rows)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_whole_chapter_with_its_page():
+    result = reproduce("ch7")
+    found = verdicts(result.rows)
+    assert found["motor: gamma_min is the minimum"] == "reproduced" and found["VTOL: gamma_min is the minimum"] == "claim false"
+    assert found["motor: the published gains have the norm gamma_min"] == "not reproduced"  # 17.4049: 17.4085 is a level above it
+    for name in ("H-infinity", "H2", "local"):
+        assert found[f"Table 7.2, simulation, {name}"] == "not reproduced"
+    assert all(f"Table 7.2, experiment, {name}" in found for name in ("H-infinity", "H2", "local"))  # as good as the fit is
+    assert found["motor: time for the two designs"] == found["Table 7.1, local H2"] == "undecided"
+    rule = "the row for d at generation is more effective than the one before [53]"
+    assert found[f"motor, H2: {rule}"] == "reproduced" and found[f"VTOL, H2: {rule}"] == "claim false"
+    assert sum(r.item.startswith("VTOL: H") and "gain K(" in r.item for r in result.rows) == 12
+    assert {f"Table 7.1, {name}" for name in ("H2", "H-infinity", "local H2", "local H-infinity")} <= set(found)
+    page = chapter_page(result)
+    assert all(f"Figure 7.{n}" in page for n in (4, 6, 7, 8)) and "http" not in page.split("<body>")[1][:200]
+    assert "Figure 7.2" in page and "Figure 7.3" in page
+    assert_every_number_decides(result.rows)

@@ -1,0 +1,42 @@
+"""Chapter 7's rows on a controller that estimates d_k by the state of its chain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil.thesis.chapter7.estimate import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
+from hil.thesis.chapter7.models import NETWORK, motor
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
+
+
+def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
+    gains = np.random.default_rng(0).standard_normal((3, 2, 1, 1))
+    filtered = np.einsum("rs,tsmp->trmp", NETWORK[1], by_estimate(gains))
+    np.testing.assert_allclose(filtered, gains, rtol=1e-12)
+
+
+def test_rows_on_the_estimate_hold_and_turn() -> None:
+    values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: None))
+    rows = judge(ESTIMATED, values)
+    assert [row.verdict for row in rows] == ["reproduced"] * 4
+    assert_every_number_decides(rows)
+    same = values | {"motor": values["motor"] | {"estimate": values["motor"]["none"], "less": 0.0}, "off": 9.0}
+    assert [row.verdict for row in judge(ESTIMATED, same)] == ["not reproduced", "reproduced", "reproduced", "not reproduced"]
+
+
+    for wrong in ({"late_less": 0.0}, {"ran": 1.001 * values["ran"]}, {"apart": 5.0}):
+        assert [row.verdict for row in judge(ESTIMATED, values | wrong)].count("not reproduced") == 1, wrong
+
+
+def test_packets_without_feedback_cost_what_the_plant_alone_does() -> None:
+    """No gains: |z|^2 is that of the plant's own motion, the same in every run."""
+    plant, modes = motor(), (np.zeros(1, dtype=int), np.zeros(1, dtype=int), np.ones(1))
+    square, error = packet_by_packet(plant, np.zeros((3, 2, 1, 1)), *modes, runs=5)
+    x, expected = plant.B[:, 0], 0.0
+    for _ in range(300):
+        expected += float((plant.C @ x) @ (plant.C @ x))
+        x = plant.A @ x
+    assert error < 1e-9 and np.isclose(square, expected, rtol=1e-12)

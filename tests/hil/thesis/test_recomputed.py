@@ -1,0 +1,78 @@
+"""Rows on gains of the printed corollaries themselves, on Markov approximations, longer delays, and integral action."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.as_printed.examples import chapter2_process, chapter3_process
+from hil.thesis.chapter2.in_the_loop import MARKOV, markov
+from hil.thesis.chapter3.partitions import FURTHER
+from hil.thesis.chapter3.partitions import further as delays
+from hil.thesis.chapter4.further import OTHER_FAULTS, other_faults
+from hil.thesis.chapter4.recomputed import RECOMPUTED, recomputed
+from hil.thesis.chapter7.further import INTEGRAL, integral_action
+from hil.thesis.markov_approximation import markov_approximation, mean_sojourns
+from hil.thesis.statements import judge
+from tests.hil.thesis.judging import assert_every_number_decides
+
+
+def _quiet(text: str, done: int = 0, total: int = 0, /) -> None:
+    pass
+
+
+def test_the_mean_sojourn_is_that_of_the_survival_function() -> None:
+    """Of the ramp (2.26): the integral of exp(-H) with H' = min(max(h, 0.1), 4.6)."""
+    h = np.linspace(0.0, 20.0, 200_001)
+    rate = np.clip(h, 0.1, 4.6)
+    survival = np.exp(-np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(h))]))
+    assert mean_sojourns(chapter2_process()) == pytest.approx([float(np.trapezoid(survival, h))] * 2, rel=1e-4)
+    found = markov_approximation(chapter2_process())
+    assert mean_sojourns(found) == pytest.approx(mean_sojourns(chapter2_process()), rel=1e-4)
+    with pytest.raises(ValueError, match="3 modes"):
+        markov_approximation(chapter3_process())
+
+
+def test_integral_action_removes_the_steady_state_error() -> None:
+    values: dict[str, Any] = dict(integral_action(_quiet))
+    rows = judge(INTEGRAL, values)
+    assert [row.verdict for row in rows] == ["reproduced"]
+    assert_every_number_decides(rows)
+    for wrong in ({"surely": -1e-6}, {"verdict": "undecided"}, {"half": values["mean"]["dynamic"]}):
+        assert judge(INTEGRAL, values | wrong)[0].verdict == "not reproduced"
+
+
+def test_a_comparison_under_bounds_that_are_not_printed_is_decided_where_all_say_the_same() -> None:
+    class Found:
+        verdict = "certified"
+
+    n = 3
+    values: dict[str, Any] = {
+        "single": [Found] * n, "parts": [[Found, Found]] * n, "off": [[50.0, 50.0]] * n, "size": [29.0, 26.0],
+        "levels": [[2.0, 1.0]] * n, "share": [2.0] * n, "ratios": [[0.2, 0.1]] * n,
+    }  # fmt: skip
+    cases = (([-0.5, -0.2, -0.1], "reproduced"), ([-0.5, 0.0, 0.1], "undecided"), ([0.5, 0.2, 0.1], "not reproduced"))
+    for less, verdict in cases:
+        *gains, level, remark = judge(RECOMPUTED, values | {"less": less})
+        assert remark.verdict == verdict and level.verdict == "reproduced"
+        assert [row.verdict for row in gains] == ["not reproduced"] * 2
+    same = judge(RECOMPUTED, values | {"less": [0.0] * n, "off": [[1e-5, 4e-5]] * n})
+    assert [row.verdict for row in same[:2]] == ["reproduced"] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("compute", "statements", "verdicts"),
+    [
+        (markov, MARKOV, ["reproduced"]),
+        (delays, FURTHER, ["not reproduced", "reproduced"]),
+        (recomputed, RECOMPUTED, ["not reproduced", "not reproduced", "reproduced", "undecided"]),
+        (other_faults, OTHER_FAULTS, ["reproduced", "reproduced"]),
+    ],
+)
+def test_rows_hold_and_turn(compute: Any, statements: Any, verdicts: list[str]) -> None:
+    rows = judge(statements, compute(_quiet))
+    assert [row.verdict for row in rows] == verdicts
+    assert_every_number_decides(rows)
