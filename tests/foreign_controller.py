@@ -33,7 +33,7 @@ def main() -> None:
                 continue
             echo, asked, sent = asked.digest()[:8], sha256(), sent + 1  # what was asked, in eight bytes
             now_ns = seq * PERIOD_NS if seq != 0xFFFFFFFF else 0
-            r = values[-1] if references else 0.0  # the reference travels with the question
+            r = values[-1] if references else 0.0  # the reference travels with the sample
             u = GAIN * (y - r) if y is not None else 0.0
             tau = (now_ns - sample_ns) // PERIOD_NS if y is not None else -1
             # kind 0x32, selection 0 ("constant": one row for every delay), one row of one input
