@@ -45,7 +45,7 @@ def test_the_chapter_with_its_page():
     assert {verdicts[item] for item in reported} == {"reproduced"} and verdicts["(6.17)"] == "claim false"
     assert "certifies" in found["(6.17): a level gamma that it certifies bounds the distortion"].computed
     assert found["(6.2): m and b from a square wave of 0.4545 Hz and 0.02"].verdict == "reproduced"
-    assert verdicts["(6.14), of which (6.17) speaks"] == "claim false"
+    assert verdicts["(6.14), the subject of (6.17)"] == "claim false"
     assert found["Figure 6.9: the avatar's displacement along x is very small"].verdict == "reproduced"
     assert_every_number_decides(result.rows)
     page = chapter_page(result)
