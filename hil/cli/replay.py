@@ -30,7 +30,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--controller", metavar="NAME", help="What would this controller have commanded?")
 @click.option("--parameter", "sets", multiple=True, metavar="KEY=VALUE", help="A parameter of --controller; repeatable.")
 @click.option("--onto", metavar="URI", help="Put the recorded frames on this link.")
-@click.option("--process", metavar="URI", help="Put its questions to the controller's process there; compare the answers.")
+@click.option("--process", metavar="URI", help="Send its sensor packets to the controller's process there; compare the answers.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
 @click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
@@ -55,7 +55,7 @@ def command(
     the first sample that differs, and the SHA-256 of the records: of one experiment and seed in virtual time the same on
     every machine.
 
-    With --process a controller's own program, which runs, is asked every recorded question again; each field that it answers
+    With --process a controller's own program, which runs, gets every recorded sensor packet again; each field that it answers
     otherwise than in the log is one line, but for the time of its answers and their counter.
 
     Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
@@ -98,7 +98,7 @@ def command(
 def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
     from hil.session.replay.process import ask_process
 
-    with Working(f"questions to {uri}"):
+    with Working(f"sensor packets to {uri}"):
         done = ask_process(run, uri, str(file))
     if as_json:
         print_json(asdict(done))

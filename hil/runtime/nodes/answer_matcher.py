@@ -203,8 +203,8 @@ class AnswerMatcher:
         if self._thrown >= FLOOD and not self.flooded:
             self.flooded = True
             self._journal.event(
-                self._t_ns, "flood", f"{FLOOD} frames that answer no question came within {FLOOD_NS // 1_000_000} ms or a slot: "
-                "they are thrown away and counted, and the answer may be lost among them", tick=self._k, severity="error",
+                self._t_ns, "flood", f"{FLOOD} frames that answer no sensor packet came within {FLOOD_NS // 1_000_000} ms or a "
+                "slot: they are thrown away and counted, and the answer may be lost among them", tick=self._k, severity="error",
             )  # fmt: skip
 
     def _contradict(self, what: str, seq: int) -> None:
