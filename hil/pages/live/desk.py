@@ -102,7 +102,7 @@ WAITING: Final = 64
 """Wishes that wait at most; more are refused."""
 LEAD_S: Final = 0.02
 CERTIFIED_LEAD_S: Final = 0.3
-"""How far ahead of the run a change is armed, by the clock on the wall; twice as far each time that its slot has begun before."""
+"""How far ahead of the run a change is armed; if its slot began meanwhile, twice as far, or twice as far as the run has come."""
 SPEEDS: Final = (1e-3, 1e3)
 WATCHES: Final = "of a log, and with hil run --live, the page only watches; hil live EXPERIMENT takes changes"
 PACED: Final = "the clock on the wall paces a run in real time; hil live in virtual time holds, steps and goes at another speed"
@@ -254,10 +254,12 @@ class Desk:
         armed: dict[int, int] = {}
         while len(armed) < len(sides):
             left = {i: side for i, side in enumerate(sides) if i not in armed}
+            begun = {i: side.next_slot() for i, side in left.items()}
             k = max(_first_slot(side, path, lead_s) for side in left.values())
             made = {i: compose(_loop_of(side, path), k, path, value) for i, side in left.items()}
+            passed_s = max((side.next_slot() - begun[i]) * side.period_s / _speed_of(side) for i, side in left.items())
             armed |= {i: k for i, side in left.items() if side.arm(k, Change(path=path, value=value, loop=made[i]))}
-            lead_s *= 2
+            lead_s = 2 * max(lead_s, passed_s)
         return [armed[i] for i in range(len(sides))]
 
 
@@ -271,6 +273,11 @@ def _loop_of(side: Side, path: str) -> Loop:
 
 def _first_slot(side: Side, path: str, lead_s: float) -> int:
     """Return the slot that a run will not have reached in so much time; the next one where it is held."""
-    clock = side.clock
     _loop_of(side, path)
-    return side.next_slot() + (0 if clock is None or clock.held else round(lead_s * clock.speed / side.period_s))
+    held = side.clock is not None and side.clock.held
+    return side.next_slot() + (0 if held else round(lead_s * _speed_of(side) / side.period_s))
+
+
+def _speed_of(side: Side) -> float:
+    """Return the session time that passes in a second: in real time, without a clock of its own, one."""
+    return 1.0 if side.clock is None else side.clock.speed
