@@ -12,7 +12,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Literal, TypeVar, get_args
@@ -169,13 +169,18 @@ def spread(
         with _workers_ignore_interrupts():
             run = Parallel(batch_size=1, return_as="generator_unordered" if unordered else "generator")
             results = run(delayed(task)(job) for job in jobs)
-        stack.enter_context(warnings.catch_warnings())
-        warnings.filterwarnings("ignore", "[0-9]+ tasks which were still being processed", UserWarning)  # and are cancelled
-        stack.enter_context(closing(results))
+        stack.callback(_cancel, results)
         try:
             yield from results
         except BrokenExecutor as error:
             raise DesignError(KILLED) from error
+
+
+def _cancel(results: Any) -> None:
+    """Close the results, which cancels what runs: joblib warns of that, and it is what is asked for."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "[0-9]+ tasks which were still being processed", UserWarning)
+        results.close()
 
 
 @contextmanager
