@@ -4,9 +4,10 @@
 `can_player` and `cantools monitor`. Frames travel over Unix sockets (see `transport.links.unix_mesh`) in the directory
 ``/tmp/hil-can-<uid>/<channel>``, or under `HIL_CAN_DIR` if that is set.
 
-Every frame carries the sender's time stamp, the same for all who receive it. There is no arbitration and no bit time, unless all
-participants say ``timed=True``: see `transport.links.shared_bus`. A frame is lost only for a participant that has
-`transport.links.unix_mesh.QUEUE_LIMIT` unread frames waiting, and the loss is counted at both ends (`dropped`, `lost`).
+Every frame carries its sender's time stamp, the same for all who receive it, but those of a link, which is timed by the kernel of
+who receives them. There is no arbitration and no bit time, unless all participants say ``timed=True``: see
+`transport.links.shared_bus`. A frame is lost only for a participant that has `transport.links.unix_mesh.QUEUE_LIMIT` unread
+frames waiting, and the loss is counted at both ends (`dropped`, `lost`).
 
 `bridge` is a CAN controller between an interface of the kernel and such a bus that takes time, as ``can0`` stands before a real
 wire. What a program sends on the interface is queued here as in a controller's transmit buffer, and takes part in arbitration on
@@ -107,7 +108,7 @@ class HilBus(can.BusABC):
         try:
             self.frames = join_channel(
                 name, receive_own_messages=receive_own_messages, fd=fd, timed=timed, bitrate=bitrate, dbitrate=dbitrate,
-                data_bitrate=data_bitrate, berr_reporting=berr_reporting, restart_ms=restart_ms,
+                data_bitrate=data_bitrate, berr_reporting=berr_reporting, restart_ms=restart_ms, stamped=True,
             )  # fmt: skip
         except TransportError as error:
             raise can.CanInitializationError(str(error)) from error

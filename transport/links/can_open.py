@@ -109,7 +109,7 @@ def _check_name(uri: str, interface: str) -> None:
 def _names_of(interface: str) -> tuple[list[str], bool]:
     """Return the names of an interface's options, and whether it takes any other; none of a back end without its driver."""
     if interface == "hil":
-        return [name for name in signature(join_channel).parameters if name != "name"], False
+        return [name for name in signature(join_channel).parameters if name not in ("name", "stamped")], False
     from transport.links.python_can import options_of
 
     return options_of(interface)

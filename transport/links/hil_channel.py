@@ -26,7 +26,7 @@ _CHANNEL = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,31}")
 def join_channel(
     name: str, *, fd: bool = True, receive_own_messages: bool = False, timed: object = False, bitrate: object = None,
     dbitrate: object = None, data_bitrate: object = None, berr_reporting: object = False, restart_ms: object = None,
-    sample_point: object = None, data_sample_point: object = None,
+    sample_point: object = None, data_sample_point: object = None, stamped: bool = False,
 ) -> HilFrames:  # fmt: skip
     """Join a channel.
 
@@ -35,6 +35,7 @@ def join_channel(
         fd, receive_own_messages, timed, bitrate, dbitrate, data_bitrate, berr_reporting, restart_ms: see
             `transport.links.can_bus.HilBus`.
         sample_point, data_sample_point: taken and ignored.
+        stamped: see `HilFrames`.
 
     Raises:
         TransportError: the name or a rate is not allowed, or the directory cannot be had.
@@ -45,6 +46,7 @@ def join_channel(
         return HilFrames(
             bus_directory() / name, f"hil channel '{name}'", fd=fd, own=receive_own_messages, bus_errors=bool(berr_reporting),
             rates=timed_rates(timed, bitrate, dbitrate if data_bitrate is None else data_bitrate), restart_s=restart(restart_ms),
+            stamped=stamped,
         )  # fmt: skip
     except (FieldError, TransportError, OSError) as error:
         raise TransportError(f"hil: channel {name!r}: {error}") from error

@@ -60,6 +60,7 @@ class HilFrames:
         bus_errors: receive an error frame for every destroyed frame, where the bus takes time.
         rates: of a bus that takes time; None for one that does not.
         restart_s: from bus-off to when recovery begins, s; None: it stays off.
+        stamped: have the time of every frame: that of a link's frame is when it arrived here.
 
     Attributes:
         filtered: frames that a filter kept out, or that are none.
@@ -73,14 +74,15 @@ class HilFrames:
 
     def __init__(
         self, folder: Path, title: str, *, fd: bool, own: bool = False, bus_errors: bool = False,
-        rates: BitRates | None = None, restart_s: float | None = None,
+        rates: BitRates | None = None, restart_s: float | None = None, stamped: bool = False,
     ) -> None:  # fmt: skip
         self._title, self._fd, self._own, self._bus_errors = title, fd, own, bus_errors
         self._closed = False
+        self._heads: dict[int, bytes] = {}
         self.matches: tuple[tuple[int, int], ...] | None = None
         self.filtered = 0
         self.timed: TimedSender | None = None
-        self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None)
+        self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None, stamped=stamped)
         if rates is not None:
             from transport.links.timed_sender import TimedSender  # loaded where a bus takes time
 
@@ -151,9 +153,9 @@ class HilFrames:
         """
         if self._closed:
             raise TransportError(f"{self._title} is shut down")
-        now = time()
         if self.timed is not None and not identifier & ERROR:
             return self.timed.send(frame_of(identifier, length, flags, data), (identifier, length, flags, bytes(data)), wait_s)
+        now = time()
         reached = self.mesh.send(_PACK(now, 0, identifier, length, flags) + data, wait_s)
         if self._own:
             self.mesh.echo(_PACK(now, 0, identifier, length, flags | OWN) + data)
@@ -196,7 +198,16 @@ class HilFrames:
         Returns:
             Whether a participant took it, or there is none; False if none of them had room.
         """
-        return self.put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+        if self._closed or self._own or self.timed is not None:
+            return self.put(identifier, len(data), FD_FRAME | BITRATE_SWITCH if self._fd else 0, data, 0.0)
+        head = self._heads.get(identifier << 7 | len(data))
+        return self.mesh.send((self._head(identifier, len(data)) if head is None else head) + data)
+
+    def _head(self, identifier: int, length: int) -> bytes:
+        """Return the head of each frame of an identifier and a length, without a time, which costs a tenth of a round trip."""
+        head = _PACK(0.0, 0, identifier, length, FD_FRAME | BITRATE_SWITCH if self._fd else 0)
+        self._heads[identifier << 7 | length] = head
+        return head
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
         """Receive without a `can.Message`: identifier with the flags of <linux/can.h>, whether FD, data; or None.

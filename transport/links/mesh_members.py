@@ -31,10 +31,12 @@ class Members:
     Args:
         directory: where the participants' sockets are; made if missing, removed by the last one to leave.
         echo: connect to oneself too, see `own`.
+        stamped: see `Peer`.
 
     Attributes:
         peers: whom we send to.
         sources: whose datagrams we receive, by file descriptor.
+        lone: the only one of them, None where there are others or none.
         own: our end of a connection to ourselves.
         epoll: says when something waits from a source, or a newcomer.
         closed: whether we have left.
@@ -44,11 +46,12 @@ class Members:
         TransportError: no such directory can be had, it belongs to another user, or the disk or the descriptors are used up.
     """
 
-    def __init__(self, directory: Path, *, echo: bool) -> None:
-        self.directory = directory
+    def __init__(self, directory: Path, *, echo: bool, stamped: bool) -> None:
+        self.directory, self._stamped = directory, stamped
         self.refused = 0
         self.peers: tuple[Peer, ...] = ()
         self.sources: dict[int, Peer] = {}
+        self.lone: Peer | None = None
         self.own: Peer | None = None
         self.closed = False
         self._lock = Lock()
@@ -67,7 +70,7 @@ class Members:
             if echo:
                 ours, own = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
                 self.own = Peer(ours)
-                self._add(Peer(own))
+                self._add(self._peer(own))
         except BaseException as error:
             self._release([*self.sources.values()])
             if isinstance(error, OSError):  # no room, no descriptor
@@ -92,7 +95,7 @@ class Members:
             except OSError:  # another kind of socket, not ours
                 connection.close()
             else:
-                peers.append(Peer(connection))
+                peers.append(self._peer(connection))
                 self._add(peers[-1])
         self.peers = tuple(peers)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -133,9 +136,16 @@ class Members:
                 return self._seen
             raise
 
+    def _peer(self, connection: socket.socket) -> Peer:
+        return Peer(connection, stamped=self._stamped)
+
     def _add(self, peer: Peer) -> None:
         self.sources[peer.socket.fileno()] = peer
+        self._count()
         self.epoll.register(peer.socket, select.EPOLLIN)
+
+    def _count(self) -> None:
+        self.lone = next(iter(self.sources.values())) if len(self.sources) == 1 else None
 
     def admit(self) -> None:
         """Let in whoever has connected since."""
@@ -155,7 +165,7 @@ class Members:
                     self._listening = False
                     self.refused += 1
                 return
-            peer = Peer(connection)
+            peer = self._peer(connection)
             self._add(peer)
             self.peers += (peer,)
             self._listen()
@@ -165,6 +175,7 @@ class Members:
         with self._lock:
             self.peers = tuple(other for other in self.peers if other is not peer)
             if not unread and self.sources.pop(peer.socket.fileno(), None) is not None:
+                self._count()
                 with suppress(OSError, ValueError):
                     self.epoll.unregister(peer.socket)
                 peer.socket.close()
@@ -186,7 +197,7 @@ class Members:
             if self.closed:
                 return
             self.closed = True
-            sources, self.sources, self.peers = self.sources, {}, ()
+            sources, self.sources, self.peers, self.lone = self.sources, {}, (), None
         self._path.unlink(missing_ok=True)  # where the lock was not to be had
         self._release([*sources.values()])
 

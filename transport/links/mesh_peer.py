@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import socket
 import stat
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from socket import MSG_DONTWAIT, MSG_NOSIGNAL, MSG_PEEK
@@ -18,11 +19,12 @@ from transport.links.link import TransportError
 from transport.links.private_directory import locked
 
 HEAD: Final = Struct("<dH")
-"""Time stamp, s; datagrams lost before this one."""
+"""Time stamp, s, or 0: when the kernel of who reads it took it; datagrams lost before this one."""
 
 HEAD_BYTES: Final = 10
 """Size of `HEAD`."""
 
+_TIME: Final = Struct("<d")
 _STAMP: Final = Struct("@ll")
 _STAMP_SPACE: Final = socket.CMSG_SPACE(_STAMP.size)
 _SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does not name it
@@ -43,11 +45,16 @@ def _stamp_what_waits(connection: socket.socket) -> None:
 
 
 class Peer:
-    """One connection, and how many datagrams it missed since the last one that got through."""
+    """One connection, and how many datagrams it missed since the last one that got through.
 
-    __slots__ = ("_recv", "_send", "missed", "socket")
+    Args:
+        connection: a socket of datagrams that is connected.
+        stamped: give a datagram that says no time the kernel's, which costs who reads it a microsecond.
+    """
 
-    def __init__(self, connection: socket.socket) -> None:
+    __slots__ = ("_recv", "_send", "_stamped", "missed", "socket")
+
+    def __init__(self, connection: socket.socket, *, stamped: bool = False) -> None:
         connection.setblocking(True)  # what may not wait says so: no time that Python keeps, one system call in `await_one`
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)
         with suppress(OSError):
@@ -55,17 +62,23 @@ class Peer:
         with suppress(OSError):
             connection.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             _stamp_what_waits(connection)
-        self.socket = connection
+        self.socket, self._stamped = connection, stamped
         self._send, self._recv = connection.send, connection.recv
         self.missed = 0
 
     def read(self) -> bytes:
         """Return the next datagram, b"" where the other end has left; `BlockingIOError` if there is none."""
-        return self._recv(_LARGEST, MSG_DONTWAIT)
+        return self._with_time(MSG_DONTWAIT) if self._stamped else self._recv(_LARGEST, MSG_DONTWAIT)
 
     def await_one(self) -> bytes:
         """Wait up to 50 ms for the next datagram, and `read` it: asleep in the call that reads, which no other has to follow."""
-        return self._recv(_LARGEST)
+        return self._with_time(0) if self._stamped else self._recv(_LARGEST)
+
+    def _with_time(self, flags: int) -> bytes:
+        datagram, said, _, _ = self.socket.recvmsg(_LARGEST, _STAMP_SPACE, flags)
+        if len(datagram) < HEAD_BYTES or _TIME.unpack_from(datagram)[0]:
+            return datagram
+        return _TIME.pack(_stamp(said) / 1e9) + datagram[_TIME.size :]
 
     def offer(self, datagram: bytes) -> None:
         """Send, or raise `OSError`; never wait."""
@@ -82,11 +95,16 @@ class Peer:
             _, said, _, _ = self.socket.recvmsg(1, _STAMP_SPACE, MSG_PEEK | MSG_DONTWAIT)
         except OSError:
             return -1
-        for level, kind, data in said:
-            if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _STAMP.size:
-                seconds, nanoseconds = _STAMP.unpack(data)
-                return int(seconds) * 1_000_000_000 + int(nanoseconds)
-        return -1
+        return _stamp(said)
+
+
+def _stamp(said: Sequence[tuple[int, int, bytes]]) -> int:
+    """Return the kernel's stamp among what it said of a datagram, ns since 1970; -1 where it is missing."""
+    for level, kind, data in said:
+        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) == _STAMP.size:
+            seconds, nanoseconds = _STAMP.unpack(data)
+            return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    return -1
 
 
 BUS_FILE: Final = "bus"

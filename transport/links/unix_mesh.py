@@ -8,9 +8,10 @@ The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receive
 receiver only: the sender counts it as dropped, and the next datagram that gets through carries to the receiver how many it
 missed. No participant ever waits for another, be it slow, stopped or dead.
 
-A datagram begins with `mesh_peer.HEAD`: the time it was sent, for who logs it, and the number of datagrams missed before it,
-which is the mesh's to fill in. A receiver merges its senders by the instant at which its own kernel took each datagram: what a
-sender says of the time decides nothing, or who says 0 would always come first.
+A datagram begins with `mesh_peer.HEAD`: the time it was sent, for who logs it, or 0 for the time at which the kernel of who logs
+it took it, and the number of datagrams missed before it, which is the mesh's to fill in. A receiver merges its senders by the
+instant at which its own kernel took each datagram: what a sender says of the time decides nothing, or who says 0 would always
+come first.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class Mesh(Closing):
         echo: receive one's own datagrams too (those given to `echo`).
         looks: look for an answer before a short wait sleeps; not where another thread of this process sends it, which would
             wait for the interpreter meanwhile.
+        stamped: give datagrams without a time the kernel's.
 
     Attributes:
         dropped: datagrams this participant could not hand to another one whose queue was full.
@@ -54,12 +56,13 @@ class Mesh(Closing):
         TransportError: no such directory can be had, it belongs to another user, or the disk or the descriptors are used up.
     """
 
-    def __init__(self, directory: Path, *, echo: bool = False, looks: bool = True) -> None:
+    def __init__(self, directory: Path, *, echo: bool = False, looks: bool = True, stamped: bool = False) -> None:
         self.directory = directory
         self.dropped = self.lost = 0
         self._looks = looks
+        self._asked = False  # whether it has looked for newcomers since it last received: who sends does
         self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
-        self._members = Members(directory, echo=echo)
+        self._members = Members(directory, echo=echo, stamped=stamped)
 
     def send(self, datagram: bytes, wait_s: float = 0.0) -> bool:
         """Send to everyone.
@@ -74,6 +77,7 @@ class Mesh(Closing):
         members = self._members
         peers = members.peers
         taken, full = self._offer(peers, datagram, wait_s)
+        self._asked = True
         if members.unseen():  # looked at when the others have it already, who wait for it
             members.admit()
         if members.peers is not peers:
@@ -129,7 +133,11 @@ class Mesh(Closing):
             timeout_s: s; None waits for ever.
         """
         members, epoll = self._members, self._members.epoll
-        ready = epoll.poll(0)
+        ready: list[tuple[int, int]] = []
+        if self._asked and (timeout_s is None or timeout_s > 0) and members.lone is not None:
+            self._asked = False  # a lone participant, and no newcomer: nothing could come before what the wait reads
+        else:
+            ready = epoll.poll(0)
         if not ready and (timeout_s is None or timeout_s > 0):
             found = self._wait(timeout_s)
             if isinstance(found, bytes):
@@ -164,18 +172,13 @@ class Mesh(Closing):
         """Wait; return the datagram that came, or what epoll has, [] if nothing came."""
         if timeout_s is not None and timeout_s < _COARSE_S:
             return (self._look() if self._looks else []) or self._sleep(timeout_s)
-        lone = self._lone()
+        lone = self._members.lone
         if lone is not None:  # asleep in the call that reads: a newcomer's first datagrams may wait for 50 ms
             found = self._read(lone, wait=True)
-            if found is not None or self._lone() is not lone:
+            if found is not None or self._members.lone is not lone:
                 return found or []
             timeout_s = None if timeout_s is None else timeout_s - _COARSE_S
         return self._members.epoll.poll(timeout_s)
-
-    def _lone(self) -> Peer | None:
-        """Return the only participant whose datagrams come here, None where there are others or none."""
-        sources = self._members.sources
-        return next(iter(sources.values())) if len(sources) == 1 else None
 
     def _look(self) -> bytes | list[tuple[int, int]]:
         """Look for an answer without sleep; return what came, or what epoll has, [] if nothing came.
@@ -186,7 +189,7 @@ class Mesh(Closing):
         if self._rest:
             self._rest -= 1
             return []
-        epoll, lone = self._members.epoll, self._lone()
+        epoll, lone = self._members.epoll, self._members.lone
         for _ in range(POLLS):
             # A lone participant is read without asking epoll whether it can be: none but a newcomer could have come first.
             found = epoll.poll(0) if lone is None else self._read(lone)

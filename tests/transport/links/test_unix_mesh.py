@@ -124,6 +124,19 @@ def test_who_sleeps_for_a_lone_participant_receives_a_newcomer_too(directory: Pa
         assert [each for each in found if each] == expected
 
 
+def test_who_has_sent_once_receives_a_newcomer_beside_one_that_never_pauses(directory: Path) -> None:
+    with Mesh(directory) as talker, Mesh(directory) as listener:
+        talker.send(HEAD.pack(0.0, 0))
+        assert listener.receive(0) is not None and listener.send(HEAD.pack(0.0, 0))
+        with Mesh(directory) as newcomer:
+            newcomer.send(HEAD.pack(1.0, 0) + b"new")
+            found = []
+            for _ in range(4):
+                talker.send(HEAD.pack(0.0, 0) + b"old")
+                found.append(listener.receive(0.01))
+    assert HEAD.pack(1.0, 0) + b"new" in found
+
+
 def test_a_sleep_for_a_lone_participant_ends_when_it_leaves(directory: Path) -> None:
     with Mesh(directory) as listener:
         other = Mesh(directory)
