@@ -57,24 +57,28 @@ class PacedClock:
     LOOK_S: Final = 0.05
 
     def __init__(self, speed: float = 1.0, held: bool = False) -> None:
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._speed, self._held, self._steps, self._ended = speed, held, 0, False
         self._now = 0
         self._from = time.monotonic_ns(), 0  # an instant, and the session time then
 
     def wait_until(self, t_ns: int) -> None:
-        with self._changed:
-            while not self._ended:
-                if self._held and self._steps:
-                    self._steps -= 1
-                    break
-                left_s = self.LOOK_S if self._held else self._left_s(t_ns)
+        while True:
+            with self._lock:
+                left_s = self._left_s(t_ns)
                 if left_s <= 0.0:
-                    break
-                self._changed.wait(min(left_s, self.LOOK_S))
-            self._now = max(self._now, t_ns)
+                    self._now = max(self._now, t_ns)
+                    return
+            time.sleep(min(left_s, self.LOOK_S))
 
     def _left_s(self, t_ns: int) -> float:
+        if self._ended:
+            return 0.0
+        if self._held:
+            if not self._steps:
+                return self.LOOK_S
+            self._steps -= 1
+            return 0.0
         begun_ns, at_ns = self._from
         left_ns = begun_ns + (t_ns - at_ns) / self._speed - time.monotonic_ns()
         if left_ns < -self.BEHIND_NS:
@@ -96,18 +100,16 @@ class PacedClock:
 
     def set(self, *, speed: float | None = None, held: bool | None = None) -> None:
         """Go on at another speed, or hold."""
-        with self._changed:
+        with self._lock:
             self._speed = self._speed if speed is None else speed
             self._held = self._held if held is None else held
             self._steps, self._from = 0, (time.monotonic_ns(), self._now)
-            self._changed.notify_all()
 
     def step(self, slots: int) -> None:
         """Hold, and let so many slots pass."""
-        with self._changed:
+        with self._lock:
             self._held = True
             self._steps += slots
-            self._changed.notify_all()
 
     def end(self) -> None:
         """Wait no more (safe in a signal handler)."""
