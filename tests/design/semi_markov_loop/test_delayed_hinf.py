@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -127,6 +128,10 @@ def test_rates_meet_the_printed_bounds_of_both_sections() -> None:
             r"gain: \(modes, inputs, states\) = \(2, 2, 4\)",
         ),
         (lambda: analyse_delayed(SYSTEM, chapter3_gain(), PROCESS, method="exact"), "method: 'exact'"),
+        (
+            lambda: analyse_delayed(SYSTEM, replace(chapter3_gain(), schedule="linear"), PROCESS, method="pwc"),
+            "gain: varies within the section at 0 s; only method 'pwl' can follow it",
+        ),
         (
             lambda: DelayedJumpSystem(
                 a=SYSTEM.a,

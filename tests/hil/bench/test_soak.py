@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from hil.bench.soak import _memory, _predicted, bench_soak, judge, slope
+from hil.bench import soak
+from hil.bench.soak import PROCESSES, _memory, _predicted, _processes, _resident_kb, _watch, bench_soak, judge, slope
 
 
 def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:
@@ -112,3 +117,74 @@ def test_the_size_of_a_log_is_predicted_by_its_growth_in_the_second_tenth() -> N
     assert _predicted(t, log, 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
     few = t <= 15.0  # of a session that ended early
     assert _predicted(t[few], log[few], 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
+
+
+class Session:
+    """A session on a clock of its own: its log grows by 1 kB each s, process n holds 1000 n kB and 10 kB more each s."""
+
+    pid = 7
+
+    def __init__(self, log: Path, monkeypatch: pytest.MonkeyPatch, *, lasts_s: float, rig_ends_s: float = np.inf) -> None:
+        self._log, self._lasts_s, self._rig_ends_s, self._now_s = log, lasts_s, rig_ends_s, 0.0
+        monkeypatch.setattr(soak, "pause", self._pause)
+        monkeypatch.setattr(soak, "monotonic_ns", lambda: round(self._now_s * 1e9))
+        monkeypatch.setattr(soak, "_processes", lambda pid: {name: pid + n for n, name in enumerate(PROCESSES)})
+        monkeypatch.setattr(soak, "_resident_kb", self._resident_kb)
+
+    def poll(self) -> int | None:
+        return 0 if self._now_s >= self._lasts_s else None
+
+    def _pause(self, duration_s: float) -> None:
+        self._now_s += duration_s
+        with open(self._log, "ab") as log:
+            log.truncate(round(1000 * self._now_s))
+
+    def _resident_kb(self, pid: int) -> int | None:
+        gone = pid == self.pid + PROCESSES.index("rig") and self._now_s >= self._rig_ends_s
+        return None if gone else round(1000 * (pid - self.pid) + 10 * self._now_s)
+
+
+def test_a_session_is_watched_from_its_first_records_to_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The header of a log is 12 kB at most: here it holds records from second 13 on."""
+    log = tmp_path / "0.mcap"
+    seen = _watch(Session(log, monkeypatch, lasts_s=1000.0), log, 400.0)  # type: ignore[arg-type]
+    assert seen.t_s == [float(t) for t in range(401)]
+    assert seen.log == [1000 * (13 + t) for t in range(401)]
+    assert seen.kb == {name: [1000.0 * n + 10.0 * (13 + t) for t in range(401)] for n, name in enumerate(PROCESSES)}
+
+
+@pytest.mark.parametrize("how", [{"lasts_s": 100.0}, {"lasts_s": 1000.0, "rig_ends_s": 100.0}])
+def test_a_session_that_ends_early_or_loses_a_process_is_watched_until_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: dict[str, float]
+) -> None:
+    log = tmp_path / "0.mcap"
+    seen = _watch(Session(log, monkeypatch, **how), log, 400.0)  # type: ignore[arg-type]
+    assert seen.t_s == [float(t) for t in range(87)]
+    assert {len(kb) for kb in seen.kb.values()} == {len(seen.log)} == {87}
+
+
+def test_the_processes_of_a_session_are_its_children_by_what_they_run_and_what_is_gone_has_no_memory() -> None:
+    """The page that a process touches is resident; one that has ended and is not yet waited for holds none."""
+    wait = "import sys; held = bytes(int(sys.argv[2])); print(flush=True); sys.stdin.read()"
+    parent = (
+        "import subprocess, sys\n"
+        "run = lambda *words: subprocess.Popen([sys.executable, '-c', sys.argv[1], *words], stdin=0, stdout=subprocess.PIPE)\n"
+        "found = [run(f'hil.runtime.real.{name}_process', size) for name, size in (('rig', '1'), ('controller', '1'))]\n"
+        "found += [run('something.else', '1')]\n"
+        "for each in found: each.stdout.readline()\n"
+        "print(*(each.pid for each in found), flush=True)\n"
+        "sys.stdin.read()\n"
+        "for each in found: each.wait()\n"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", parent, wait], stdin=pipe, stdout=pipe, text=True) as session:
+        assert session.stdin and session.stdout
+        rig, controller, _ = map(int, session.stdout.readline().split())
+        assert _processes(session.pid) == {"session": session.pid, "rig": rig, "controller": controller}
+        resident = _resident_kb(rig)
+        status = dict(line.split(":") for line in Path(f"/proc/{rig}/status").read_text().splitlines())
+        assert resident is not None and abs(resident - int(status["VmRSS"].split()[0])) < 1024
+        session.stdin.close()
+        os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)
+        assert _resident_kb(session.pid) is None
+    assert _resident_kb(rig) is None

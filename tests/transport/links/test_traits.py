@@ -66,6 +66,7 @@ def test_a_plug_in_says_what_its_links_are(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(Point, "load", lambda point: found[point.name] if point.name in found else load(point))
     said = traits_of("bus:7")
     assert (said.commanders, said.can, said.own_threads) == ("whoever holds the cable", CanFraming(base=0x300), True)
+    assert said.can is not None and said.can.frame_bytes == 64, "CAN FD, where it does not say otherwise"
     for name in ("mute", "gone"):
         assert traits_of(f"{name}:7") == LinkTraits(commanders=f"unknown: the link {name!r} does not say whom it lets in")
     with pytest.raises(TransportError, match=r"traits gave 'CAN', expected transport\.LinkTraits"):

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
+import msgspec
 import pytest
 
-from hil.sweeps.problems import RUNS, best_known, best_of, lower_bound, problems, reached
+from hil.sweeps import problems as problem_set
+from hil.sweeps.problems import RUNS, best_known, best_of, folder, lower_bound, problems, reached
 from tests.hil.cli.conftest import Hil, cli
 
 __all__ = ["cli"]
@@ -40,6 +43,41 @@ def test_what_is_stored_is_computed_again(name: str) -> None:
     assert best is not None
     assert best.controller == entry["controller"]
     assert best.mean == pytest.approx(entry["mean"], rel=1e-6)
+
+
+@pytest.fixture
+def own_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A copy of the set in which nothing is stored yet, of four runs each."""
+    copy = shutil.copytree(folder(), tmp_path / "set", ignore=shutil.ignore_patterns("best.json", "*.py"))
+    monkeypatch.setattr(problem_set, "folder", lambda: copy)
+    monkeypatch.setattr(problem_set, "RUNS", 4)
+    return copy / "best.json"
+
+
+def test_the_best_of_the_controllers_that_were_tried_is_stored_beside_what_is_stored_of_others(cli: Hil, own_set: Path) -> None:
+    stored = {}
+    for name in ("motor-ncsbench", "motor-5g"):
+        status, out, err = cli("problems", "--write", "--only", name)
+        assert status == 0, err
+        problem = next(problem for problem in problems() if problem.name == name)
+        tried = [reached(problem, table, 4) for table in problem.tried]
+        for each, line in zip(tried, out.splitlines(), strict=True):
+            assert line.startswith(f"{name}: {each.controller}: {each.mean:.5g} ({each.low:.5g} to {each.high:.5g}) certified")
+        best = min(tried, key=lambda each: each.mean or 0.0)
+        stored[name] = msgspec.to_builtins(best) | {"lower_bound": lower_bound(problem)}
+        assert json.loads(own_set.read_text()) == stored
+    assert [*json.loads(own_set.read_text())] == sorted(stored)
+
+
+def test_a_problem_on_which_no_controller_ran_is_refused_and_nothing_is_stored(
+    cli: Hil, own_set: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = msgspec.structs.replace(problems()[0], tried=("{kind='local',gain=[[1.0,2.0,3.0]]}",))
+    monkeypatch.setattr(problem_set, "problems", lambda: (one,))
+    status, out, err = cli("problems", "--write")
+    assert status == 2 and "none of the controllers that are named ran" in err
+    assert f"{one.name}: {one.tried[0]}: - (-)" in out
+    assert not own_set.exists()
 
 
 def test_a_controller_meets_all_problems_with_one_command(cli: Hil, tmp_path: Path) -> None:
