@@ -1,6 +1,6 @@
 """Whether a plant that runs keeps to its model: its record beside the model's next step, a block of slots at a time.
 
-A block is compared in small steps, one in each of the slots that follow: at once it takes 250 us where caches are cold, and a
+A block is compared in small steps, one in each of the slots that follow: at once it takes 150 us where caches are cold, and a
 session in real time would be late.
 
 What the model leaves unexplained is compared with what it leaves of a second run of the same seed, without commands: noise and
@@ -21,7 +21,7 @@ from hil.rig.watched import CANCELS, EQUAL, LARGEST, OneStep, kind_of
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
-BLOCK: Final = 1024
+BLOCK: Final = 512
 """Slots that are compared at once."""
 MOST_KEPT: Final = 200_000
 """Slots with loads or noise in which what is left over may not grow; what comes behind them is not looked at."""
@@ -75,7 +75,9 @@ class PlantWatch:
         sums = _zeros(self._step.taps, z)
         yield
         yield from _add_terms(self._step.taps, z, *sums)
-        left, scale = sums[0].T, np.maximum(np.maximum.accumulate(sums[1].T), self._scale)
+        left, largest = sums[0].T, np.maximum.accumulate(sums[1].T)
+        yield
+        scale = np.maximum(largest, self._scale)
         self._scale = scale[-1]
         yield
         with np.errstate(over="ignore", invalid="ignore"):
