@@ -13,6 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from socket import MSG_DONTWAIT, MSG_NOSIGNAL, MSG_PEEK
 from struct import Struct
+from time import time
 from typing import Final
 
 from transport.links.link import TransportError
@@ -78,7 +79,8 @@ class Peer:
         datagram, said, _, _ = self.socket.recvmsg(_LARGEST, _STAMP_SPACE, flags)
         if len(datagram) < HEAD_BYTES or _TIME.unpack_from(datagram)[0]:
             return datagram
-        return _TIME.pack(_stamp(said) / 1e9) + datagram[_TIME.size :]
+        arrived_ns = _stamp(said)  # -1 on a kernel that stamps nothing
+        return _TIME.pack(arrived_ns / 1e9 if arrived_ns >= 0 else time()) + datagram[_TIME.size :]
 
     def offer(self, datagram: bytes) -> None:
         """Send, or raise `OSError`; never wait."""
