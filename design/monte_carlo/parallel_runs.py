@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final, Literal, TypeVar, get_args
@@ -166,10 +165,10 @@ def spread(
             options["client"] = stack.enter_context(_client(workers))
         stack.enter_context(parallel_config(**options))
         stack.enter_context(safe_path())
-        with _workers_ignore_interrupts():
+        with _interrupts_wait() if workers.backend == "loky" else nullcontext():
             run = Parallel(batch_size=1, return_as="generator_unordered" if unordered else "generator")
             results = run(delayed(task)(job) for job in jobs)
-        stack.callback(_cancel, results)
+            stack.callback(_cancel, results)
         try:
             yield from results
         except BrokenExecutor as error:
@@ -184,20 +183,19 @@ def _cancel(results: Any) -> None:
 
 
 @contextmanager
-def _workers_ignore_interrupts() -> Iterator[None]:
-    """Ignore Ctrl-C for the milliseconds in which workers are started: they inherit that for good.
+def _interrupts_wait() -> Iterator[None]:
+    """Let Ctrl-C wait for the milliseconds in which workers are started; it comes when they all are there.
 
-    A terminal sends it to all of them; it is for this process alone, which then stops them. (A mask would not lose a
-    signal, but loky lifts masks when it starts its resource tracker.)
+    A terminal sends it to all of them; it is for this process alone, which then stops them. They inherit the mask for good. The
+    two resource trackers are started first: they lift the mask of who starts them.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield  # only the main thread may set handlers
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for tracker in ("joblib.externals.loky.backend.resource_tracker", "multiprocessing.resource_tracker"):
+        import_module(tracker).ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _client(workers: Workers) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -107,6 +108,29 @@ def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
     assert list(spread(abs, range(20), Workers(backend="loky", jobs=2))) == list(range(20))
     with pytest.raises(ZeroDivisionError):
         list(spread(reciprocal, range(6), Workers(backend="threading", jobs=2)))
+
+
+class Interrupted(list[int]):
+    """Jobs; Ctrl-C comes while the first of them is given out, and with it the workers are started."""
+
+    def __iter__(self) -> Iterator[int]:
+        os.kill(os.getpid(), signal.SIGINT)
+        yield from super().__iter__()
+
+
+def test_an_interrupt_while_workers_are_started_is_not_lost() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        list(spread(abs, Interrupted(range(8)), Workers(backend="loky", jobs=2)))
+    assert list(spread(abs, range(4), Workers(backend="loky", jobs=2))) == list(range(4))
+
+
+def blocks_interrupts(_: int) -> bool:
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def test_an_interrupt_of_the_terminal_is_for_the_parent_alone() -> None:
+    assert not blocks_interrupts(0)
+    assert all(spread(blocks_interrupts, range(4), Workers(backend="loky", jobs=3)))
 
 
 def test_a_scheduler_that_is_not_there_is_said() -> None:
