@@ -33,7 +33,6 @@ __all__ = ["INTERFACES", "MessageFrames", "can", "join_interface", "options_of",
 
 INTERFACES: Final = can.VALID_INTERFACES
 """Names of the interfaces that python-can knows."""
-_SILENCE: Final = logging.NullHandler()
 
 
 def with_mf4() -> type[can.io.mf4.MF4Writer]:
@@ -106,9 +105,7 @@ def join_interface(interface: str, channel: str, *, fd: bool, quiet: bool, optio
     Raises:
         Exception: a back end without its driver raises anything.
     """
-    logger = logging.getLogger("can")  # what python-can has to say, we say in one line
-    logger.addHandler(_SILENCE)
-    logger.propagate = False
+    logging.getLogger("can").propagate = False  # what python-can has to say, we say in one line
     if interface == "virtual":
         options = {**options, "protocol": can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20}
     elif fd or interface == "udp_multicast":
