@@ -184,6 +184,12 @@ def main(args: list[str] | None = None) -> Any:
     if sys.stdout is None and "--json" in words[: words.index("--") if "--" in words else None]:  # `hil ... --json >&-`
         print("hil: --json writes to standard output, which is closed; nothing was run", file=sys.stderr)
         sys.exit(2)
+    if asked := os.environ.get("_HIL_COMPLETE"):
+        from hil.cli.completion import completion_fault
+
+        if fault := completion_fault(asked):
+            print(f"hil: {fault}", file=sys.stderr)
+            sys.exit(2)
     try:
         with signals_as_exceptions():
             return cli.main(args, prog_name="hil", standalone_mode=True)

@@ -144,6 +144,23 @@ def script(shell: str) -> str:
     return text
 
 
+def completion_fault(asked: str) -> str:
+    """Return what is wrong with the question of a shell, nothing where it can be answered; click would show a traceback.
+
+    Args:
+        asked: value of ``_HIL_COMPLETE``, such as ``bash_complete``; its script sets COMP_WORDS and COMP_CWORD, too.
+    """
+    shell, _, what = asked.partition("_")
+    if shell not in SHELLS or what not in ("source", "complete"):
+        return f"_HIL_COMPLETE: {asked!r}; expected {SHELLS[0]}_complete or the like, which only a completion script sets"
+    missing = [name for name in ("COMP_WORDS", "COMP_CWORD") if what == "complete" and name not in os.environ]
+    if missing:
+        return f"_HIL_COMPLETE: {asked!r} without {missing[0]}; only a completion script sets both: unset _HIL_COMPLETE"
+    if what == "complete" and shell != "fish" and not os.environ["COMP_CWORD"].isdecimal():
+        return f"COMP_CWORD: {os.environ['COMP_CWORD']!r} is not the number of a word"
+    return ""
+
+
 def completion_path(shell: str) -> Path:
     """Return where a shell looks for a user's completion of ``hil``.
 

@@ -96,3 +96,20 @@ def test_completion_offers_no_key_that_a_shell_would_run(tmp_path: Path) -> None
     everything, plant = offered(f"hil run {experiment} --set ", f"hil run {experiment} --set plant.")
     assert plant == ["plant.good-key_1="] and "seed=" in everything
     assert [key for key in everything if set(key) & set("$`;*, \x1b") or "touch" in key] == []
+
+
+@pytest.mark.parametrize(("asked", "words", "message"), [
+    ("bash_complete", {}, "_HIL_COMPLETE: 'bash_complete' without COMP_WORDS"),
+    ("fish_complete", {"COMP_WORDS": "hil "}, "_HIL_COMPLETE: 'fish_complete' without COMP_CWORD"),
+    ("zsh_complete", {"COMP_WORDS": "hil ", "COMP_CWORD": "one"}, "COMP_CWORD: 'one'"),
+    ("1", {}, "_HIL_COMPLETE: '1'; expected bash_complete"),
+])  # fmt: skip
+def test_a_question_that_no_script_asks_is_one_line(
+    cli: Hil, monkeypatch: pytest.MonkeyPatch, asked: str, words: dict[str, str], message: str
+) -> None:
+    for name in ("COMP_WORDS", "COMP_CWORD"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in {"_HIL_COMPLETE": asked, **words}.items():
+        monkeypatch.setenv(name, value)
+    status, out, err = cli("list")
+    assert status == 2 and out == "" and err.startswith(f"hil: {message}") and err.count("\n") == 1
