@@ -293,12 +293,14 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
         changes: path to value, for all of them.
 
     Raises:
-        HilError: if an experiment cannot be run, or two have one name.
+        HilError: if an experiment cannot be run, two have one name, or there are fewer than two.
     """
     checked = [checked_experiment(source, None, None, changes) for source in sources]
     named = {experiment.name: experiment for experiment in checked}
     if not named:
         raise HilError("compare: no experiment is named; expected two or more")
+    if len(checked) < 2:
+        raise HilError(f"compare: only {checked[0].name!r} is named; expected two or more, of one: hil.sweep")
     if len(named) < len(checked):
         twice = next(e.name for i, e in enumerate(checked) if e.name in {other.name for other in checked[:i]})
         raise HilError(f"compare: two experiments are called {twice!r}; hil.load_experiment(..., name=...) renames one")

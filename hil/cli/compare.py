@@ -53,8 +53,10 @@ def compare(
         sets = (*sets, f"duration={duration}")
     if output is not None:
         check_page(output, force=force)  # now, and not after minutes of work
-    if len(set(experiments)) < len(experiments):
-        raise HilError("the same experiment is named twice")
+    if len(experiments) < 2:
+        raise HilError(f"compare: only {experiments[0]!r} is named; expected two or more, of one: hil sweep {experiments[0]}")
+    if twice := next((name for i, name in enumerate(experiments) if name in experiments[:i]), ""):
+        raise HilError(f"compare: {twice!r} is named twice; a copy of its file with changes is another experiment")
     checked = {name: load_experiment(name, list(sets)) for name in experiments}
     with Working("runs", runs) as watch:
         comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: watch.counted(done, what=name))

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, difference_interval, ratio_interval
-from hil.errors import unknown_name
+from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
@@ -166,8 +166,13 @@ def compare(
         runs: of each.
         jobs: processes on this machine, -1 for one per core.
         progress: called with the experiment and how many of its runs have been done.
+
+    Raises:
+        HilError: no measure is common to all of them.
     """
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
+    if not quantities:
+        raise HilError(f"compare: {', '.join(experiments)}: no number that all have; name one measure in the [report] of each")
     values: dict[str, Mapping[str, NDArray[np.float64]]] = {}
     cautions: dict[str, str] = {}
     alone = ""

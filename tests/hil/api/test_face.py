@@ -126,7 +126,8 @@ def test_what_cannot_be_is_reported_as_one_error() -> None:
         lambda: hil.run(loaded, link="memory:"),
         lambda: hil.sweep(loaded, runs=0),
         lambda: hil.compare(loaded, loaded),
-        lambda: hil.compare(loaded, runs=1),
+        lambda: hil.compare(loaded),
+        lambda: hil.compare(loaded, "dc-motor-h2", runs=1),
         lambda: hil.design("dc-motor", objektive="h2"),
     ):
         with pytest.raises(hil.HilError):
