@@ -192,7 +192,8 @@ def main(args: list[str] | None = None) -> Any:
             sys.exit(2)
     try:
         with signals_as_exceptions():
-            return cli.main(args, prog_name="hil", standalone_mode=True)
+            plain = bool(os.environ.get("NO_COLOR"))  # of bold, too
+            return cli.main(args, prog_name="hil", standalone_mode=True, color=False if plain else None)
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
         print("\nhil: interrupted", file=sys.stderr)
         sys.exit(e.status if isinstance(e, Terminated) else 130)

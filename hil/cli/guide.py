@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from hil.cli.terminal import Line, json_option, print_folded, print_json, print_lines
+from hil.cli.terminal import Line, console, json_option, print_folded, print_json, print_lines
 from hil.errors import HilError, nearest
 
 ORDER = (
@@ -64,16 +64,15 @@ def guide(topic: str | None) -> None:
     if not sys.stdout.isatty():
         print(text, end="")
         return
-    from rich.console import Console
     from rich.markdown import Markdown
 
-    console = Console()
-    with console.capture() as shown:
-        console.print(Markdown(text))
-    if shown.get().count("\n") < console.height:
+    out = console()
+    with out.capture() as shown:
+        out.print(Markdown(text))
+    if shown.get().count("\n") < out.height:
         print(shown.get(), end="")
     else:
-        click.echo_via_pager(shown.get(), color=not console.no_color)
+        click.echo_via_pager(shown.get(), color=not out.no_color)
 
 
 @click.command()

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.text import Text
 
     from hil.pages.html.figures import Cell, Table
@@ -107,13 +108,13 @@ def print_table(table: Table, *, folds: bool = False) -> None:
         folds: words may go on below themselves where the terminal is narrow, numbers never.
     """
     from rich.box import SIMPLE_HEAD
-    from rich.console import Console
     from rich.table import Column
     from rich.table import Table as Shown
     from rich.text import Text
 
-    title = cell(table.title, "bold") if table.title else None
-    shown = Shown(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
+    if table.title:  # rich would fold it at the columns of a narrow table
+        click.secho(fill(visible(table.title), terminal_columns()), bold=True)
+    shown = Shown(box=SIMPLE_HEAD, pad_edge=False, padding=(0, 1, 0, 0))
     rows = [[_shown(value) for value in row] for row in table.rows]
     folding: list[tuple[int, Column]] = []
     for head, column in zip(table.columns, zip(*rows) if rows else [()] * len(table.columns)):
@@ -126,16 +127,17 @@ def print_table(table: Table, *, folds: bool = False) -> None:
             folding.append((max(longest, len(visible(head))), shown.columns[-1]))
     for i, row in enumerate(rows):
         shown.add_row(*row, style="bold" if i in table.highlight else "")
-    console = Console()
-    whole = console.options.update(max_width=10_000)
-    excess = console.measure(shown, options=whole).maximum - console.width if folds else 0
+    out = console()
+    whole = out.options.update(max_width=10_000)
+    excess = out.measure(shown, options=whole).maximum - out.width if folds else 0
     if excess > sum(max(natural - NARROWEST, 0) for natural, _ in folding):  # one blank between columns then
         shown.padding = 0
-        excess = console.measure(shown, options=whole).maximum - console.width
+        excess = out.measure(shown, options=whole).maximum - out.width
     for natural, words in sorted(folding, key=lambda each: -each[0]):  # rich would narrow one below its least, and crop it
         words.width = max(natural - max(excess, 0), min(natural, NARROWEST))
         excess -= natural - words.width
-    Console(width=max(console.width, console.measure(shown, options=whole).maximum)).print(shown)
+    out.width = max(out.width, out.measure(shown, options=whole).maximum)
+    out.print(shown)
     print_folded(table.note)
 
 
@@ -214,6 +216,13 @@ class Line(NamedTuple):
     coloured: int | None = None
 
 
+def console() -> Console:
+    """Return rich's console of standard output; with NO_COLOR it writes no escape code, of bold neither."""
+    from rich.console import Console
+
+    return Console(color_system=None) if os.environ.get("NO_COLOR") else Console()
+
+
 def terminal_columns() -> int:
     """Return how wide the terminal is, as `shutil` says it: COLUMNS, else asked, else 80; its import is 1 % of a short run."""
     with suppress(KeyError, ValueError):
@@ -239,7 +248,7 @@ def print_lines(lines: Sequence[Line]) -> None:
         for i, part in enumerate(parts):
             first = click.style(name, bold=True) + " " * (width - len(name)) if i == 0 else " " * width
             shown.append(first + " " * GAP + _painted(part, line, i))
-    click.echo("\n".join(shown), color=False if os.environ.get("NO_COLOR") else None)
+    click.echo("\n".join(shown))
 
 
 def _painted(part: str, line: Line, number: int) -> str:

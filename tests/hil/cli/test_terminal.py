@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -40,6 +45,40 @@ def test_a_table_that_folds_loses_no_word(
     words = [str(one) for row in numbers for cell in row for one in str(cell).replace(",", " ").replace(".0", "").split()]
     assert [word for word in words if word not in shown] == []
     assert max(map(len, shown.splitlines())) <= max(columns, 55)
+
+
+ON_A_TERMINAL = """
+from hil.cli import main
+try:
+    main([{arguments}])
+except SystemExit as end:
+    assert not end.code, end.code
+"""
+
+
+@pytest.mark.parametrize("arguments", [
+    '"laws", "dc-motor-packets"', '"list", "links"', '"can", "analyse", "dc-motor-busy-can", "--duration", "1"',
+    '"guide", "glossary"',
+])  # fmt: skip
+@pytest.mark.parametrize("plain", [True, False])
+def test_no_color_is_no_escape_code(arguments: str, plain: bool) -> None:
+    environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm", "PAGER": "cat", "COLUMNS": "80"}
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-c", ON_A_TERMINAL.format(arguments=arguments)]
+    with subprocess.Popen(command, stdout=theirs, env=environment | ({"NO_COLOR": "1"} if plain else {})) as process:
+        os.close(theirs)
+        shown = b""
+        with suppress(OSError):  # the end of a pseudo terminal
+            while part := os.read(ours, 65536):
+                shown += part
+    os.close(ours)
+    assert process.returncode == 0 and len(shown) > 300
+    assert (b"\x1b[" in shown) is not plain
+
+
+def test_the_title_of_a_narrow_table_is_not_folded_at_its_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(Table(title="gains K[tau][row], row by 'applied'", columns=["tau"], rows=[[1]]))
+    assert "gains K[tau][row], row by 'applied'\n" in capsys.readouterr().out
 
 
 def test_a_short_message_is_left_alone() -> None:
