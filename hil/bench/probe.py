@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from hil.errors import HilError
 from hil.log.records import Channel, Schema
@@ -46,6 +46,21 @@ class Trip:
     received_ns: int = 0
 
 
+class Probed(NamedTuple):
+    """What came of a probe.
+
+    Args:
+        trips: in the order of sending.
+        one_clock: whether both ends read one clock.
+        answered_again: trips to which another answer came, of another instant: two processes answer on this link. What the link
+            itself doubles is of one instant.
+    """
+
+    trips: list[Trip]
+    one_clock: bool
+    answered_again: int
+
+
 def own_boot() -> int:
     """Return a number that distinguishes this boot of this machine from others, 1 to 2^64 - 1."""
     try:
@@ -69,8 +84,8 @@ def answer(link: Link) -> None:
 
 def probe(
     link: Link, rate_hz: float, seconds: float, progress: Callable[[int, int], object] = lambda done, of: None
-) -> tuple[list[Trip], bool]:
-    """Send frames at a rate, and take what comes back.
+) -> Probed:
+    """Send frames at a rate, and take what comes back; the first answer counts.
 
     Args:
         link: the rig's end.
@@ -78,15 +93,13 @@ def probe(
         seconds: for how long.
         progress: given how many were sent, of how many.
 
-    Returns:
-        The trips in the order of sending, and whether both ends read one clock.
-
     Raises:
         HilError: no answer came within five seconds.
     """
     boot, count, nonce = own_boot(), max(1, round(rate_hz * seconds)), secrets.randbits(63) + 1
     trips = [Trip(0) for _ in range(count)]
     one_clock = True
+    again: set[int] = set()
 
     def send(seq: int, sample_ns: int) -> None:
         link.send(encode_sensor(SensorPacket(seq=seq, flags=0, sample_ns=sample_ns, y=(0.0,), nonce=nonce, counter=seq)))
@@ -105,8 +118,13 @@ def probe(
                 continue
             met = True
             one_clock = one_clock and packet.echo == boot and packet.sample_ns <= packet.control_ns <= now
-            if packet.seq < count and packet.sample_ns == trips[packet.seq].sent_ns > 0 and not trips[packet.seq].received_ns:
-                trips[packet.seq].answered_ns, trips[packet.seq].received_ns = packet.control_ns, now
+            if packet.seq >= count or not packet.sample_ns == trips[packet.seq].sent_ns > 0:
+                continue
+            trip = trips[packet.seq]
+            if not trip.received_ns:
+                trip.answered_ns, trip.received_ns = packet.control_ns, now
+            elif packet.control_ns != trip.answered_ns:
+                again.add(packet.seq)
         return met
 
     limit = monotonic_ns() + MEETING_NS
@@ -132,7 +150,7 @@ def probe(
     end = monotonic_ns() + STRAGGLERS_NS
     while monotonic_ns() < end and not all(trip.received_ns for trip in trips[-100:]):
         take(min(end, monotonic_ns() + 20_000_000))
-    return trips, one_clock
+    return Probed(trips, one_clock, len(again))
 
 
 def write_probe_log(path: Path, uri: str, rate_hz: float, trips: list[Trip], one_clock: bool) -> None:

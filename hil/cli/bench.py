@@ -201,12 +201,14 @@ def probe(
 ) -> None:  # fmt: skip
     """Measure LINK, such as zenoh:tcp/10.0.0.2:7447 or can:socketcan:can0, with our own frames, and write a log.
 
-    At the other end runs `hil probe LINK --answer`. The log is for `hil identify law` and `hil design --network`.
+    At the other end runs `hil probe LINK --answer`. The log is for `hil identify law` and `hil design --network`. Exit status 5:
+    two processes answered; the log is of the faster answers.
     """
     from contextlib import nullcontext
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
     from hil.files.outputs import check_output
+    from hil.session.outcome import INTRUSIONS
     from transport.links.opening import open_link
     from transport.links.traits import traits_of
     from transport.links.zenoh_refusals import standard_output_is_free
@@ -225,7 +227,7 @@ def probe(
     path = check_output(output or Path("link.mcap"), fresh=not force, remedy="choose another -o or add --force")
     standard_output_is_free()
     with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
-        trips, one_clock = probe(end, rate, seconds, watch.counted)
+        trips, one_clock, again = probe(end, rate, seconds, watch.counted)
     write_probe_log(path, link, rate, trips, one_clock)
     came = sorted((t.received_ns - t.sent_ns) / 1e6 for t in trips if t.received_ns)
     if came:
@@ -234,3 +236,7 @@ def probe(
         print(f"{path}: {len(came)} of {len(trips)} round trips came back; {middle}; {clocks}", file=sys.stderr)
     else:
         print(f"{path}: none of {len(trips)} round trips came back", file=sys.stderr)
+    if again:
+        what = f"link {link!r}: {again} of {len(trips)} frames were answered twice, at two instants: two processes answer there"
+        print(f"hil: {what}; times are of the faster one; end one of them and measure again", file=sys.stderr)
+        raise SystemExit(INTRUSIONS["second controller"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -79,7 +80,7 @@ class Liar:
 def test_an_end_that_dates_answers_before_the_question_or_after_their_arrival_has_another_clock(
     cli: Hil, tmp_path: Path, answered_ns: int
 ) -> None:
-    trips, one_clock = probe(Liar(lambda n: answered_ns), 2000.0, 0.2)
+    trips, one_clock, _ = probe(Liar(lambda n: answered_ns), 2000.0, 0.2)
     assert not one_clock and all(trip.received_ns for trip in trips)
     write_probe_log(tmp_path / "link.mcap", "can:hil:x", 2000.0, trips, one_clock)
     status, _, err = cli("identify", "law", "link.mcap")
@@ -88,12 +89,29 @@ def test_an_end_that_dates_answers_before_the_question_or_after_their_arrival_ha
 
 def test_an_answer_of_an_instant_that_no_clock_reads_is_none(tmp_path: Path) -> None:
     lies = iter([1, *[-(2**63), 0] * 10**6])  # the greeting is answered
-    trips, _ = probe(Liar(lambda n: next(lies)), 2000.0, 0.02)
+    trips, *_ = probe(Liar(lambda n: next(lies)), 2000.0, 0.02)
     assert not any(trip.received_ns for trip in trips)
     write_probe_log(tmp_path / "link.mcap", "can:hil:x", 2000.0, trips, False)
     assert (read_run(tmp_path / "link.mcap").arrays["/probe/packet"]["received_ns"] == 0).all()
 
 
 def test_of_two_answers_the_first_counts() -> None:
-    trips, one_clock = probe(Liar(lambda n: monotonic_ns(), times=2), 2000.0, 0.02)
+    trips, one_clock, again = probe(Liar(lambda n: monotonic_ns(), times=2), 2000.0, 0.02)
+    assert again == 0, "a link that doubles frames is no second answerer"
     assert one_clock and all(trip.sent_ns <= trip.answered_ns <= trip.received_ns for trip in trips)
+
+
+class Twins(Liar):
+    """Two processes that answer on one link, as on a real bus with two machines; each reads its clock when it answers."""
+
+    def send(self, packet: bytes) -> None:
+        super().send(packet)
+        super().send(packet)
+
+
+def test_a_second_process_that_answers_is_named(cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("transport.links.opening.open_link", lambda *_: nullcontext(Twins(lambda n: monotonic_ns())))
+    status, _, err = cli("probe", "can:socketcan:can0", "--seconds", "0.2", "-o", "link.mcap")
+    assert status == 5
+    assert "hil: link 'can:socketcan:can0': 20 of 20 frames were answered twice, at two instants: two processes answer" in err
+    assert (read_run(tmp_path / "link.mcap").arrays["/probe/packet"]["received_ns"] > 0).all()
