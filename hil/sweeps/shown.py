@@ -93,7 +93,8 @@ def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
 
 def within(interval: Interval) -> str | None:
     """Return an interval in words, None where it is infinitely wide."""
-    return f"{interval.low:.5g} to {interval.high:.5g}" if np.isfinite(interval.half_width) else None
+    said = f"{interval.low:.5g} to {interval.high:.5g}".replace("-", "−")
+    return said if np.isfinite(interval.half_width) else None
 
 
 def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -35,6 +36,8 @@ SIGNS = {"good": "✓", "warning": "!", "bad": "✕", "neutral": "·"}
 
 SHORT_CELL = 40
 """Characters of a cell that are kept on one line."""
+
+AMOUNT = re.compile(r"[-−+]?\d.{0,40}")
 
 LONG_TABLE = 40
 """Rows above which a table scrolls in its own box."""
@@ -208,8 +211,9 @@ def _matrix(matrix: Matrix) -> str:
 
 
 def _table(table: Table) -> str:
-    numeric = [all(_is_number(row[j]) for row in table.rows) and bool(table.rows) for j in range(len(table.columns))]
-    kinds = [' class="number"' if n else "" for n in numeric]
+    columns = [[row[j] for row in table.rows] for j in range(len(table.columns))]
+    numeric = [bool(column) and all(map(_is_number, column)) for column in columns]
+    kinds = [' class="number"' if n else ' class="amount"' if _amounts(column) else "" for n, column in zip(numeric, columns)]
     head = "".join(f'<th scope="col"{kinds[j]}>{escape(str(c))}</th>' for j, c in enumerate(table.columns))
     lines = []
     for i, row in enumerate(table.rows):
@@ -244,6 +248,11 @@ def _words(cell: Cell) -> str:
 
 def _is_number(cell: Cell) -> bool:
     return cell is None or (isinstance(cell, int | float) and not isinstance(cell, bool))
+
+
+def _amounts(column: Sequence[Cell]) -> bool:
+    """Whether a column holds amounts, such as 25 ms, and intervals: a line's end within one takes it apart."""
+    return all(_is_number(cell) or (isinstance(cell, str) and AMOUNT.fullmatch(cell)) for cell in column)
 
 
 def _cell(cell: Cell) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.measure.view import view_of
-from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series
+from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
 from hil.pages.html.page import Page
 from hil.pages.run.run_page import render_report
 from tests.hil.pages import chromium
@@ -105,6 +105,19 @@ def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: P
         assert all(r == ranges[0] for r in ranges)
         assert page.problems == []
         assert page.requests == [file.resolve().as_uri()]
+
+
+def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path) -> None:
+    rows = [["25 ms", "150", 20, 0.005, "−3.3011e−08 to 3.5942e−08", 0.1, "0.0003 to 0.0004"]] * 2
+    heads = ("period", "plant.gain", "runs", "mean", "95 % interval", "difference to the best point", "its 95 % interval")
+    file = tmp_path / "page.html"
+    file.write_text(Page("Points", [Section(title="x", blocks=(Table(columns=heads, rows=rows, highlight=(1,)),))]).html())
+    with chromium.Page(width=390, height=800) as page:
+        page.open(file)
+        lines = "[...document.querySelectorAll('td')].map(d => { const r = document.createRange(); r.selectNodeContents(d); "
+        lines += "return new Set([...r.getClientRects()].map(b => Math.round(b.top))).size; })"
+        assert set(page.evaluate(lines)) == {1}
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path) -> None:
