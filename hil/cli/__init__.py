@@ -125,10 +125,7 @@ class LazyGroup(click.Group):
 
             if isinstance(e, click.NoSuchOption):
                 raise click.NoSuchOption(e.option_name, possibilities=near_options(e), ctx=e.ctx) from e
-            said = expected(e)
-            if said or (hint := suggestion(e, ctx.meta[__name__])):
-                raise click.UsageError(said or e.format_message() + hint, e.ctx) from e
-            raise
+            raise click.UsageError((expected(e) or e.format_message()) + suggestion(e, ctx.meta[__name__]), e.ctx) from e
         except BrokenPipeError:  # `hil list | head`; click would make it a failure
             _close_stdout()
             sys.exit(141)

@@ -15,12 +15,11 @@ from hil.errors import HilError
 @click.argument("experiment", type=EXPERIMENT)
 def show(experiment: str) -> None:
     """Print the file of a shipped EXPERIMENT: hil show dc-motor-hinf > mine.toml"""
-    from hil.errors import HilError, nearest
-    from hil.experiment import shipped
+    from hil.experiment.load import near_shipped, shipped
 
     found = shipped()
     if experiment not in found:
-        hint = nearest(experiment, found, cutoff=0.4) or ";"
+        hint = near_shipped(experiment) or ";"
         raise HilError(f"no shipped experiment {experiment!r:.80}{hint} `hil list` shows them")
     print(found[experiment].read_text(encoding="utf-8"), end="")
 

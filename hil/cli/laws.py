@@ -93,13 +93,13 @@ def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], note
 
     for title, law in networks.items():
         click.echo(f"{click.style(visible(name), bold=True)}, {visible(title)}: {law.kind} law, T = {period_s * 1e3:g} ms")
-        if law.stationary:
+        if len(law.stationary) > 1:  # one mode lasts for ever
             ages: Sequence[int | str] = law.mode_ages or ("-",) * len(law.stationary)
             rows = [
-                (mode, age, f"{share:.4f}", f"{burst:.4g} slots", f"{burst * period_s:.4g} s")
+                (mode, age, f"{share:.4f}", f"{burst:.4g}", f"{burst * period_s:.4g}")
                 for mode, (age, share, burst) in enumerate(zip(ages, law.stationary, law.mean_bursts))
             ]
-            print_table(Table(columns=("mode", "age", "share of slots", "mean burst", "mean burst"), rows=rows))
+            print_table(Table(columns=("mode", "age", "share of slots", "mean burst (slots)", "mean burst (s)"), rows=rows))
         shares = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
         if len(law.age_shares) > 10:
             shares += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"

@@ -56,12 +56,12 @@ def recover(file: Path, output: Path | None) -> None:
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option(
-    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .asc, .trc, .csv or .npz."
+    "-o", "--output", type=click.Path(path_type=Path), required=True, help="Ends in .log, .blf, .asc, .trc, .mf4, .csv or .npz."
 )
 @click.option("--topic", "topics", multiple=True, metavar="TOPIC", help="Only this topic; may be given more than once.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> None:
-    """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc) or as tables (.csv, .npz).
+    """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc, ASAM .mf4) or as tables (.csv, .npz).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv.

@@ -164,11 +164,19 @@ NOT_A_NUMBER: Final = re.compile(r"is not (a valid (integer|float)( range)?|in t
 """What click says of a value that is no number, or one beyond its bounds."""
 
 
+ONE_OF: Final = re.compile(r"is not one of .*\.$")
+"""What click says of a word that is none of a choice's."""
+
+
 def expected(error: click.UsageError) -> str:
-    """Return the message for a value that is no number of its option, with what was expected; nothing for another error."""
+    """Return the message for what is no number of its option, or no word of its argument; nothing for another error."""
     if not isinstance(error, click.BadParameter) or error.param is None:
         return ""
     kind, said = error.param.type, error.format_message()
+    if isinstance(kind, click.Choice) and isinstance(error.param, click.Argument):  # click would call it by all of its words
+        words = ", ".join(map(str, kind.choices))
+        missing = isinstance(error, click.MissingParameter)
+        return f"Missing argument: one of {words}." if missing else ONE_OF.sub(f"is not one of {words}.", error.message)
     whole = isinstance(kind, click.types.IntParamType)
     if not (whole or isinstance(kind, click.types.FloatParamType)) or not NOT_A_NUMBER.search(said):
         return ""

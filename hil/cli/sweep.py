@@ -187,7 +187,9 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
     """
     from design.monte_carlo.confidence import StopRule
 
-    name, _, width = text.partition("=")
+    name, equals, width = text.partition("=")
+    if not equals:
+        raise HilError(f"--until {text!r}: expected METRIC=HALFWIDTH, such as {metrics[0]}=0.1")
     statistic, _, metric = name.rpartition(":")
     if metric not in metrics:
         raise HilError(f"--until: {metric!r} is not one of {', '.join(metrics)}{nearest(metric, metrics)}")
@@ -229,8 +231,9 @@ def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
         print(f"{wanted['statistic']} of {wanted['metric']}: no interval of the {what}")
     if wanted and wanted["interval"]:
         seen = wanted["interval"]
-        print(
-            f"{wanted['statistic']} of {wanted['metric']}: {seen['value']:.6g} in [{seen['low']:.6g}, {seen['high']:.6g}] "
+        title = titles[wanted["metric"]]
+        print_folded(
+            f"{wanted['statistic']} of {title}: {seen['value']:.6g} in [{seen['low']:.6g}, {seen['high']:.6g}] "
             f"with {wanted['level']:.6g} confidence, whenever it stops ({seen['n']} runs)"
-            + ("" if wanted["reached"] else f"; not within +-{wanted['half_width']:g} yet")
+            + ("" if wanted["reached"] else f"; {seen['n']} runs did not suffice for +-{wanted['half_width']:g}")
         )

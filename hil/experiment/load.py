@@ -32,6 +32,12 @@ def shipped() -> dict[str, Path]:
     return {p.stem: p for p in sorted(_SHIPPED.glob("*.toml"))}
 
 
+def near_shipped(name: str) -> str:
+    """Return the question for the shipped experiment whose name begins so, or is near; nothing where none is."""
+    begins = sorted((each for each in shipped() if each.startswith(f"{name}-")), key=lambda each: each != FIRST)
+    return f"; did you mean {begins[0]!r}?" if begins else nearest(name, shipped())
+
+
 def load_experiment(
     source: str | Path, sets: typing.Sequence[str] = (), *, seed: int | None = None, duration: str | None = None,
     laws: typing.Mapping[str, object] | None = None,
@@ -60,9 +66,7 @@ def load_experiment(
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        begins = sorted((each for each in shipped() if each.startswith(f"{name}-")), key=lambda each: each != FIRST)
-        near = f"; did you mean {begins[0]!r}?" if begins else nearest(name, shipped())
-        hint = (near or ";") + " `hil list` shows the shipped ones"
+        hint = (near_shipped(name) or ";") + " `hil list` shows the shipped ones"
         raise HilError(f"no experiment {name!r}: neither a file nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so
         pass

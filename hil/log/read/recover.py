@@ -63,7 +63,8 @@ class Recovery:
     def text(self) -> str:
         """For people, one line each."""
         until = f", up to {(self.last_ns - self.start_ns) / 1e9:.3f} s of session time" if self.messages else ""
-        lines = [f"kept: {self.messages} messages in {self.chunks} chunks{until}; {self.metadata} metadata records,"
+        chunks = "1 chunk" if self.chunks == 1 else f"{self.chunks} chunks"
+        lines = [f"kept: {self.messages} messages in {chunks}{until}; {self.metadata} metadata records,"
                  f" {self.attachments} attachments"]
         lines += [f"lost: {loss}" for loss in self.losses]
         if not self.closed:

@@ -27,7 +27,7 @@ def laws(*arguments: str) -> str:
 def test_the_published_chain_is_shown_with_its_stationary_law_and_bursts() -> None:
     text = laws()
     assert "markov law, T = 50 ms" in text
-    for number in ("0.6396", "0.3243", "0.0360", "0.5833", "1.25 slots", "2.5 slots"):
+    for number in ("0.6396", "0.3243", "0.0360", "0.5833", "1.25 0.0625", "2.5 0.125"):
         assert number in text
 
 

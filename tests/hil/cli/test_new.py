@@ -100,6 +100,7 @@ def test_show_prints_a_shipped_experiment_that_runs_as_a_file(cli: Hil) -> None:
     assert cli("run", "mine.toml", "--duration", "1")[0] == 0
     status, _, err = cli("show", "dc-motor-hin")
     assert status == 2 and "did you mean 'dc-motor-hinf'?" in err
+    assert "did you mean 'dc-motor-hinf'?" in cli("show", "dc-motor")[2] and "did you" not in cli("show", "nope")[2]
 
 
 BEYOND = 'x"""; import os; """ "; } * int x; \''

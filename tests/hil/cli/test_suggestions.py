@@ -47,6 +47,9 @@ def test_a_word_that_is_near_nothing_is_not_guessed(cli: Hil, words: tuple[str, 
         (("identify", "law", "x.csv", "--deadline", "1"), "1.0 is not a number above 0 below 1.\n"),
         (("live", "dc-motor-hinf", "--port", "99999"), "99999 is not a whole number from 0 to 65535.\n"),
         (("run", "dc-motor-hinf", "--seed", "x"), "'x' is not a whole number.\n"),
+        (("list", "nope"), "Error: 'nope' is not one of plants, controllers, laws, links, measures.\n"),
+        (("check", "laws"), "Error: Missing argument 'KIND'.\n"),
+        (("check",), "Error: Missing argument: one of plants, controllers, laws, links, measures.\n"),
     ],
 )
 def test_a_wrong_option_is_answered_with_what_was_expected(cli: Hil, words: tuple[str, ...], said: str) -> None:

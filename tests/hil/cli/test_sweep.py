@@ -49,7 +49,7 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
         (["--jobs", "0"], "--jobs: 0"),
         (["--jobs", "-7"], "--jobs: -7"),
         (["--jobs", "100000"], "--jobs: 100000"),
-        (["--until", "sse"], "--until"),
+        (["--until", "sse"], "--until 'sse': expected METRIC=HALFWIDTH, such as sse=0.1"),
         (["--until", "foo=1"], "'foo' is not one of"),
         (["--until", "sse=nan"], "--until"),
         (["--resume", "/dev/zero"], "is no file"),
