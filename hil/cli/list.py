@@ -139,9 +139,10 @@ def _keys(cls: object, within: str) -> None:
     for f in fields_of(cls):
         inside = next((name for name in (f.name, f"{f.name}.N") if name in tables), "")
         long = inside and len(f.default) > LONGEST_DEFAULT  # what it holds stands at its own keys
-        head = f"{within}{f.name}: {f.type}" + ("" if long else f" = {f.default}" if f.default else "  (required)")
+        default = "" if long or f.default == "None" else f" = {f.default}" if f.default else "  (required)"
+        head = f"{within}{f.name}: {f.type}{default}"
         print(textwrap.fill(visible(head), _columns(), subsequent_indent="  ", break_on_hyphens=False))
-        _wrapped([visible(f.meaning)] if f.meaning else [], "    ")
+        _wrapped([visible(f.meaning).replace("``", "")] if f.meaning else [], "    ")
         if inside and within.count(".") < DEEPEST:
             _keys(tables[inside], f"{within}{inside}.")
 

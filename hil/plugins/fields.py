@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
+import types
 import typing
 from dataclasses import dataclass
 
@@ -14,6 +15,14 @@ from docstring_parser.google import parse
 
 from hil.plugins import registry
 
+_WORDS: typing.Final[dict[object, str]] = {
+    bool: "true or false", int: "whole number", float: "number", str: "text", typing.Any: "any value",
+}  # fmt: skip
+_PLURALS: typing.Final = {
+    "whole number": "whole numbers", "number": "numbers", "text": "texts", "table": "tables", "matrix": "matrices",
+    "any value": "any values",
+}  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Field:
@@ -21,8 +30,8 @@ class Field:
 
     Args:
         name: the key.
-        type: as Python writes it, without our own module names.
-        default: in Python notation; nothing for a key that must be given.
+        type: in words, of what a file may say.
+        default: as a file writes it; nothing for a key that must be given, ``None`` for one that is not set.
         meaning: what the docstring of its class says of it.
     """
 
@@ -40,23 +49,23 @@ def fields_of(cls: object) -> tuple[Field, ...]:
 
     >>> from transport import ConstantAge
     >>> [(f.name, f.type) for f in fields_of(ConstantAge)]
-    [('age', 'int')]
+    [('age', 'whole number')]
     """
     meanings = _meanings(cls)
     hints = typing.get_type_hints(cls)
     found = [] if isinstance(cls, type) else [("uri", "")]
     if isinstance(cls, type) and issubclass(cls, msgspec.Struct):
         for f in msgspec.structs.fields(cls):
-            default = "" if f.required else repr(f.default_factory() if f.default is msgspec.NODEFAULT else f.default)
+            default = "" if f.required else _default(f.default_factory() if f.default is msgspec.NODEFAULT else f.default)
             found.append((f.name, default))
     elif dataclasses.is_dataclass(cls):
         for g in dataclasses.fields(cls):
             if not g.init:
                 continue
             if g.default is not dataclasses.MISSING:
-                found.append((g.name, repr(g.default)))
+                found.append((g.name, _default(g.default)))
             elif g.default_factory is not dataclasses.MISSING:
-                found.append((g.name, repr(g.default_factory())))
+                found.append((g.name, _default(g.default_factory())))
             else:
                 found.append((g.name, ""))
     return tuple(
@@ -112,5 +121,40 @@ def _meanings(cls: object) -> dict[str, str]:
 
 
 def _type(hint: object) -> str:
-    text = hint.__name__ if isinstance(hint, type) and not typing.get_args(hint) else str(hint)
-    return re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w)", r"\1", text)
+    """Return in words what a file may say for a type."""
+    args = typing.get_args(hint)
+    origin = typing.get_origin(hint)
+    if origin is typing.Literal:
+        return _either([repr(each) for each in args])
+    if origin in (typing.Union, types.UnionType):
+        return _either([_type(each) for each in args if each is not types.NoneType])
+    if origin in (tuple, list):
+        if origin is tuple and args[-1] is not ...:
+            return f"[{', '.join(map(_type, args))}]"
+        inner = _type(args[0])
+        return {"list of numbers": "matrix", "matrix": "list of matrices"}.get(inner, f"list of {_several(inner)}")
+    if origin is dict:
+        return f"table of {_several(_type(args[1]))}"
+    if hint in _WORDS:
+        return _WORDS[hint]
+    if isinstance(hint, type):
+        return f"[{', '.join(hint._fields)}]" if hasattr(hint, "_fields") else "table"
+    return re.sub(r"\b(?:[A-Za-z_]\w*\.)+(\w)", r"\1", str(hint))
+
+
+def _several(word: str) -> str:
+    return f"lists{word.removeprefix('list')}" if word.startswith("list ") else _PLURALS.get(word, word)
+
+
+def _either(words: list[str]) -> str:
+    found = list(dict.fromkeys(words))
+    return found[0] if len(found) == 1 else f"{', '.join(found[:-1])} or {found[-1]}"
+
+
+def _default(value: object) -> str:
+    """Return a default as a file writes it, ``None`` for a key that is not set."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if type(value) in (tuple, list):
+        return f"[{', '.join(map(_default, value))}]"  # type: ignore[call-overload]
+    return repr(value)

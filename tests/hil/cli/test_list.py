@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -17,7 +18,7 @@ def test_a_kind_shows_keys_types_defaults_and_meaning(cli: Hil) -> None:
     status, out, _ = cli("list", "laws", "iid")
     assert status == 0 and "iid, from hilrig" in out and "(required)" in out
     found = json.loads(cli("list", "plants", "dc-motor", "--json")[1])
-    assert found["keys"]["gain"]["type"] == "float" and float(found["keys"]["gain"]["default"]) > 0
+    assert found["keys"]["gain"]["type"] == "number" and float(found["keys"]["gain"]["default"]) > 0
 
 
 @pytest.mark.parametrize("group, name", EVERY)
@@ -42,9 +43,9 @@ def test_lines_fit_eighty_columns(cli: Hil) -> None:
 @pytest.mark.parametrize(
     ("words", "keys"),
     [
-        (("plants", "omni"), ("hand.stiffness_n_per_m: float = 0.0", "hand.push.tremor_n: float = 0.0")),
-        (("controllers", "virtual-wall"), ("wall.materials.N.stiffness_n_per_m: float  (required)", "'theorem-6.1'")),
-        (("laws", "packet"), ("loss.p_gb: float  (required)",)),
+        (("plants", "omni"), ("hand.stiffness_n_per_m: number = 0.0", "hand.push.tremor_n: number = 0.0")),
+        (("controllers", "virtual-wall"), ("wall.materials.N.stiffness_n_per_m: number  (required)", "'theorem-6.1'")),
+        (("laws", "packet"), ("loss.p_gb: number  (required)",)),
     ],
 )
 def test_keys_of_a_table_inside_another_are_listed_as_they_are_set(
@@ -52,6 +53,16 @@ def test_keys_of_a_table_inside_another_are_listed_as_they_are_set(
 ) -> None:
     out = cli("list", *words)[1]
     assert all(key in out for key in keys) and max(map(len, out.splitlines())) <= 80
+
+
+def test_types_and_defaults_are_those_of_a_file(cli: Hil) -> None:
+    out = " ".join(cli("list", "controllers", "designed")[1].split())
+    for key in ("objective: 'h2', 'hinf' or 'mixed' = 'h2' ", "hinf_bound: number mixed only", "list of numbers = [] "):
+        assert key in out
+    assert "gain: matrix" in cli("list", "controllers", "local")[1]
+    for group, name in EVERY:
+        said = json.loads(cli("list", group[4:], name, "--json")[1])["keys"].values()
+        assert not [each["type"] for each in said if re.search(r"tuple|Literal|float|\bint\b|dict|None|Union", each["type"])]
 
 
 def test_an_experiment_is_pointed_to_the_command_that_prints_it(cli: Hil) -> None:
