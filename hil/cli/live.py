@@ -49,7 +49,7 @@ def command(
     the same random numbers. A LOG is shown as it was. The page is on loopback; its URL holds the token without which it only
     watches. Ctrl-C ends it.
     """
-    from hil.cli.run import reserve
+    from hil.cli.run import let_go, reserve
     from hil.cli.run_summary import show as show_summary
     from hil.experiment import load_experiment
     from hil.pages.live.watch import Asked, show_log, watch
@@ -96,8 +96,8 @@ def command(
     def load(name: str, again: int | None) -> Experiment:
         return load_experiment(name, sets, seed=seed if again is None else again, duration=duration)
 
-    for name in experiments:  # what is wrong with them is said before a page is there
-        load(name, None)
+    for name in experiments:  # what is wrong with them, or with where their logs go, is said before a page is there
+        let_go(path(load(name, None)))
     asked = [
         Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, held=held)  # type: ignore[arg-type]
         for name in experiments

@@ -68,10 +68,10 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
             real = os.path.realpath(path)
             message = f"{path}: is a symbolic link, and --force overwrites no file through one; name {real} itself"
             raise HilError(message) from None
-        raise HilError(f"log {path}: cannot be created: {e.strerror}") from e
+        raise HilError(f"log {path}: cannot be created: {e.strerror}; -o names a file elsewhere") from e
 
 
-def _let_go(path: Path) -> None:
+def let_go(path: Path) -> None:
     """Remove a log that was reserved and holds nothing; one that another run writes has nothing yet, and stays."""
     with suppress(OSError):
         descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
@@ -191,7 +191,7 @@ def command(
             )  # fmt: skip
     except BaseException:  # Ctrl-C too
         if path is not None:
-            _let_go(path)
+            let_go(path)
         for each in made:
             with suppress(OSError):
                 each.rmdir()  # unless there is something in it

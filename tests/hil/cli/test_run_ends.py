@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.cli.run import _let_go
+from hil.cli.run import let_go
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
@@ -103,9 +103,9 @@ def test_what_another_run_has_begun_is_not_removed(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with open(path, "wb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
-        _let_go(path)
+        let_go(path)
         assert path.exists()
-    _let_go(path)
+    let_go(path)
     assert not path.exists()
 
 
@@ -205,3 +205,11 @@ def test_what_a_module_of_ones_own_prints_stays_out_of_the_json(tmp_path: Path) 
     )  # fmt: skip
     assert json.loads(done.stdout)["slots"] == 20, done.stderr
     assert done.stderr.startswith("imported\n{}\n")
+
+
+@pytest.mark.parametrize("command", ["run", "live"])
+def test_a_log_that_cannot_be_is_refused_before_anything_else(cli: Hil, command: str) -> None:
+    status, out, err = cli(command, "dc-motor-hinf", "--duration", "1", "-o", "/proc/run.mcap")
+    assert (status, out) == (2, "")
+    assert err.startswith("hil: log /proc/run.mcap: cannot be created: ") and err.endswith("; -o names a file elsewhere\n")
+    assert err.count("\n") == 1, "no address of a page that never is"
