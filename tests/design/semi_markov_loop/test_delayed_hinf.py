@@ -59,15 +59,14 @@ def test_published_gains_have_a_level_half_of_the_claimed_one() -> None:
 
 def test_certified_level_is_not_below_the_norm_of_any_frozen_mode() -> None:
     certificate = of_published_gains()
-    worst = 0.0
+    frequencies, worst = 1j * np.geomspace(1e-2, 1e2, 400)[:, None, None], 0.0
     for i in range(3):
         for section in range(2):
             loop = SYSTEM.a[i] + SYSTEM.b[i] @ chapter3_gain().gain[i, section]
             for tau in (0.0, 0.15, 0.3):
-                for w in np.geomspace(1e-2, 1e2, 400):
-                    resolvent = 1j * w * np.eye(4) - loop - SYSTEM.ad[i] * np.exp(-1j * w * tau)
-                    gain = SYSTEM.c[i] @ np.linalg.solve(resolvent, SYSTEM.e[i])
-                    worst = max(worst, float(np.linalg.norm(gain, 2)))
+                resolvents = frequencies * np.eye(4) - loop - SYSTEM.ad[i] * np.exp(-frequencies * tau)
+                gains = SYSTEM.c[i] @ np.linalg.solve(resolvents, SYSTEM.e[i])
+                worst = max(worst, float(np.linalg.norm(gains, 2, axis=(1, 2)).max()))
     assert worst == pytest.approx(0.423, abs=5e-3)
     assert certificate.gamma is not None and worst < certificate.gamma
 

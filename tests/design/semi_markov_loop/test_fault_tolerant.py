@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, check_loop, loop_inequalities
 from design.semi_markov_loop.period_moments import mean_square_abscissa, worst_growth
@@ -38,8 +40,13 @@ def known_fault(gain: np.ndarray) -> ScheduledGain:
     return ScheduledGain(gain=sections, starts_s=starts, measured=("eta", "r"))
 
 
+@cache
+def designed() -> JumpCertificate:
+    return fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0)
+
+
 def test_required_level_is_certified_seeing_the_detection_only() -> None:
-    certificate = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0)
+    certificate = designed()
     assert certificate.certified and certificate.sound
     assert certificate.gain is not None and certificate.gain.measured == ("r",) and certificate.gain.norm <= 2.0 * (1 + 1e-12)
     assert certificate.gamma is not None and certificate.gamma <= 0.0060
@@ -132,7 +139,7 @@ def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:
 
 
 def test_growth_at_constant_rates_is_the_abscissa_of_the_generator() -> None:
-    gain = fault_tolerant_feedback(SYSTEM, PROCESS, gain_bound=2.0, rounds=1).gain
+    gain = designed().gain
     assert gain is not None
     worst = worst_growth(SYSTEM, gain, PROCESS)
     assert worst is not None and worst[0] < 0

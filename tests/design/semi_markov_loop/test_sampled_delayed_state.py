@@ -120,8 +120,7 @@ def test_the_helicopter_is_certified_at_its_period_by_a_margin_that_is_stated() 
 
 
 def test_what_the_proof_does_not_know_is_undecided_with_its_size_or_reason() -> None:
-    system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
-    late = sampled_verdict(system, process, gain, period_s=0.01, tau=2, d=2)
+    late = judged(scalar([-0.5], [0.2], [0.3]), ONE, [0.0], tau=30, d=30)
     assert late.state == "undecided" and "unknowns" in late.reason
     endless = SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=0.5)), (constant_rate(1.0), None)))
     two = scalar([-1.0, -1.0], [0.1, 0.1], [0.0, 0.0])

@@ -9,6 +9,7 @@ from scipy.linalg import expm
 from design.controllers.scheduled_gain import constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import sojourn_cells
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
@@ -66,8 +67,9 @@ def by_steps(loop, steps, slots=150):
     return growth
 
 
-def test_what_was_between_the_sides_is_decided_as_small_steps_of_time_say():
-    """Of 40 random loops 6 lie between the sides of whole periods; of those at most two are left, and 0 are false."""
+def test_what_was_between_the_sides_is_decided_as_small_steps_of_time_say(monkeypatch):
+    """Of 40 random loops 6 lie between the sides of whole periods; at 8 cells a period at most two are left, and 0 are false."""
+    monkeypatch.setattr(sojourn_cells, "FINEST", 8)
     rng, between, left, compared = np.random.default_rng(21), 0, 0, 0
     for _ in range(40):
         loop = drawn(rng)

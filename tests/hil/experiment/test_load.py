@@ -190,7 +190,6 @@ LONG_CERTIFICATES = {"vtol-delayed-published"}
 CERTIFIED_ELSEWHERE = {
     "dc-motor-h2-friction", "dc-motor-hinf-friction", "dc-motor-hinf-supply",  # tests/hil/certify/test_region.py
     "smjls-robust", "vtol-delayed", "vtol-fault",  # tests/hil/test_rigs.py
-    "smjls-robust-reference",  # tests/design/semi_markov_loop/test_sampled_uncertain.py
 }  # fmt: skip
 LONG = LONG_DESIGNS | LONG_CERTIFICATES | CERTIFIED_ELSEWHERE
 
