@@ -23,7 +23,7 @@ def test_ci_calls_scripts_and_targets_that_exist() -> None:
     text = (TOP / ".ci/run").read_text()
     called = re.findall(r"^([\w.]+/\S+)", text, flags=re.M)
     assert called and all(os.access(TOP / path, os.X_OK) for path in called), called
-    targets = re.findall(r"^make (\S+)", text, flags=re.M)
+    targets = [word for line in re.findall(r"^make (.*)", text, flags=re.M) for word in line.split() if re.match(r"[a-z]", word)]
     makefile = (TOP / "Makefile").read_text()
     assert targets == ["test", "test-vcan", "wheel"] and all(re.search(rf"^{name}:", makefile, flags=re.M) for name in targets)
 
