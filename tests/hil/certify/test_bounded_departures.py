@@ -16,6 +16,8 @@ from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, LinearPlant
 
+pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
+
 INTEGRAL = {"kind": "designed", "objective": "h2", "information": "applied", "integral": 0.05}
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
 AGES = {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]], [[[-0.04, -0.006]]]]}

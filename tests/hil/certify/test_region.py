@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -28,25 +26,6 @@ DYNAMIC: dict[str, Any] = {"controller": {"kind": "output-feedback", "A": [[0.5]
 TWO_SAMPLES: dict[str, Any] = {
     "controller": {"kind": "send-all", "selection": "constant", "samples": 2, "gains": [[[[-0.15, 0.1]]]] * 3},
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def moments_once() -> Iterator[None]:
-    """Moments of a loop are the same wherever its run begins: they are computed once."""
-    import design.jump_linear.leaving as moments
-
-    compute, found = moments.leaving, dict[bytes, moments.Leaving]()
-
-    def leaving(*given: Any, **named: Any) -> moments.Leaving:
-        key = pickle.dumps((given, named))
-        if key not in found:
-            found[key] = compute(*given, **named)
-        return found[key]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(moments, "leaving", leaving)
-        yield
-
 
 ANYWHERE = "practical stability"
 """The kind of a verdict on a loop that ends within a bound however long its commands saturate."""

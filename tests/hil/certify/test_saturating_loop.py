@@ -16,6 +16,8 @@ from hil.runtime.virtual import simulate
 from plants import DCMotor
 from plants.dc_motor import Driver
 
+pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
+
 NAME, LATEST = "dc-motor-h2-friction", {"kind": "constant"}
 CALM: dict[str, Any] = {"reference": [], "disturbance": [], "limits.state": {}, "allow_uncertified": True}
 
