@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
+import pytest
 
+from design.tracking.synthesis import TrackingProblem
 from hil.thesis.chapter7.estimate import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
 from hil.thesis.chapter7.models import NETWORK, motor
 from hil.thesis.statements import judge
@@ -18,7 +21,9 @@ def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
     np.testing.assert_allclose(filtered, gains, rtol=1e-12)
 
 
-def test_rows_on_the_estimate_hold_and_turn() -> None:
+def test_rows_on_the_estimate_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By one start of each descent."""
+    monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
     values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: None))
     rows = judge(ESTIMATED, values)
     assert [row.verdict for row in rows] == ["reproduced"] * 4
