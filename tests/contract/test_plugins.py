@@ -31,7 +31,7 @@ LAWS: dict[str, list[str]] = {
 }
 
 
-# An FMU is what its file is: tests/plants/test_fmu.py runs some.
+# An FMU is what its file is: tests/plants/fmu/test_fmu.py runs some.
 @pytest.mark.parametrize("name", [name for name in registry.names("hil.plants") if name != "fmu"])
 def test_plant_keeps_its_contract(name: str) -> None:
     plant = parse_plugin("hil.plants", name, PLANTS.get(name, ()))

@@ -32,7 +32,7 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "shadows in the working folder": ("tests/hostile/test_working_folder.py",),
     "completion by TAB": ("tests/hil/cli/test_completion.py",),
     "plug-ins and modules": ("tests/hil/plugins/test_user_modules.py", "tests/hostile/test_own_modules.py"),
-    "FMUs": ("tests/plants/test_fmu_faults.py",),
+    "FMUs": ("tests/plants/fmu/test_fmu_faults.py",),
     "output to a terminal": ("tests/hil/cli/test_terminal.py",),
     "symbolic links, pipes and devices": ("tests/hil/cli/test_outputs.py", "tests/hil/files/test_regular.py"),
     "guests of `hil vcan`": ("tests/vcan/test_hostile_guest.py", "tests/vcan/test_runner.py"),

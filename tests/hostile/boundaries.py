@@ -42,7 +42,7 @@ from plants.errors import FieldError
 from plants.fmu import _digest
 from tests.hostile.logs import foreign_log, motor, our_log, read_log
 from tests.hostile.mutation import OF_BYTES, OF_TEXT, Edit
-from tests.plants.test_fmu import CART, LINEAR, REAL, VERSION_2
+from tests.plants.fmu.test_fmu import CART, LINEAR, REAL, VERSION_2
 from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_control, encode_sensor
 from transport.laws.trace import read_ages
 from transport.links.authenticated_link import read_key

@@ -116,7 +116,7 @@ def test_the_law_of_the_busy_bus_is_estimated_with_a_bound_and_an_experiment_inc
     assert analysis.analyse_law(one.network.ca.law, 0.05, 0.01).age_shares == (1.0,)
     assert "largest_age = 1" in (tmp_path / "law.sc.toml").read_text()
     with pytest.raises(HilError, match=r"law\.sc\.toml"):
-        bus_laws("-o", str(tmp_path / "law.toml"))
+        bus_laws("--set", KNOWN, "-o", str(tmp_path / "law.toml"))
 
 
 def test_laws_of_a_bus_need_a_bus(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ from hil.experiment import shipped
 from hil.log.read.run import read_run
 from plants import FMU
 from plants.fmu_host import PREFIX, remove_left_behind
-from tests.plants.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2
+from tests.plants.fmu.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2
 from tests.waiting import ended, gone, until
 from tests.warm_hil import hil_command
 
