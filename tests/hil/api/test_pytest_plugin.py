@@ -13,7 +13,7 @@ from tests.warm_hil import hil_command
 
 pytest_plugins = ["pytester"]
 
-OUR_GATES = (Path(__file__).parents[1] / "conftest.py").read_text()
+OUR_GATES = (Path(__file__).parents[2] / "conftest.py").read_text()
 
 
 @pytest.fixture(autouse=True)
