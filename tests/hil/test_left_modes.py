@@ -150,6 +150,31 @@ def test_uncertain_matrices_may_vary_within_their_bounds_and_not_beyond(scale: f
     assert (watch.departed() is None) is kept
 
 
+class OneState:
+    """x(k+1) = a x(k) + u(k), in one mode."""
+
+    def __init__(self, a: float) -> None:
+        self._a, self.state = a, (0.0,)
+
+    def measure(self) -> tuple[float, float]:
+        return self.state[0], 1.0
+
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        self.state = (self._a * self.state[0] + u[0],)
+
+
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e9])
+@pytest.mark.parametrize(("a", "kept"), [(0.5, True), (0.5001, False)])
+def test_a_plant_is_judged_alike_in_whatever_unit_its_states_are(unit: float, a: float, kept: bool) -> None:
+    step = JumpStep(flows=np.array([[[0.5, 1.0]]]), bands=np.zeros((1, 1, 2)), seen=True, unseen=0.0, names=(("x", "m"),))
+    watch, run = JumpWatch(step, lambda: OneState(a), 1_000_000), OneState(a)  # type: ignore[arg-type, return-value]
+    for k in range(2 * BLOCK):
+        u = (unit * (-1) ** (k // 7),)
+        watch.take(run.state, run.measure(), u, (0.0,))
+        run.advance(1_000_000, u)
+    assert (watch.departed() is None) is kept
+
+
 def test_a_mode_that_commands_change_is_named_with_the_slot_in_which_it_did() -> None:
     shipped = load_experiment("smjls-robust")
     watched = compose(shipped).watched

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import threading
 from itertools import pairwise
 from time import time
 from typing import Any
@@ -36,6 +38,23 @@ def received(listener: can.BusABC, count: int) -> list[can.Message]:
     found = [listener.recv(20.0) for _ in range(count)]
     assert None not in found
     return found  # type: ignore[return-value]
+
+
+def test_the_thread_that_sends_is_scheduled_as_its_process_is_once_that_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    scheduled: list[tuple[int, int]] = []
+    policy = os.sched_getscheduler(0)
+    monkeypatch.setattr(os, "sched_getscheduler", lambda pid: policy)
+    monkeypatch.setattr(os, "sched_setscheduler", lambda thread, policy, param: scheduled.append((thread, policy)))
+    with bus() as sender, bus() as listener:
+        sender.send(message(0x100))
+        received(listener, 1)
+        assert scheduled == [], "as it was started"
+        policy = os.SCHED_FIFO
+        for identifier in (0x101, 0x102):
+            sender.send(message(identifier))
+            received(listener, 1)
+    ((thread, given),) = scheduled
+    assert given == os.SCHED_FIFO and thread not in (os.getpid(), threading.get_native_id())
 
 
 def test_frames_that_wait_are_arbitrated_and_follow_each_other_by_exactly_their_bits() -> None:

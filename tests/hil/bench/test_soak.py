@@ -111,6 +111,16 @@ def test_an_object_that_leaks_per_chunk_or_slot_is_growth_and_some_pages_of_a_he
     assert _memory("session", t, 57_000.0 + leaked + noise + pages)["grows"] is grows
 
 
+def test_memory_that_a_session_takes_while_it_fills_its_buffers_is_no_growth_and_what_it_takes_later_is() -> None:
+    t = np.arange(0.0, 600.0, 1.5)
+    noise = np.random.default_rng(0).normal(scale=6.0, size=t.size)
+    filling = 57_000.0 + 5000.0 * np.minimum(t / 250.0, 1.0) + noise
+    found = _memory("rig", t, filling)
+    assert not found["grows"] and found["mb"] == pytest.approx(62.0, abs=0.1)
+    later = _memory("rig", t, 57_000.0 + 1000.0 * np.maximum(t - 350.0, 0.0) / 250.0 + noise)
+    assert later["grows"] and later["slope_kb_per_min"] == pytest.approx(60.0 * 1000.0 / 250.0, rel=0.1)
+
+
 def test_the_size_of_a_log_is_predicted_by_its_growth_in_the_second_tenth() -> None:
     t = np.arange(101.0)
     log = np.where(t <= 10.0, 3.0 * t, np.where(t <= 20.0, 30.0 + 7.0 * (t - 10.0), 1e6))

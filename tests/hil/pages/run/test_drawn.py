@@ -25,6 +25,7 @@ from hil.rig import delay_chains, normal_form
 from hil.rig.loop import Loop
 from hil.session.replay import avatar
 from plants.dc_motor import DCMotor
+from transport.laws.age import ConstantAge
 
 MINE = """
     import numpy as np
@@ -83,6 +84,20 @@ def test_number_figure_and_table_of_a_measure_come_from_one_class(mine: Path) ->
     assert "Input energy" in page and "Growth of the effort" in page and "&lt;b&gt;all&lt;/b&gt;" in page and "<b>all" not in page
     titles = [page.index(f"<h2>{title}</h2>") for title in ("Tracking", "Where it went", "Delays")]
     assert titles == sorted(titles), "place=15 stands between 10 and 30"
+
+
+class DrawingLaw(ConstantAge):
+    """Ages that draw their own section."""
+
+    def section(self, view: RunView) -> Section:
+        return Section(title=f"Always {self.age} late", blocks=(Text(text="and never otherwise"),))
+
+
+@pytest.mark.parametrize("direction", ["sc", "ca"])
+def test_a_network_law_draws_its_section_in_either_direction(direction: str) -> None:
+    changes = {f"network.{direction}.law": DrawingLaw(age=1), "allow_uncertified": True}
+    session = hil.run("dc-motor-hinf", seed=0, duration=1, **changes)
+    assert "<h2>Always 1 late</h2>" in render_report(view_of(session.run, session.experiment))
 
 
 def test_a_log_alone_runs_no_module_for_its_page(mine: Path) -> None:
