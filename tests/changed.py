@@ -21,14 +21,27 @@ GUIDE = "tests/contract/test_readme.py"
 
 def changed(root: Path = ROOT, since: str = "main") -> list[str]:
     """Return the files that have changed since this branch left another one, and new ones, from the top of the checkout."""
-
-    def git(*words: str) -> list[str]:
-        done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
-        return done.stdout.splitlines() if done.returncode == 0 else []
-
-    base = [*git("merge-base", "HEAD", since), "HEAD"][0]
-    names = [*git("diff", "--name-only", base), *git("ls-files", "--others", "--exclude-standard")]
+    base = [*_git(root, "merge-base", "HEAD", since), "HEAD"][0]
+    names = [*_git(root, "diff", "--name-only", base), *_git(root, "ls-files", "--others", "--exclude-standard")]
     return sorted({name for name in names if (root / name).is_file()})
+
+
+def before(root: Path = ROOT) -> str | None:
+    """Return the commit at which the change that stands here began: where its branch left main, on main the one before it.
+
+    None where git has neither, as in a clone that is one commit deep.
+    """
+    head = _git(root, "rev-parse", "HEAD")
+    for main in ("main", "origin/main"):
+        base = _git(root, "merge-base", "HEAD", main)
+        if base and base != head:
+            return base[0]
+    return next(iter(_git(root, "rev-parse", "--verify", "--quiet", "HEAD~1")), None)
+
+
+def _git(root: Path, *words: str) -> list[str]:
+    done = subprocess.run(["git", *words], cwd=root, capture_output=True, text=True)
+    return done.stdout.splitlines() if done.returncode == 0 else []
 
 
 def chosen_for(names: Iterable[str], root: Path = ROOT) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.changed import changed, chosen_for
+from tests.changed import before, changed, chosen_for
 
 
 @pytest.mark.parametrize(
@@ -32,10 +32,48 @@ def test_a_file_inside_a_chosen_folder_is_not_run_twice() -> None:
     assert chosen_for(["design/tracking/bfgs.py", "tests/design/tracking/test_synthesis.py"]) == ["tests/design/tracking"]
 
 
-def test_what_differs_from_main_and_what_is_new_has_changed_and_what_is_gone_has_no_tests(tmp_path: Path) -> None:
-    def git(*words: str) -> None:
-        subprocess.run(["git", "-c", "user.name=t", "-c", "user.email=t@t", *words], cwd=tmp_path, check=True)
+class Git:
+    """git in a folder."""
 
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __call__(self, *words: str) -> str:
+        done = subprocess.run(["git", "-c", "user.name=t", "-c", "user.email=t@t", *words], cwd=self._folder, check=True,
+                              capture_output=True, text=True)  # fmt: skip
+        return done.stdout.strip()
+
+    def commit(self, text: str) -> str:
+        """Commit a file with this text, whatever else there is; return the commit."""
+        (self._folder / "file").write_text(text)
+        self("add", "-A")
+        self("commit", "-m", text)
+        return self("rev-parse", "HEAD")
+
+
+def test_a_change_began_where_its_branch_left_main_or_on_main_before_the_last_commit(tmp_path: Path) -> None:
+    origin, clone = tmp_path / "origin", tmp_path / "clone"
+    origin.mkdir()
+    git = Git(origin)
+    git("init", "-b", "main")
+    one = git.commit("1")
+    assert before(origin) is None, "the first commit of all"
+    two = git.commit("2")
+    assert before(origin) == one, "on main"
+    git("switch", "-c", "work")
+    git.commit("3")
+    four = git.commit("4")
+    assert before(origin) == two, "on a branch"
+    git("clone", "-b", "work", f"file://{origin}", str(clone))
+    assert before(clone) == two, "in a clone without main"
+    git("clone", "-b", "work", "--depth", "1", f"file://{origin}", f"{clone}-1")
+    assert before(Path(f"{clone}-1")) is None, "in a clone that is one commit deep"
+    git("clone", "-b", "work", "--depth", "2", f"file://{origin}", f"{clone}-2")
+    assert before(Path(f"{clone}-2")) == git("rev-parse", f"{four}~1"), "in one of a branch alone, its last commit"
+
+
+def test_what_differs_from_main_and_what_is_new_has_changed_and_what_is_gone_has_no_tests(tmp_path: Path) -> None:
+    git = Git(tmp_path)
     git("init", "-b", "main")
     for name in ("same", "later", "now", "gone"):
         (tmp_path / name).write_text("1")

@@ -3,7 +3,7 @@
     python -m tests.mutations                  # all of faults.toml
     python -m tests.mutations pipe trip        # those whose name contains one of the words
     python -m tests.mutations --random 300     # random ones in all rooms, judged by the tests that reach them
-    python -m tests.mutations --random 20 --changed    # in the files that differ from main
+    python -m tests.mutations --random 30 --changed    # in the files that a change touches, judged by their own tests
 
 A known fault that its tests do not see is a hole in the tests: status 1 names it. Of random ones a share must be seen.
 """
@@ -17,9 +17,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+from tests.changed import before, changed
 from tests.mutations.copies import copy_of_the_checkout, environment
 from tests.mutations.faults import Fault, faults
 from tests.mutations.random_run import random_run
+from tests.mutations.reach import product_files
 
 LIMIT_S = 600.0
 
@@ -72,16 +74,28 @@ def main(words: list[str]) -> int:
     parser.add_argument("words", nargs="*", help="faults whose name, or place and change, contains one of the words")
     parser.add_argument("--random", type=int, metavar="NUMBER", help="random faults, instead of the known ones")
     parser.add_argument("--seed", type=int, default=1, help="of the random faults")
-    parser.add_argument("--changed", action="store_true", help="random faults in files that differ from main, by own tests")
-    parser.add_argument("--since", default="main", metavar="REVISION", help="from which they differ, in place of main")
-    parser.add_argument("--seconds", type=float, default=math.inf, help="after which no other random fault is begun")
+    parser.add_argument("--changed", action="store_true", help="random faults in files that a change touches, by own tests")
+    parser.add_argument("--since", metavar="REVISION", help="where the change began; else where it left main")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="after which random faults are ended")
     parser.add_argument("--fresh", action="store_true", help="measure again what each test reaches")
-    parser.add_argument("-n", type=int, default=0, metavar="WORKERS", help="processes that measure what each test reaches")
+    parser.add_argument("-n", type=int, default=0, metavar="WORKERS", help="processes that do it")
     given = parser.parse_args(words)
     if given.random is None:
         return known_faults(given.words)
-    return random_run(given.random, given.seed, given.words, since=given.since if given.changed else None,
+    return random_run(given.random, given.seed, given.words, own=of_the_change(given.since) if given.changed else None,
                       limit_s=given.seconds, fresh=given.fresh, workers=given.n)  # fmt: skip
+
+
+def of_the_change(since: str | None) -> list[str]:
+    """Return the product files that a change touches, all where git does not know when it began; print which."""
+    since, files = since or before(), product_files()
+    if since is None:
+        print("git has no earlier commit here (a shallow clone): faults in all files")
+        return files
+    touched = {*changed(since=since)}
+    files = [file for file in files if file in touched]
+    print(f"faults in {len(files)} files that differ from {since}")
+    return files
 
 
 if __name__ == "__main__":

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import ast
 import contextlib
+import math
 import os
 import re
 import resource
 import signal
+import time
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -15,15 +17,15 @@ from types import TracebackType
 from tests.changed import chosen_for
 from tests.mutations.copies import environment
 from tests.mutations.faults import ROOT
-from tests.mutations.probe import LIMIT, NAMES, ORDER, rank
+from tests.mutations.probe import LIMIT, NAMES, ORDER, SPENT, rank
 from tests.mutations.random_faults import Place
 from tests.mutations.reach import Reach
 from tests.mutations.warm import Warm
 
 BUDGET_S = 30.0
 """Of the tests of one fault, by the time that they took without it."""
-WALL_S = 600.0
-"""For all tests of a fault, however busy the machine is: what waits for ever ends here."""
+WALL_S, TEST_S = 600.0, 60.0
+"""For all tests of a fault and for one of them, however busy the machine is: what waits for ever ends here."""
 LIMITS = {resource.RLIMIT_CPU: 60, resource.RLIMIT_DATA: 6 << 30}
 """In s and bytes: what one process of faulty code may take: a loop that has no end any more is killed, and so is its fault."""
 NEAREST, NEAREST_FILES = 16, 3
@@ -35,7 +37,7 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
 
     Those of the file's own tests come first, then those of its room, then others; cheap ones first, real time last. Behind those
     that reach the block come the others of their files, which may share what the first one made. A block that no test reaches
-    has none; outside of functions the tests are those that reach a function of the file, then those that import it.
+    has none; outside of functions the tests are those that reach a function of the file or import it.
     """
     mirror, own = f"tests/{Path(place.file).parent.as_posix()}/", f"test_{Path(place.file).stem}.py"
     near = chosen_for([place.file], root)
@@ -47,10 +49,10 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
         files = {test.partition("::")[0] for test in reach.tests}
         files = {file for file in files if any(file == each or file.startswith(f"{each}/") for each in near)}
 
-    def rank(n: int) -> tuple[bool, bool, bool, bool, float]:
-        file = Path(reach.tests[n].partition("::")[0])
-        named = file.name == own
-        return n not in reaching, reach.realtime[n], not named, not file.as_posix().startswith(mirror), reach.seconds[n]
+    def rank(n: int) -> tuple[bool, bool, bool, bool, bool, float]:
+        file, far = Path(reach.tests[n].partition("::")[0]), n not in reaching
+        foreign = not file.as_posix().startswith(mirror)
+        return far and place.block != "", reach.realtime[n], file.name != own, foreign, far, reach.seconds[n]
 
     chosen, spent = [], 0.0
     for n in sorted((n for n, test in enumerate(reach.tests) if n in reaching or test.partition("::")[0] in files), key=rank):
@@ -89,6 +91,10 @@ def names_of(place: Place, root: Path = ROOT) -> str:
     return "\n".join(" ".join(line) for line in (inner[-1:], inner[:-1], [Path(place.file).stem, *others]) if line)
 
 
+class UndecidedError(Exception):
+    """Time was spent before a test failed and before all had passed."""
+
+
 class Judge:
     """Runs tests over a copy of the checkout, sound or with one fault in it; a context that ends its processes.
 
@@ -100,7 +106,7 @@ class Judge:
     def __init__(self, folder: Path, doubtful: Collection[str] = ()) -> None:
         self._folder = folder
         self._doubtful = doubtful
-        self._faults = 0
+        self._faults, self._end, self._spent, self._timed_out = 0, math.inf, False, False
         self._warm = Warm(folder, environment(folder))
 
     def __enter__(self) -> Judge:
@@ -122,20 +128,36 @@ class Judge:
             file.write_text(sound)
             os.utime(file, ns=(was, was))
 
-    def killer(self, place: Place, tests: Sequence[str]) -> str | None:
-        """Return the first test that fails with the fault, and passes without it if it runs in real time; None if none does."""
-        names = names_of(place, self._folder)
+    def killer(self, place: Place, tests: Sequence[str], end: float = math.inf) -> str | None:
+        """Return the first test that fails with the fault, and passes without it if time may have failed it; None if none.
+
+        Args:
+            place: the fault.
+            tests: names of tests, or of test files, whose tests in real time are left out.
+            end: monotonic time until which they may run, s.
+
+        Raises:
+            UndecidedError: CPU time of tests of one fault, or all time, was spent before, or a test file fails without it too.
+        """
+        names, self._end, self._spent = names_of(place, self._folder), end, False
         while tests:
             with self._with(place):
                 near = NEAREST if "::" in tests[0] else NEAREST_FILES
                 failed = self._failing(tests[:near], names) or self._failing(tests[near:], names)
-            if failed not in self._doubtful or self._failing([failed], names) is None:
+            if failed is None:
+                break
+            if not (failed in self._doubtful or self._timed_out) or self._failing([failed], names) is None:
                 return failed
-            tests = tests[tests.index(failed) + 1 :]  # it fails without the fault too
+            if failed not in tests:
+                raise UndecidedError(f"{failed} fails without the fault too")
+            tests = tests[tests.index(failed) + 1 :]
+        if self._spent:
+            raise UndecidedError(f"{len(tests)} asked until time was spent")
         return None
 
     def _failing(self, tests: Sequence[str], names: str) -> str | None:
         """Return the first of the tests that fails, or how pytest ended where none could."""
+        self._timed_out = False
         files = [file for file in dict.fromkeys(test.partition("::")[0] for test in tests) if (self._folder / file).exists()]
         if not files:  # they have moved since they were measured
             return None
@@ -144,24 +166,32 @@ class Judge:
             order = self._folder.parent / "order"
             order.write_text("\n".join(tests))
             env, choose, files = {ORDER: str(order)}, [], sorted(files)
-        words = ["-x", *choose, "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "--tb=no", "-rfE", *files]
+        words = ["-x", *choose, "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "-o", f"timeout={TEST_S}",
+                 "--tb=no", "-rfE", *files]  # fmt: skip
+        left_s = self._end - time.monotonic()
+        if left_s <= 0.0:
+            self._spent = True
+            return None
         self._warm.start(words, env, LIMITS)
         try:
-            ended = self._warm.end(WALL_S)
+            ended = self._warm.end(min(WALL_S, left_s))
         finally:
             self._end_all()
         if ended is None:
             self._warm.end()  # it is killed now
-            return "no end in time"
-        status, out = ended
-        if status in (0, 5):  # 5: the tests are gone since they were measured
+            self._spent = True
             return None
+        status, out = ended
+        if status in (0, 5, SPENT):  # 5: the tests are gone since they were measured
+            self._spent |= status == SPENT
+            return None
+        self._timed_out = "Failed: Timeout" in out
         said = [line.split(" - ")[0].split(" ", 1)[1] for line in out.splitlines() if line.startswith(("FAILED ", "ERROR "))]
         return said[0].strip() if said else f"pytest ends with {status}"
 
     def _end_all(self) -> None:
         """Kill the run and what its tests started and left behind, which has the copy in its environment."""
-        mark = f"PYTHONPATH={self._folder}".encode()
+        mark = f"PYTHONPATH={self._folder}\0".encode()
         for proc in Path("/proc").glob("[0-9]*"):
             with contextlib.suppress(OSError):
                 if int(proc.name) != self._warm.pid and mark in (proc / "environ").read_bytes():

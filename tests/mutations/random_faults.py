@@ -11,7 +11,7 @@ import random
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests.mutations.blocks import nodes
@@ -25,6 +25,8 @@ TURNED: dict[type, tuple[type, ...]] = {
     ast.Div: (ast.Mult,), ast.FloorDiv: (ast.Div,), ast.Mod: (ast.FloorDiv,), ast.Pow: (ast.Mult,), ast.BitAnd: (ast.BitOr,),
     ast.BitOr: (ast.BitAnd,), ast.LShift: (ast.RShift,), ast.RShift: (ast.LShift,),
 }  # fmt: skip
+
+Key = tuple[str, str, str, str, int]
 
 SYMMETRIC = {"max", "min", "np.maximum", "np.minimum", "np.array_equal", "math.hypot", "np.hypot", "hmac.compare_digest"}
 """Functions whose arguments have no order."""
@@ -41,6 +43,7 @@ class Place:
         start, end: bytes of the file that it replaces.
         new: by what.
         old: what stands there.
+        nth: which it is, from 0, of those that say the same in the block.
     """
 
     file: str
@@ -50,6 +53,7 @@ class Place:
     end: int
     old: str
     new: str
+    nth: int = 0
 
     @property
     def room(self) -> str:
@@ -67,26 +71,33 @@ class Place:
         """What stands there and what replaces it, on a line each."""
         return " ".join(self.old.split()), " ".join(self.new.split())
 
+    @property
+    def key(self) -> Key:
+        """What stays the same while other code moves: file, block, words and which of those that say the same."""
+        return self.file, self.block, *self.words, self.nth
+
     def __str__(self) -> str:
         return f"{self.file}:{self.line}  {'  ->  '.join(self.words)}"
 
 
 def places(file: str, text: str) -> list[Place]:
     """Return every fault that a file can have."""
-    tree = ast.parse(text)
+    tree, raw = ast.parse(text), text.encode()
     starts = [0]
-    for line in text.encode().splitlines(keepends=True):
+    for line in raw.splitlines(keepends=True):
         starts.append(starts[-1] + len(line))
     kept = {id(node) for part in _parts_that_stay(tree) for node in ast.walk(part)}
-    found = []
+    found: list[Place] = []
+    same: dict[Key, int] = defaultdict(int)
     for node, block in nodes(tree):
         if id(node) in kept:
             continue
         for at, new in _faults(node):
             start, end = starts[at.lineno - 1] + at.col_offset, starts[at.end_lineno - 1] + at.end_col_offset
-            old = text.encode()[start:end].decode()
             new = f"({new})" if isinstance(at, ast.expr) else new
-            found.append(Place(file=file, line=at.lineno, block=block, start=start, end=end, old=old, new=new))
+            place = Place(file=file, line=at.lineno, block=block, start=start, end=end, old=raw[start:end].decode(), new=new)
+            found.append(replace(place, nth=same[place.key]))
+            same[place.key] += 1
     return found
 
 
@@ -101,8 +112,10 @@ def _parts_that_stay(tree: ast.Module) -> Iterator[ast.AST]:
             yield from node.decorator_list
             if not isinstance(node, ast.ClassDef) and node.returns:
                 yield node.returns
-        elif isinstance(node, ast.If | ast.Assign) and ast.unparse(node).startswith(("if TYPE_CHECKING", "__all__ =")):
-            yield node
+        elif isinstance(node, ast.If | ast.Assign):
+            head = node.test if isinstance(node, ast.If) else node.targets[0]
+            if isinstance(head, ast.Name) and head.id in ("TYPE_CHECKING", "__all__"):
+                yield node
 
 
 def _faults(node: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
@@ -143,12 +156,11 @@ def _changes_what_is_there(node: ast.AST) -> bool:
 
 
 def drawn(files: Sequence[str], number: int, seed: int, root: Path = ROOT) -> list[Place]:
-    """Return faults drawn at random, without those known to change nothing: each room has a share by its size, two at least.
+    """Return faults drawn at random: each room has a share by its size, two at least.
 
     The rooms take turns, so that the first of the faults are a sample too.
     """
     rooms: Mapping[str, list[Place]] = defaultdict(list)
-    known = equivalent()
     for file in files:
         for place in places(file, (root / file).read_text()):
             rooms[place.room].append(place)
@@ -158,10 +170,10 @@ def drawn(files: Sequence[str], number: int, seed: int, root: Path = ROOT) -> li
     for _, found in sorted(rooms.items()):
         share = min(len(found), max(2, round(number * len(found) / total)))
         keyed += [((n + rng.random()) / share, place) for n, place in enumerate(rng.sample(found, share))]
-    return [place for _, place in sorted(keyed, key=lambda each: each[0]) if (place.file, place.block, *place.words) not in known]
+    return [place for _, place in sorted(keyed, key=lambda each: each[0])]
 
 
-def equivalent() -> set[tuple[str, str, str, str]]:
-    """Return the faults that change nothing that a user or a test could see: file, block, old and new text."""
+def equivalent() -> set[Key]:
+    """Return the faults that change nothing that a user or a test could see."""
     table = tomllib.loads(EQUIVALENT.read_text()).get("fault", [])
-    return {(each["file"], each["block"], each["old"], each["new"]) for each in table if each["why"]}
+    return {(each["file"], each["block"], each["old"], each["new"], each.get("nth", 0)) for each in table if each["why"]}

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import math
+import queue
 import tempfile
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+from typing import Final, Literal, get_args
 
-from tests import changed as differences
 from tests.mutations.copies import copy_of_the_checkout
-from tests.mutations.judge import Judge, asked_for, own_tests
-from tests.mutations.random_faults import Place, drawn
+from tests.mutations.judge import Judge, UndecidedError, asked_for, own_tests
+from tests.mutations.random_faults import Place, drawn, equivalent
 from tests.mutations.reach import kept, product_files
 
-WANTED = 0.85
-CHANCE = 0.05
-"""With which a share that is wanted or more still looks too small."""
+WANTED: Final = 0.85
+CHANCE: Final = 0.001
+"""With which a run fails where each room's tests see the wanted share of its faults."""
 
-Tried = tuple[Place, str | None]
-"""A fault, and the test that saw it."""
+OWN: Final = "own tests alone were asked: those of other rooms may see what survives, so that this decides nothing"
+
+Outcome = Literal["killed", "survived", "undecided", "equivalent"]
+"""A test failed; all passed; time was spent before, or the fault was not begun; it stands in ``equivalent.toml``."""
+Tried = tuple[Place, Outcome]
 
 
 def random_run(
-    number: int, seed: int, words: Sequence[str], *, since: str | None, limit_s: float, fresh: bool, workers: int
+    number: int, seed: int, words: Sequence[str], *, own: Sequence[str] | None, limit_s: float, fresh: bool, workers: int
 ) -> int:  # fmt: skip
     """Try random faults and print one line each, then the table; Ctrl-C ends with the table so far.
 
@@ -32,64 +39,115 @@ def random_run(
         number: of faults, over all rooms.
         seed: of the draw.
         words: only the drawn faults whose line contains one of them.
-        since: draw in the files that differ from this revision, and ask the tests of each file alone.
-        limit_s: after which no other fault is begun, s.
+        own: files to draw in, of which their own tests are asked; None: all files, and the tests that reach each block.
+        limit_s: after which tests are ended, s.
         fresh: measure again what each test reaches.
-        workers: processes that measure it.
+        workers: processes that try faults, or measure what tests reach.
 
     Returns:
-        1 if so few were seen that the wanted share is not to be believed, else 0.
+        1 if so many survived that the wanted share is not to be believed, else 0; 0 where own tests alone were asked.
     """
-    changed = None if since is None else {*differences.changed(since=since)}
-    files = [file for file in product_files() if changed is None or file in changed]
-    places = [place for place in drawn(files, number, seed)[:number] if not words or any(word in str(place) for word in words)]
-    if not places:
-        print(f"no faults to try: no product file differs from {since}" if since else "no fault is drawn that is called so")
-        return 0
-    if since is None:
+    end = time.monotonic() + limit_s
+    chosen = drawn(product_files() if own is None else own, number, seed)[:number]
+    places = [place for place in chosen if not words or any(word in str(place) for word in words)]
+    doubtful: set[str] = set()
+    tests_of: Callable[[Place], Sequence[str]] = own_tests
+    if own is None:
         reach = kept(workers, fresh)
         doubtful = {test for test, realtime in zip(reach.tests, reach.realtime) if realtime}
-        done = _tried(places, lambda place: [*asked_for(place, reach)], doubtful, limit_s)
-    else:
-        done = _tried(places, own_tests, set(), limit_s)
-    print("\n".join(table(done)))
-    return int(too_few(len(done), sum(killer is not None for _, killer in done)))
+        tests_of = partial(asked_for, reach=reach)
+    known = equivalent()
+    done: list[Tried] = [(place, "equivalent") for place in places if place.key in known]
+    done += _tried([place for place in places if place.key not in known], tests_of, doubtful, end, max(workers, 1))
+    print("\n".join([*table(done), *(rule(done) if own is None else [OWN])]))
+    return int(own is None and too_few(done))
 
 
-def _tried(places: Sequence[Place], tests_of: Callable[[Place], list[str]], doubtful: set[str], limit_s: float) -> list[Tried]:
-    done: list[Tried] = []
-    end = time.monotonic() + limit_s
-    try:
-        with tempfile.TemporaryDirectory() as name, Judge(copy_of_the_checkout(Path(name, "checkout")), doubtful) as judge:
-            for n, place in enumerate(places, start=1):
-                if time.monotonic() > end:
-                    print(f"no more after {limit_s:g} s")
-                    break
-                tests = tests_of(place)
-                killer = judge.killer(place, tests)
-                done.append((place, killer))
-                how = f"killed   {place}\n{'':12}by {killer}" if killer else f"SURVIVED {place}\n{'':12}{len(tests)} tests asked"
-                print(f"{n}/{len(places)} {how}", flush=True)
-    except KeyboardInterrupt:
-        print("stopped")
-    return done
+def _tried(
+    places: Sequence[Place], tests_of: Callable[[Place], Sequence[str]], doubtful: set[str], end: float, workers: int
+) -> list[Tried]:  # fmt: skip
+    """Try faults, several at once, each in a copy of the checkout of its own."""
+    free: queue.SimpleQueue[Judge] = queue.SimpleQueue()
+    stopped = False
+
+    def outcome(place: Place) -> tuple[Outcome, str, float]:
+        judge, begin = free.get(), time.monotonic()
+        try:
+            if stopped or begin > end:
+                raise UndecidedError("not begun")
+            tests = tests_of(place)
+            killer = judge.killer(place, tests, end)
+            seconds = time.monotonic() - begin
+            return ("killed", f"by {killer}", seconds) if killer else ("survived", f"{len(tests)} asked", seconds)
+        except UndecidedError as error:
+            return "undecided", str(error), time.monotonic() - begin
+        finally:
+            free.put(judge)
+
+    done: dict[Place, Outcome] = dict.fromkeys(places, "undecided")
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
+        for n in range(workers):
+            free.put(stack.enter_context(Judge(copy_of_the_checkout(Path(name, str(n), "checkout")), doubtful)))
+        running = {pool.submit(outcome, place): place for place in places}
+        try:
+            for n, future in enumerate(as_completed(running), start=1):
+                place = running[future]
+                done[place], how, seconds = future.result()
+                print(f"{n}/{len(places)} {done[place]:9} {seconds:5.1f} s  {place}\n{'':12}{how}", flush=True)
+        except KeyboardInterrupt:
+            stopped = True
+            pool.shutdown(cancel_futures=True)
+            print("stopped")
+    return [*done.items()]
 
 
-def too_few(tried: int, seen: int) -> bool:
-    """Return whether so few are seen in less than `CHANCE` of all draws, where the wanted share is seen.
+def limit(number: int) -> int:
+    """Return how many of so many faults may survive: more do in less than `CHANCE` of all draws where `WANTED` are seen.
 
-    >>> too_few(12, 8), too_few(12, 7), too_few(300, 245), too_few(300, 244), too_few(0, 0)
-    (False, True, False, True, False)
+    Where it is seen in each room, also if some are seen better than others and each is drawn once, at most as often
+    (W. Hoeffding, On the distribution of the number of successes in independent trials, 1956).
+
+    >>> limit(0), limit(12), limit(30), limit(300)
+    (0, 6, 11, 65)
     """
-    chances = (math.comb(tried, k) * WANTED**k * (1.0 - WANTED) ** (tried - k) for k in range(seen + 1))
-    return sum(chances) < CHANCE
+    return next(k for k in range(number + 1) if more_than(k, number, 1.0 - WANTED) < CHANCE)
+
+
+def more_than(k: int, number: int, share: float) -> float:
+    """Return the chance that more than k of so many faults survive where a share does.
+
+    >>> round(more_than(11, 30, 0.15), 5), round(more_than(11, 30, 0.5), 2)
+    (0.00079, 0.9)
+    """
+    return sum(math.comb(number, n) * share**n * (1.0 - share) ** (number - n) for n in range(k + 1, number + 1))
+
+
+def too_few(done: Sequence[Tried]) -> bool:
+    """Return whether too many survived for the wanted share to be believed; what is undecided counts as seen."""
+    count = Counter(outcome for _, outcome in done)
+    return count["survived"] > limit(len(done) - count["equivalent"])
+
+
+def rule(done: Sequence[Tried]) -> list[str]:
+    """Return what a run says beside its table: when it fails, how often by chance, and how often where half survive."""
+    number = sum(outcome != "equivalent" for _, outcome in done)
+    k = limit(number)
+    return [
+        f"fails where more than {k} of {number} survive:",
+        f"in {more_than(k, number, 1.0 - WANTED):.2%} of draws where tests see {WANTED:.0%} of each room's faults,",
+        f"in {more_than(k, number, 0.5):.0%} where they see half of them and none is undecided",
+    ]
 
 
 def table(done: Iterable[Tried]) -> list[str]:
-    """Return the lines of a table: faults seen by room, and in all."""
-    by_room: dict[str, list[bool]] = defaultdict(list)
-    for place, killer in done:
+    """Return the lines of a table: what became of faults by room, and in all; the share is of all but the equivalent ones."""
+    by_room: dict[str, Counter[str]] = defaultdict(Counter)
+    for place, outcome in done:
         for room in (place.room, "all"):
-            by_room[room].append(killer is not None)
-    rows = [(room, len(seen), sum(seen)) for room, seen in sorted(by_room.items(), key=lambda each: (each[0] == "all", each[0]))]
-    return [f"{'room':24}{'faults':>8}{'seen':>6}{'share':>8}", *(f"{r:24}{n:8}{k:6}{k / n:8.0%}" for r, n, k in rows)]
+            by_room[room][outcome] += 1
+    lines = [f"{'room':24}{'faults':>8}" + "".join(f"{outcome:>12}" for outcome in get_args(Outcome)) + f"{'share':>8}"]
+    for room, count in sorted(by_room.items(), key=lambda each: (each[0] == "all", each[0])):
+        judged = count.total() - count["equivalent"]
+        share = f"{count['killed'] / judged:.0%}" if judged else "-"
+        lines.append(f"{room:24}{count.total():8}" + "".join(f"{count[each]:12}" for each in get_args(Outcome)) + f"{share:>8}")
+    return lines

@@ -8,17 +8,17 @@ import os
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from tests.mutations import judge, random_faults
+from tests.mutations import judge
 from tests.mutations.blocks import blocks, with_probes
 from tests.mutations.faults import ROOT
-from tests.mutations.judge import Judge, asked_for, own_tests
-from tests.mutations.probe import FOLDER, LIMIT
-from tests.mutations.random_faults import drawn, equivalent, places
-from tests.mutations.random_run import table
+from tests.mutations.judge import Judge, UndecidedError, asked_for, own_tests
+from tests.mutations.probe import FOLDER, LIMIT, SPENT
+from tests.mutations.random_faults import Key, drawn, equivalent, places
 from tests.mutations.reach import Reach, merged, read
 
 CODE = '''"""µ: bytes before the place are more than letters."""
@@ -136,17 +136,15 @@ def test_the_tests_of_a_fault_are_those_that_reach_it_nearest_first(monkeypatch:
     assert asked_for(place, reach_of(*tests)) == []
 
 
-def test_the_tests_of_a_constant_are_those_that_reach_a_function_beside_it() -> None:
+def test_the_tests_of_a_constant_are_those_named_after_its_file_and_those_that_reach_a_function_beside_it() -> None:
     constant, _ = places("hil/log/topics/loop.py", "N = 3\ndef f(x):\n    return x\n")
-    tests = ("tests/far.py::a", "tests/far.py::b", "tests/hil/log/test_other.py::c", "tests/hil/cli/test_run.py::d")
-    assert asked_for(constant, reach_of(*tests, by_block={"hil/log/topics/loop.py::f#0": [1], "hil/log/m.py::f#0": [3]})) == [
-        tests[1], tests[2],
-    ]  # fmt: skip
+    tests = ("tests/far.py::a", "tests/far.py::b", "tests/hil/log/test_other.py::c", "tests/hil/cli/test_run.py::d",
+             "tests/hil/log/test_loop.py::named")  # fmt: skip
+    reach = reach_of(*tests, by_block={"hil/log/topics/loop.py::f#0": [1], "hil/log/m.py::f#0": [3]})
+    assert asked_for(constant, reach) == [tests[n] for n in (4, 1, 2)]
 
 
-def test_faults_are_drawn_by_seed_from_every_room_without_those_that_change_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faults_are_drawn_by_seed_from_every_room(tmp_path: Path) -> None:
     files = ["hil/a/m.py", "hil/b/m.py", "plants/m.py"]
     for file, copies in zip(files, (1, 1, 20)):
         (tmp_path / file).parent.mkdir(parents=True)
@@ -155,8 +153,8 @@ def test_faults_are_drawn_by_seed_from_every_room_without_those_that_change_noth
     assert chosen == drawn(files, 20, 1, tmp_path) != drawn(files, 20, 2, tmp_path)
     count = {room: sum(place.room == room for place in chosen) for room in ("hil/a", "hil/b", "plants")}
     assert count == {"hil/a": 2, "hil/b": 2, "plants": 18}
-    monkeypatch.setattr(random_faults, "equivalent", lambda: {("plants/m.py", "", "3", "(4)")})
-    assert not any(place.old == "3" and place.room == "plants" for place in drawn(files, 500, 1, tmp_path))
+    all_of_them = drawn(files, 5000, 1, tmp_path)
+    assert len({place.key for place in all_of_them}) == len(all_of_them), "each has a key of its own, alike as they are"
 
 
 def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -180,6 +178,13 @@ def test_a_fault_is_killed_by_a_test_that_fails(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(judge, "LIMITS", {resource.RLIMIT_CPU: 3})
     stuck = dataclasses.replace(by_line["range(n, 10)  ->  (range(10, n))"], new="iter(lambda: n, None)")
     assert judges.killer(stuck, ours) == "pytest ends with -9"
+    with pytest.raises(UndecidedError):
+        judges.killer(stuck, ours, time.monotonic() + 1.0)
+    with pytest.raises(UndecidedError):
+        judges.killer(seen, ours, time.monotonic())
+    monkeypatch.setattr(judge, "BUDGET_S", 0.0)
+    with pytest.raises(UndecidedError):
+        judges.killer(unseen, ["test_m.py"])
     assert (folder / "m.py").read_text() == CODE
 
 
@@ -197,16 +202,9 @@ def test_a_fault_that_removes_temporary_folders_finds_those_of_its_own_tests_alo
     assert Judge(folder).killer(places("m.py", CODE)[0], ["test_m.py::test_where"]) is None
 
 
-def test_the_table_counts_by_room() -> None:
-    one, *others = places("hil/a/m.py", CODE)
-    lines = table([(one, "t.py::far"), *((other, None) for other in others[:3])])
-    assert [line.split() for line in lines[1:]] == [["hil/a", "4", "1", "25%"], ["all", "4", "1", "25%"]]
-
-
 @pytest.mark.parametrize("fault", sorted(equivalent()), ids=lambda fault: f"{fault[0]}: {fault[2]}"[:80])
-def test_a_fault_that_changes_nothing_is_one_that_could_be_drawn(fault: tuple[str, str, str, str]) -> None:
-    file, *said = fault
-    assert said in [[place.block, *place.words] for place in places(file, (ROOT / file).read_text())]
+def test_a_fault_that_changes_nothing_is_one_that_could_be_drawn(fault: Key) -> None:
+    assert [place.key for place in places(fault[0], (ROOT / fault[0]).read_text())].count(fault) == 1
 
 
 def test_without_a_map_the_tests_of_a_fault_are_the_files_of_its_room_nearest_first() -> None:
@@ -227,6 +225,6 @@ def test_a_run_ends_when_its_time_is_spent_and_no_test_has_failed(tmp_path: Path
         "def test_red(): assert False\n"
     )
     words = [sys.executable, "-m", "pytest", "-q", "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "test_m.py"]
-    for limit, status in (("0.01", 0), ("600", 1)):
+    for limit, status in (("0.01", SPENT), ("600", 1)):
         env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_ADDOPTS": "", LIMIT: limit}
         assert subprocess.run(words, cwd=tmp_path, env=env, capture_output=True).returncode == status
