@@ -30,13 +30,18 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   const row = (...parts) => { const made = text("div", "", { className: "row" }); made.append(...parts); return made; };
 
   // Reference: a slider or a number for each output.
-  const wanted = about.outputs.map(() => 0), inputs = [];
+  const wanted = about.outputs.map(() => 0), follow = [];
   field("Reference", ...about.outputs.map((s, i) => {
     const box = input(`reference of ${s.name}, ${s.unit}`, 0), slide = Object.assign(document.createElement("input"), { type: "range", min: -5, max: 5, step: 0.05, value: 0 });
     slide.setAttribute("aria-label", `drag the reference of ${s.name}`);
     const set = (v) => { wanted[i] = +v; box.value = slide.value = v; };
     slide.addEventListener("input", () => set(slide.value));
-    inputs.push(set);
+    let seen;
+    follow.push((v) => { // where the reference is, also where the run's own changes put it; no hand is on it
+      if (v == null || v === seen || slide.matches(":active") || document.activeElement === box) return;
+      seen = v;
+      set(v);
+    });
     const go = () => apply("reference", wanted);
     slide.addEventListener("change", go);
     box.addEventListener("change", () => { slide.max = Math.max(slide.max, 1.5 * Math.abs(box.value)); slide.min = -slide.max; set(box.value); go(); });
@@ -134,10 +139,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   const self = {
     apply() { if (drafts.pending) { apply(drafts.pending.path, drafts.pending.value); drafts.pending = null; } },
     show(now, all) {
-      if (inputs.length) { // the sliders begin where the reference is
-        const last = about.outputs.map((s) => all[0].scopes.curves.find((c) => c.topic === "/reference" && c.field === s.name)?.last);
-        if (last.every((v) => v != null)) inputs.splice(0).forEach((set, i) => set(last[i]));
-      }
+      about.outputs.forEach((s, i) => follow[i](all[0].scopes.curves.find((c) => c.topic === "/reference" && c.field === s.name)?.last));
       const key = JSON.stringify([now, all[0].now.changes]);
       if (key === self.shown) return;
       self.shown = key;

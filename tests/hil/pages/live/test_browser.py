@@ -103,6 +103,23 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, br
     assert verify(run).likeness == "same bits" and second.summary["seed"] == 3
 
 
+def test_the_slider_of_a_reference_follows_the_run_and_not_over_a_hand(page: Page, browser: chromium.Page) -> None:
+    """Whoever changes one of two references sends the other as its slider shows it."""
+    box = "document.querySelector('[aria-label=\"reference of angle, rad\"]')"
+    browser.open(page.url)
+    shows(browser, BADGE, "stable")
+    page.wish(do="step", slots=30)  # the file steps to 3 rad at 1 s, slot 20
+    until(lambda: browser.evaluate(f"{box}.value") == "3", "the slider at the reference")
+    browser.evaluate(f"{box}.focus(), {box}.value = 1.25, 0")
+    page.wish(do="apply", path="reference", value=[2.0])
+    page.settled("armed")
+    page.wish(do="step", slots=100)
+    until(lambda: browser.evaluate("window.hilLive.runs[0].now.slots") == 130, "the page")
+    assert browser.evaluate(f"{box}.value") == "1.25", "what is being typed stays"
+    browser.evaluate(f"{box}.blur(), 0")
+    until(lambda: browser.evaluate(f"{box}.value") == "2", "the slider at the reference")
+
+
 def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page, browser: chromium.Page) -> None:
     """Two browsers: one arms, the other has no token and only looks."""
     with chromium.Page(width=390, height=844, dark=True) as other:
