@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import click
 
 from hil.cli.option_types import Questions
 from hil.cli.terminal import visible
+from hil.errors import nearest
 
 
 @click.group(cls=Questions)
@@ -62,6 +64,10 @@ def revoke(folder: Path, names: tuple[str, ...]) -> None:
     from hil.files.keys import revoke_names
 
     print(visible(str(revoke_names(folder, names))))
+    known = [path.stem for path in folder.glob("*.pem")]
+    for name in (each for each in names if each not in known):
+        said = f"{folder} holds no certificate of {name!r}, which is on the list now{nearest(name, known)}"
+        print(f"hil: {visible(said)}", file=sys.stderr)
 
 
 @command.command()

@@ -46,6 +46,14 @@ def test_a_revoked_name_is_refused_at_both_ends_and_another_one_takes_its_place(
     assert doctor._certificates(doctor._certificates_of(f"{uri}&controller=bench2"))[0]
 
 
+def test_a_name_that_no_certificate_has_is_said_when_it_is_revoked(folder: Path) -> None:
+    """A misspelt name would leave the right one in."""
+    done = CliRunner().invoke(keys.command, ["revoke", str(folder), "controler"])
+    assert done.exit_code == 0 and (folder / "revoked").read_text() == "controler\n"
+    said = "holds no certificate of 'controler', which is on the list now; did you mean 'controller'?\n"
+    assert done.stderr == f"hil: {folder} {said}"
+
+
 def test_the_old_key_of_a_revoked_name_connects_and_is_kept_silent_counted_and_said(folder: Path) -> None:
     hil_keys("issue", folder, "bench2")
     hil_keys("revoke", folder, "controller")
