@@ -5,6 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -54,9 +55,12 @@ def new(
         raise HilError(f"--language: of a controller, not of a {part}: hil new controller {module} --language {language}")
     files = files_of(part, module) if language is None else _program(module, language, experiment, kind or "can", keyed)
     texts = {folder / file: text for file, text in files.items()}
+    shared = [path for path, text in texts.items() if module not in path.name and _holds(path, text)]  # of another program
+    texts = {path: text for path, text in texts.items() if path not in shared}
     there = [path for path in texts if path.exists() or path.is_symlink()]
     if there and not force:
-        remedy = "choose another name" if module in there[0].name else "choose another folder, whose programs share this file"
+        own = module in there[0].name
+        remedy = "choose another name" if own else "it is another program's, of other packets; choose another folder with -o"
         raise HilError(f"{there[0]}: exists already; {remedy}, or add --force")
     made_folder(folder)
     for path, text in texts.items():
@@ -70,6 +74,12 @@ def new(
     print(f"\n  hil run {visible(str(folder / f'{module}.toml'))}\n  pytest {visible(str(folder / f'test_{module}.py'))}")
     if part != "experiment":
         print(f"  hil guide first-plugin   # what each line of {module}.py is for")
+
+
+def _holds(path: Path, text: str) -> bool:
+    with suppress(OSError, UnicodeDecodeError):
+        return not path.is_symlink() and path.read_text(encoding="utf-8") == text
+    return False
 
 
 def _starts(path: Path, language: str, experiment: str, kind: str, keyed: bool) -> list[str]:

@@ -73,6 +73,16 @@ def test_a_program_of_its_own_is_written_for_an_experiment_and_says_what_it_lack
     assert cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")[0] == 2  # files are there
 
 
+def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(cli: Hil) -> None:
+    words = ("--language", "c", "--for", "dc-motor-h2")
+    assert cli("new", "controller", "one", *words)[0] == 0
+    status, out, err = cli("new", "controller", "two", *words)
+    assert (status, err) == (0, "") and "wrote two.c" in out and "packet_codes.h" not in out
+    Path("packet_codes.h").write_text("of other packets")
+    status, _, err = cli("new", "controller", "three", *words)
+    assert status == 2 and "packet_codes.h: exists already; it is another program's" in err and not Path("three.c").exists()
+
+
 def test_files_that_exist_are_kept_without_force(cli: Hil) -> None:
     Path("test_cart.py").write_text("mine")
     status, _, err = cli("new", "plant", "cart")
