@@ -147,7 +147,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
 @click.option("--link", metavar="URI", help="Framing and base of another link than EXPERIMENT's own.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--c", "folder", type=click.Path(path_type=Path), metavar="DIR", help="Write a C codec here: hilrig.h, hilrig.c.")
-@click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log, .log or .blf.")
+@click.option("--decode", "log", type=click.Path(path_type=Path), metavar="FILE", help="Decode a CAN log: .log, .asc or .blf.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def dbc(
     experiment: str | None, link: str | None, sets: tuple[str, ...], folder: Path | None, log: Path | None, force: bool

@@ -73,6 +73,8 @@ def read_axis_record(path: Path, kind: str | None, names: tuple[str | None, str 
         HilError: it cannot be read, the plant is no axis, or a signal is missing.
     """
     if path.suffix.lower() == ".csv":
+        if not path.exists():
+            raise HilError(f"{path}: cannot be read: No such file or directory")
         if kind is None:
             raise HilError(f"{path}: a table does not name its plant; add --plant {' or '.join(AXES)}")
         wanted = _names(kind, names)

@@ -86,6 +86,7 @@ def test_faults_are_reported_with_status_2(cli: Hil, omni_log: Path, tmp_path: P
     omni = ["--plant", "omni"]
     for arguments, says in (
         (["good.csv"], "--plant"),
+        (["nosuch.csv"], "nosuch.csv: cannot be read: No such file"),
         (["good.csv", *omni, "--input", "force"], "no column 'force'"),
         (["gap.csv", *omni], "input 5 is missing"),
         (["back.csv", *omni], "does not grow"),
