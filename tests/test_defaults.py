@@ -34,14 +34,14 @@ def tables(hint: Any, seen: set[type]) -> Iterator[type]:
 
 
 def found() -> dict[str, dict[str, str]]:
-    """Return the defaults of every table that an experiment may have, as Python writes them; those that are nothing left out."""
+    """Return the defaults of every table that an experiment may have, as a file writes them; those that are nothing left out."""
     ours = [registry.load(group, name) for group in GROUPS for name in registry.names(group)
             if registry.provider(group, name) == "hilrig"]  # fmt: skip
     seen: set[type] = set()
     every = [table for cls in (Experiment, *ours) for table in tables(cls, seen)]
     said = {
         f"{cls.__module__}.{cls.__qualname__}": {
-            field.name: field.default for field in fields_of(cls) if field.default not in ("", "None", "()", "''", "{}")
+            field.name: field.default for field in fields_of(cls) if field.default not in ("", "None", "[]", '""', "''", "{}")
         }
         for cls in every
     }
