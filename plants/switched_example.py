@@ -130,7 +130,7 @@ class SwitchedExample:
 
     def jump_process(self) -> JumpRates:
         """Return the rates of the mode, which is measured."""
-        return JumpRates(rates=self.rates())
+        return JumpRates(rates=self.rates(), initial=(self.initial_mode,))
 
     def rates(self) -> TransitionRates:
         """Return the transition rates (2.26)."""

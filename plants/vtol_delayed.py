@@ -113,7 +113,7 @@ class DelayedVTOL:
 
     def jump_process(self) -> JumpRates:
         """Return the rates of the airspeed, which is measured."""
-        return JumpRates(rates=self.rates)
+        return JumpRates(rates=self.rates, initial=(self.initial_mode,))
 
     def delay_ns(self, mode: int, t_ns: int) -> int:
         """Return tau(t, i) of (3.43) in ns, for mode 1, 2 or 3."""

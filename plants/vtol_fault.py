@@ -121,6 +121,7 @@ class FaultyVTOL:
         return JumpRates(
             rates=self.failure, detection=self.detection,
             failure_restarts_detection_clock=self.failure_restarts_detection_clock,
+            initial=(self.initial_fault,), initial_detected=(self.initial_detected,),
         )  # fmt: skip
 
     def start(self, rng: np.random.Generator) -> FaultyVTOLRun:

@@ -58,7 +58,6 @@ def sampled_verdict(
     period_s: float,
     tau: int | DelayChain = 0,
     d: int | DelayChain = 0,
-    initial: int | None = None,
     least_delay_s: float = 0.0,
 ) -> Verdict:
     """Return whether the sampled loop is mean-square stable; the digest is left empty.
@@ -70,7 +69,6 @@ def sampled_verdict(
         period_s: T (s).
         tau: age of the samples at the controller, in periods.
         d: age of the packets at the actuator, in periods.
-        initial: the mode at the start, counted from 0, where only the modes that can be reached count.
         least_delay_s: smallest delay inside the plant (s); above 0 the loop without it decides nothing.
 
     Raises:
@@ -90,11 +88,11 @@ def sampled_verdict(
             return _detection(system, process, gain, period_s, late[0], late[1])
         if system.sensors is not None:
             return _undecided("sensors that fail in a mode that is seen belong into the gains")
-        return _renewal(system, process, gain, period_s, late[0], late[1], initial)
+        return _renewal(system, process, gain, period_s, late[0], late[1])
     except TooLarge as error:
         if isinstance(system, DelayedJumpSystem) or system.uncertainty is not None:
             return _undecided(str(error))
-        return _growing(system, process, gain, period_s, late[0], late[1], initial) or _undecided(str(error))
+        return _growing(system, process, gain, period_s, late[0], late[1]) or _undecided(str(error))
 
 
 def _constant(name: str, delay: int | DelayChain) -> int | None:
@@ -120,16 +118,14 @@ def _check(modes: int, system: JumpSystem | DelayedJumpSystem, gain: ScheduledGa
         raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected}")
 
 
-def _renewal(
-    system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int, initial: int | None
-) -> Verdict:
+def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
     if process.modes != system.modes:
         raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
     _check(system.modes, system, gain)
     for mode in range(process.modes):
         if not np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all():
             return _undecided(f"the rates out of mode {mode + 1} have no finite bound")
-    modes = sorted(_reached(process, initial)) if initial is not None else list(range(system.modes))
+    modes = list(range(system.modes))
     loop = SampledLoop(system=system, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
     assumed: tuple[str, ...] = _ASSUMED
     if system.uncertainty is not None:
@@ -212,21 +208,13 @@ def _slacks(system: JumpSystem) -> list[float]:
     return [factor * max(size, 1e-6) for factor in _SLACKS]
 
 
-def _reached(process: SemiMarkov, initial: int) -> set[int]:
-    if not 0 <= initial < process.modes:
-        raise FieldError("initial", f"mode {initial}, expected one of 0 to {process.modes - 1}")
-    reached, new = {initial}, [initial]
-    while new:
-        mode = new.pop()
-        can = set(np.flatnonzero(process.bounds(mode, 0.0, math.inf)[1] > 0).tolist()) - reached
-        reached |= can
-        new += can
-    return reached
-
-
 def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]) -> Verdict:
+    whose = what.partition(" are multiplied")[0]
+    what = f"{what} from one seen change of the mode to the next" if math.isfinite(number) else (
+        f"{whose} have no finite mean at the end of a stay in a mode: they grow faster than it is left"
+    )
     return Verdict(
-        kind="mean-square stability", state=state, reason=f"{what} from one seen change of the mode to the next", number=number,
+        kind="mean-square stability", state=state, reason=what, number=number,
         quantity="spectral radius of the second moments per seen sojourn", limit=1.0, assumptions=assumed,
         method="sampled jump loop: sojourns between proved sides", details={"modes": [mode + 1 for mode in modes]},
     )  # fmt: skip
@@ -239,14 +227,12 @@ def _growing(
     period_s: float,
     tau: int,
     d: int,
-    initial: int | None,
 ) -> Verdict | None:
     """The refusal of a loop that is too large for its second moments, where it is unstable while a mode stays; None elsewhere."""
     real = process.failure if isinstance(process, FaultDetection) else process
     loop = SampledLoop(system=system, process=real, gain=gain, period_s=period_s, tau=tau, d=d)
-    modes = list(range(system.modes)) if initial is None else sorted(_reached(real, initial))
     growth = 0.0
-    for mode in modes:
+    for mode in range(system.modes):
         # a seen mode stays with its last gain; of a fault nothing is seen, and any gain of any detected mode may act
         held = gain.gain.reshape(-1, *gain.gain.shape[2:]) if isinstance(process, FaultDetection) else gain.gain[mode, -1:]
         held = held @ system.shown(mode)

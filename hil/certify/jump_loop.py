@@ -111,10 +111,11 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     from design.semi_markov_loop.sampled import sampled_verdict
 
     try:
-        stated = loop.said.once("jump system", plant.jump_system)
-        system = system_of(stated)
-        process = process_of(loop.said.once("jump process", plant.jump_process))
-        gain = loop.said.once("schedule", controller.schedule_of_modes)
+        stated, rates, gain = _within_reach(
+            loop.said.once("jump system", plant.jump_system), loop.said.once("jump process", plant.jump_process),
+            loop.said.once("schedule", controller.schedule_of_modes),
+        )  # fmt: skip
+        system, process = system_of(stated), process_of(rates)
         system, gain = _with_seen_sensors(system, gain, hidden=isinstance(process, FaultDetection))
         found = sampled_verdict(
             system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca, least_delay_s=stated.min_delay_s
@@ -128,6 +129,17 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
     if asked is not None:
         found = _with_constraint(found, asked, system, gain, process)
     return limited_to_model(loop.plant, found, knows_jumps=True)
+
+
+def _within_reach(
+    plant: JumpModel, rates: JumpRates, gain: ScheduledGain
+) -> tuple[JumpModel, JumpRates, ScheduledGain]:
+    """Return matrices, rates and gains of the modes that a run comes to; what is never met decides nothing."""
+    true, detected = rates.reached()
+    shown = detected if rates.detection else true
+    if gain.modes == (rates.detection[0] if rates.detection else rates.rates).modes > len(shown):
+        gain = replace(gain, gain=gain.gain[shown], starts_s=gain.starts_s[shown])
+    return plant.of_modes(true), rates.of_modes(true, detected), gain
 
 
 def _with_constraint(

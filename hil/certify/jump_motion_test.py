@@ -48,6 +48,11 @@ def jump_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     plant = cast(JumpPlant, loop.plant)
     system = loop.said.once("jump system", plant.jump_system)
     rates = loop.said.once("jump process", plant.jump_process)
+    first = rates.initial_detected if rates.detection else rates.initial
+    begun = {int(plant.start(np.random.default_rng((SEED, turn))).measure()[-1]) for turn in range(RUNS)}
+    if first and not begun <= set(first):
+        other, stated = (" and ".join(map(str, sorted(modes))) for modes in (begun - set(first), first))
+        return "refused", f"{NAME}: it begins in mode {other}, and states that it begins in {stated}"
     found = [_missed(loop, plant, system, bool(rates.detection), size) for size in SIZES]
     reasons = [reason for reason, _, _ in found]
     if reasons[0]:
@@ -57,6 +62,8 @@ def jump_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tu
     said = f"the plant moves in its modes as its model says: compared in {found[0][1]} slots, random inputs of 0.001 to 1000"
     unmet = [str(mode + 1) for mode in range(len(system.A)) if mode not in found[0][2]]
     said += f"; modes {', '.join(unmet)} were not met" if unmet else ""
+    if rates.detection and rates.initial and len(rates.reached()[0]) < len(system.A):
+        said += f"; that it begins in true mode {', '.join(map(str, rates.initial))} is as it states, and not seen"
     if rates.detection:
         return None, (said, "its modes change at the rates that it states: not compared, as the true mode is not measured")
     wrong = _counted(plant, rates, loop.model.period_s, costly=bool(system.Ad))

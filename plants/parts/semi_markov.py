@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, TypeVar
 
 from plants.errors import SHORTEST_STEP_S, FieldError, require_finite, require_not_negative, require_positive
 from plants.parts.exponential import Rows
@@ -15,6 +15,7 @@ from plants.parts.exponential import Rows
 NEVER_NS = 1 << 62
 
 Generator = tuple[tuple[float, ...], ...]
+T = TypeVar("T")
 
 MOST_RATE: Final = 1.0 / SHORTEST_STEP_S
 """Jumps in a second that a run can follow."""
@@ -147,6 +148,22 @@ class JumpModel:
     changes: tuple[tuple[tuple[Rows, ...], tuple[Rows, ...]], ...] = ()
     S: tuple[Rows, ...] = ()
 
+    def of_modes(self, modes: Sequence[int]) -> JumpModel:
+        """Return the matrices of some of its modes.
+
+        Args:
+            modes: counted from 0, in order.
+        """
+        return replace(
+            self, A=_of(self.A, modes), B=_of(self.B, modes), C=_of(self.C, modes), E=_of(self.E, modes), Ad=_of(self.Ad, modes),
+            delay_slopes=_of(self.delay_slopes, modes), S=_of(self.S, modes),
+            changes=tuple((_of(dA, modes), _of(dB, modes)) for dA, dB in self.changes),
+        )  # fmt: skip
+
+
+def _of(each: tuple[T, ...], modes: Sequence[int]) -> tuple[T, ...]:
+    return tuple(each[mode] for mode in modes) if each else ()
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JumpRates:
@@ -156,6 +173,11 @@ class JumpRates:
         rates: transition rates of the true mode.
         detection: for every true mode the rates of the detected mode, which alone is measured; empty: the true mode is measured.
         failure_restarts_detection_clock: whether a jump of the true mode restarts the sojourn clock of the detected one.
+        initial: true modes in which a run may begin, from 1; empty: any. What no run comes to is no part of a certificate.
+        initial_detected: detected modes in which a run may begin, from 1; empty: any.
+
+    Raises:
+        ValueError: a run begins in a mode that there is not.
 
     Reference: thesis (2.1), sec. 4.2.
     """
@@ -163,3 +185,44 @@ class JumpRates:
     rates: TransitionRates
     detection: tuple[TransitionRates, ...] = ()
     failure_restarts_detection_clock: bool = False
+    initial: tuple[int, ...] = ()
+    initial_detected: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        detected = self.detection[0].modes if self.detection else 0
+        begins = (("initial", self.initial, self.rates.modes), ("initial_detected", self.initial_detected, detected))
+        for field, first, modes in begins:
+            for mode in first:
+                check_mode(field, mode, modes)
+
+    def reached(self) -> tuple[list[int], list[int]]:
+        """Return the true and the detected modes that a run may come to, counted from 0; of the latter none where all is seen."""
+        true = _reached([self.rates], self.initial)
+        return true, _reached([self.detection[mode] for mode in true], self.initial_detected) if self.detection else []
+
+    def of_modes(self, true: Sequence[int], detected: Sequence[int]) -> JumpRates:
+        """Return the rates between some of its modes, which none of them leaves for another.
+
+        Args:
+            true, detected: modes, counted from 0, in order.
+        """
+        detection = tuple(_between(self.detection[mode], detected) for mode in true) if self.detection else ()
+        return replace(self, rates=_between(self.rates, true), detection=detection, initial=(), initial_detected=())
+
+
+def _between(table: TransitionRates, modes: Sequence[int]) -> TransitionRates:
+    if len(modes) == table.modes:
+        return table
+    return replace(table, rates=tuple(tuple(_of(matrix[mode], modes) for mode in modes) for matrix in table.rates))
+
+
+def _reached(tables: Sequence[TransitionRates], first: Sequence[int]) -> list[int]:
+    """The modes, from 0, that some tables of rates lead to; all of them where any may be the first."""
+    ahead = [mode - 1 for mode in first] or list(range(tables[0].modes))
+    found = set(ahead)
+    while ahead:
+        row = ahead.pop()
+        after = {j for table in tables for matrix in table.rates for j, rate in enumerate(matrix[row]) if rate > 0.0} - found
+        found |= after
+        ahead += after
+    return sorted(found)

@@ -189,14 +189,6 @@ def test_a_vertex_that_is_not_stable_for_ever_refutes(size, state):
     assert ("at vertex 2" in found.reason) == (state == "refused")
 
 
-def test_a_mode_that_is_never_reached_does_not_count():
-    system = JumpSystem(a=np.array([[[-1.0]], [[3.0]]]), b=np.zeros((2, 1, 1)))
-    process = _constant_process([[0.0, 0.0], [1.0, 0.0]])
-    gain = constant_gain(np.zeros((2, 1, 1)))
-    assert sampled_verdict(system, process, gain, period_s=0.1).state == "refused"
-    assert sampled_verdict(system, process, gain, period_s=0.1, initial=0).certified
-
-
 def test_what_the_theory_does_not_know_is_undecided():
     system, process, gain = chapter2_system("none"), chapter2_process(), chapter2_gain()
     random = DelayChain(transition=[[0.5, 0.5], [0.5, 0.5]])
@@ -273,7 +265,6 @@ def test_one_failure_mode_is_judged_as_one_process():
         ({"tau": -1}, "tau"), ({"d": -1}, "d"),
         ({"gain": constant_gain(np.zeros((2, 1, 2)))}, "gain"), ({"gain": constant_gain(np.zeros((1, 1, 1)))}, "gain"),
         ({"process": _constant_process([[0.0, 1.0, 1.0], [2.0, 0.0, 1.0], [1.0, 1.0, 0.0]])}, "process"),
-        ({"initial": -1}, "initial"), ({"initial": 2}, "initial"),
     ],
 )  # fmt: skip
 def test_parts_that_do_not_fit_each_other_are_refused(changes, field):
@@ -283,7 +274,7 @@ def test_parts_that_do_not_fit_each_other_are_refused(changes, field):
         "gain": constant_gain(np.zeros((2, 1, 1))),
         "period_s": 0.1,
     }
-    assert all(sampled_verdict(**parts, initial=mode).certified for mode in (None, 0, 1))
+    assert sampled_verdict(**parts).certified
     with pytest.raises(FieldError) as refused:
         sampled_verdict(**parts | changes)
     assert refused.value.field == field

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import hil
 from design.as_printed import examples
 from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
+from hil.certify.certifier import Said
 from hil.certify.certify import judge
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
@@ -120,7 +122,8 @@ def test_a_longer_period_turns_the_verdict_of_the_same_gains() -> None:
     found = [tank_loop(controller=gains, period=Seconds(T), allow_uncertified=True).verdict for T in (0.02, 0.2, 2.0)]
     assert [verdict.state for verdict in found] == ["certified", "certified", "refused"]
     assert max(found[0].number, found[1].number) < 1.0
-    assert "are multiplied by at least inf" in found[-1].reason and found[-1].number is None  # JSON has no infinity
+    assert "no finite mean at the end of a stay in a mode" in found[-1].reason
+    assert found[-1].number is None  # JSON has no infinity
 
 
 def test_a_jump_plant_whose_matrices_do_not_fit_is_named() -> None:
@@ -155,6 +158,55 @@ def test_a_least_delay_above_the_largest_is_refused_and_one_within_keeps_the_loo
         found = judge(jump_loop(np.random.default_rng(0), system, process, np.zeros((2, 1, 1)), 0.05, 0))
         assert found.state == state, found.reason
     assert "the plant has 0.05 s at least" in found.reason
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Settles(TwoSpeedTank):  # type: ignore[misc]
+    """It stays in its first mode for ever; from the second, in which no valve helps, it would come back."""
+
+    first: tuple[int, ...] = (1,)
+
+    def jump_process(self) -> JumpRates:
+        return JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(((0.0, 0.0), (0.5, -0.5)),)), initial=self.first)
+
+    def start(self, rng: np.random.Generator) -> Any:
+        run = super().start(rng)
+        run._left_ns = 1 << 60
+        return run
+
+
+@pytest.mark.parametrize(
+    ("first", "state", "reason"),
+    [
+        ((1,), "certified", ""), ((), "refused", "have no finite mean at the end of a stay in a mode"),
+        ((2,), "refused", "it begins in mode 1, and states that it begins in 2"),
+    ],
+)  # fmt: skip
+def test_a_mode_that_no_run_comes_to_decides_nothing(first: tuple[int, ...], state: str, reason: str) -> None:
+    """The second mode grows faster than it is left: a run that may begin there is refused, and this plant never does."""
+    plant = _Settles(growth=(0.2, 3.0), effect=(1.0, 1.0 if first == (2,) else 0.0), first=first)
+    one = (((-9.0 if first == (2,) else -1.0,),),)
+    gains = Scheduled(gain=(one, one), starts_s=((0.0,),) * 2)
+    changes = {"allow_uncertified": True, "period": "50 ms", "limits": {}}
+    verdict = compose(hil.load_experiment("smjls-robust", plant=plant, controller=gains, **changes)).verdict
+    assert verdict is not None and verdict.state == state and reason in verdict.reason, verdict
+
+
+def test_a_detected_mode_that_no_run_comes_to_is_left_out() -> None:
+    """Failure and detection: from the sound mode, which is never left, a detection that is never wrong stays right."""
+    still, back = ((0.0, 0.0), (1.0, -1.0)), ((-1.0, 1.0), (0.0, 0.0))
+    tables = [TransitionRates(nodes_s=(0.0,), rates=(rates,)) for rates in (still, still, back)]
+    process = JumpRates(rates=tables[0], detection=(tables[1], tables[2]), initial=(1,), initial_detected=(1,))
+    assert process.reached() == ([0], [0])
+    assert dataclasses.replace(process, initial_detected=(2,)).reached() == ([0], [0, 1])
+    assert dataclasses.replace(process, initial=()).reached() == ([0, 1], [0, 1])
+    system = JumpModel(A=(((-1.0,),), ((9.0,),)), B=(((1.0,),), ((0.0,),)))
+    loop = jump_loop(np.random.default_rng(0), system, process, np.array([[[-1.0]], [[99.0]]]), 0.05, 0)
+    assert judge(loop).certified
+    unsure = dataclasses.replace(loop.plant, process=dataclasses.replace(process, initial=(), initial_detected=()))  # type: ignore[type-var]
+    assert judge(replace(loop, plant=unsure, said=Said())).state == "refused"
+    with pytest.raises(ValueError, match="initial: 3, expected a mode from 1 to 2"):
+        JumpRates(rates=tables[0], initial=(3,))
 
 
 def test_checks_say_what_a_plug_in_is_and_what_that_earns() -> None:
