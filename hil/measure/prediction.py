@@ -106,7 +106,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
     moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
     rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
-    if loop.chains.arriving[0].silent(rest) > SILENT:
+    if sum(way.silent(rest) for way in loop.chains.arriving) > SILENT:
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
