@@ -255,11 +255,11 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     Args:
         chains: the delay chain of each node.
         outputs: per node the indices of the outputs that it measures; together every output once.
-        label_counts: how many ages 0, 1, ... of each node have gains of their own, the last fastest; by default gains know the
-            oldest of the ages only. A product of one chain is that chain.
+        label_counts: how many ages 0, 1, ... of each node have gains of their own, the last fastest; an older sample has those
+            of the last. By default gains know the oldest of the ages only. A product of one chain is that chain.
 
     Raises:
-        FieldError: outputs that do not fit, ages beyond those counts, or more than `MOST_MODES` modes.
+        FieldError: outputs or counts that do not fit, or more than `MOST_MODES` modes.
 
     >>> step = DelayChain(transition=[[0.5, 0.5], [1.0, 0.0]])
     >>> both = product_chain([step, step], [[0], [1]], label_counts=(2, 2))
@@ -283,14 +283,12 @@ def product_chain(chains: Sequence[DelayChain], outputs: Sequence[Sequence[int]]
     if label_counts:
         if len(label_counts) != len(chains):
             raise FieldError("label_counts", f"{len(label_counts)} numbers for {len(chains)} nodes")
-        for node, (count, chain) in enumerate(zip(label_counts, chains)):
-            if chain.max_delay >= count and chain.held is None:
-                raise FieldError(f"label_counts[{node}]", f"{count} ages, but the delay of this node reaches {chain.max_delay}")
         label = np.ravel_multi_index(tuple(np.minimum(own, np.array(label_counts)[:, None] - 1)), tuple(label_counts))
     exact = all(chain.between is None for chain in chains)
     low, high = ([chain.bounds[side] for chain in chains] for side in (0, 1))
     held = None
-    if any(chain.held is not None for chain in chains):
+    shared = bool(label_counts) and any(chain.max_delay >= count for chain, count in zip(chains, label_counts))
+    if shared or any(chain.held is not None for chain in chains):  # then one label may have several delays
         held = np.zeros(ages.shape, dtype=np.bool_)
         for measured, chain, at in zip(outputs, chains, mode_of):
             held[:, list(measured)] = chain.holds[at][:, None]
