@@ -85,7 +85,7 @@ class NodeGainRows:
     r"""u = u* + K[(\tau_1, \ldots, \tau_q), row] (y - r), y the newest sample of every output; see `MultiSampleController`.
 
     Until a packet of every node has come it answers zeros, as a controller of one node does before its first sample. It does not
-    wait for a node that may keep silent by its trigger: its outputs count as 0, its age as 0.
+    wait for a node that may keep silent by its trigger or its clock: its outputs count as 0, its age as the oldest.
 
     Args:
         running: the rows of a table by its index; it takes the index where it expects tau.
@@ -106,7 +106,7 @@ class NodeGainRows:
 
     def rows(self, k: int, known: Known) -> Rows:
         """Return the rows of slot k; see `MultiSampleController.rows`."""
-        y, age, received = [0.0] * self._width, [0] * len(self._ages), set()
+        y, age, received = [0.0] * self._width, [count - 1 for count in self._ages], set()
         for node, slot, values in known.samples:  # newest first
             if node not in received:
                 received.add(node)

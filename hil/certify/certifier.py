@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, Verdict
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
+from hil.rig.first_packets import waiting_chance
 from hil.rig.spec import Port, motion_of
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+UNTIL_ALL_CAME: Final = "growth per slot of the second moments until a packet of every node has come"
+WAITS_TOO_LONG: Final = 1e-6
+"""How far from 1 a growth must lie to decide."""
 
 
 class Said:
@@ -61,6 +65,8 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         said: what plant and controller said of themselves.
         unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
         neglects: what the chains leave out; empty: nothing.
+        silent: what of the packets never comes where it is waited for, and why; empty: of each kind some come.
+        waited: sensor nodes, by number, without whose first packet the controller answers zeros.
         chainless: what keeps the experiment from having a chain of ages on both links; empty: not looked for, or nothing does.
         port: force and position of a device under one force, None for another plant.
         slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
@@ -83,6 +89,8 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     said: Said = msgspec.field(default_factory=Said)
     unmet: str = ""
     neglects: str = ""
+    silent: str = ""
+    waited: tuple[int, ...] = ()
     chainless: str = ""
     port: Port | None = None
     slack: tuple[float, ...] = ()
@@ -174,6 +182,35 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Return a verdict on a loop without the packets that its chains leave out as one on the loop."""
     return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
+
+
+def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict:
+    r"""Return a verdict on a loop that acts from slot 0 on as one on the loop: until a packet of every node has come u is 0.
+
+    .. math:: E|x(k)|^2 \ge \Pr(\text{not yet}) \, |A^k x(0)|^2, \qquad \Pr(\text{not yet}) \sim c^k
+    """
+    rate = float(np.abs(np.linalg.eigvals(loop.motion.A)).max())
+    if verdict.state == "refused" and loop.silent and rate <= 1.0:
+        return _undecide(verdict, f"{verdict.reason} if the controller acted; {loop.silent}, and until then the input is 0")
+    if verdict.state == "undecided" and loop.silent:
+        return msgspec.structs.replace(verdict, reason=f"{verdict.reason}; {loop.silent}")
+    if not verdict.certified or rate <= 1.0 or loop.sc is None or not loop.waited:
+        return verdict
+    chance, node = waiting_chance(loop.sc, loop.waited, loop.model.nodes.outputs)
+    growth = chance * rate**2
+    if growth < 1.0 - WAITS_TOO_LONG:
+        return verdict
+    name = loop.model.nodes.names[node]
+    waits = (
+        f"until a packet of every node has come the input is 0, and the plant's squared state grows by up to {rate**2:.4g} in a "
+        f"slot; that none of network.nodes.{name} has come is less likely by {chance:.4g} with every slot"
+    )
+    sure = growth > 1.0 + WAITS_TOO_LONG and loop.sc.between is None
+    return msgspec.structs.replace(
+        _undecide(verdict, f"{verdict.state} once it acts; {waits}"), kind="mean-square stability", number=growth, limit=1.0,
+        quantity=UNTIL_ALL_CAME,
+        state="refused" if sure else "undecided",
+    )  # fmt: skip
 
 
 def _undecide(verdict: Verdict, reason: str) -> Verdict:

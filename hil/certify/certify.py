@@ -18,6 +18,7 @@ from design.verdict import Verdict
 from hil.certify.certifier import (
     CertificationProblem,
     Certifier,
+    limited_to_received,
     limited_to_sound,
     limited_to_undamped,
     limited_to_whole,
@@ -98,6 +99,7 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             if loop.unmet and verdict.state != "undecided":
                 verdict = replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
+            verdict = limited_to_received(loop, verdict)
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
     return undecided(loop, "mean-square stability", why_no_controller(loop.controller))
 

@@ -17,10 +17,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from design.verdict import Verdict
+from hil.certify.certifier import UNTIL_ALL_CAME
 from hil.compose.loop import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
-from hil.plugins.protocols import GoesOn
+from hil.plugins.protocols import GoesOn, JumpPlant, Plant
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import IN_PHASE
 from hil.rig.normal_form import rig_of
@@ -148,30 +149,40 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
         return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
     after = compose(experiment, certify=certify)
     _fits(loop, after, path)
-    return _assuming(after, PLANT_NOT_COMPARED)
+    return _assuming(after, PLANT_NOT_COMPARED, anywhere=_some_modes(plant) or _some_modes(experiment.plant))
 
 
-def _assuming(loop: Loop, *more: str) -> Loop:
-    """Say in a certificate what nothing compares in a run that was changed."""
-    verdict = None if loop.verdict is None else _in_the_run(loop.verdict)
+def _some_modes(plant: Plant) -> bool:
+    """Return whether a plant jumps, and comes to some of its modes only."""
+    return isinstance(plant, JumpPlant) and len(plant.jump_process().reached()[0]) < len(plant.jump_system().A)
+
+
+def _assuming(loop: Loop, *more: str, anywhere: bool = False) -> Loop:
+    """Say in a certificate what nothing compares in a run that was changed; of a plant that is anywhere, in any mode, nothing."""
+    verdict = None if loop.verdict is None else _in_the_run(loop.verdict, anywhere=anywhere)
     if verdict is None or not verdict.certified:
         return dataclasses.replace(loop, verdict=verdict)
     own = (*verdict.assumptions, *(each for each in more if each not in verdict.assumptions))
     return dataclasses.replace(loop, verdict=replace(verdict, assumptions=own))
 
 
-def _in_the_run(verdict: Verdict, *, laws: bool = True) -> Verdict:
+def _in_the_run(verdict: Verdict, *, laws: bool = True, anywhere: bool = False) -> Verdict:
     """Return a verdict on a loop that begins in slot 0 as one on the loop from a change in its run on.
 
     Args:
         verdict: on the loop.
         laws: whether a network law may have begun anew.
+        anywhere: whether a plant that jumps may be in a mode to which it does not come by itself.
     """
     why = ""
     if verdict.kind == "stability in a region":
         why = "where its state is then is not known"
     elif laws and any(said.endswith(IN_PHASE) for said in verdict.assumptions):
         why = "which phases of both directions meet then is not known"
+    elif verdict.quantity == UNTIL_ALL_CAME:
+        why = "which nodes a packet has come of by then is not known"
+    elif anywhere:
+        why = "in which mode the plant is then is not known"
     if not why or verdict.state == "undecided":
         return verdict
     reason = f"{verdict.state} from slot 0 on; not decided from a change in the run on, as {why} ({verdict.reason})"

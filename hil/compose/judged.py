@@ -19,9 +19,9 @@ from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
+from hil.rig.first_packets import never_received, waited_for
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import IN_PHASE, loop_chains
-from hil.rig.received_ages import never_received
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
 
@@ -48,8 +48,6 @@ def judge(
     """
     problem = _problem(experiment, rig, chains, controller, model, selection)
     verdict = certify(problem)
-    if silent := never_received(problem.sc, problem.ca, rig):
-        verdict = _unanswered(problem, verdict, silent)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
         drawn, assumed = own_laws(rig)
@@ -61,14 +59,6 @@ def judge(
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
     _allow(experiment, verdict)
     return verdict, watched
-
-
-def _unanswered(problem: CertificationProblem, verdict: Verdict, silent: str) -> Verdict:
-    """Return the verdict on a loop in which a node is never heard, or no command comes: until they are, the input is 0."""
-    if verdict.state == "refused" and np.abs(np.linalg.eigvals(problem.motion.A)).max() <= 1.0:
-        reason = f"{verdict.reason} if the controller acted; {silent}, and until then the input is 0"
-        return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
-    return replace(verdict, reason=f"{verdict.reason}; {silent}") if verdict.state == "undecided" else verdict
 
 
 def _not_compared(plant: Plant) -> str:
@@ -119,6 +109,7 @@ def _problem(
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
+        silent=never_received(sc, ca, rig), waited=waited_for(controller, rig),
         steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
         pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
     )  # fmt: skip

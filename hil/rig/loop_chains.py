@@ -24,8 +24,9 @@ from design.controllers import (
 from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
+from hil.rig.node_channels import recorded_cycle
 from hil.rig.packet_ages import Received
-from hil.rig.received_ages import BANDS, received_ages, recorded_cycle
+from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.spec import RigSpec
 from transport.laws.protocols import NetworkLaw, RecordedLaw
 

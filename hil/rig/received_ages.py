@@ -2,7 +2,8 @@
 
 In slot k the newest packet of a node that may be there is the newest that it sent in or before slot k - a(k), with a(k) the age
 that its network law lets a receiver measure. So the state of a node is that of its law and, for j = 0, 1, ..., the age of the
-newest sample that was sent in or before slot k - j; that of a medium whose turn it is, or what waits for the bus. From slot 0 on
+newest sample that was sent in or before slot k - j, or, under a packet law, when each packet comes that is on its way
+(`hil.rig.node_channels`); that of a medium whose turn it is, or what waits for the bus. From slot 0 on
 every state is found that can come about. A sample older than every age that the law draws and every age that the controller tells
 apart was received before: of it the chain says no more than that the controller holds it.
 """
@@ -16,11 +17,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hil.rig.node_channels import SURE, Chance, Channel, channel_of
 from hil.rig.packet_ages import Received
 from hil.rig.sensors import Sensor, SharedMedium
 from hil.rig.spec import RigSpec
-from transport.laws.delay_states import measured_ages
-from transport.laws.protocols import NetworkLaw, RecordedLaw, slots_served
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -28,23 +28,13 @@ if TYPE_CHECKING:
 MOST_STATES = 1024
 """The theory takes one matrix per state, each on the stacked state."""
 
-Chance = tuple[float, float, float]  # probability, its lower and its upper bound
-SURE: Chance = (1.0, 1.0, 1.0)
 BANDS = ("dead-band", "relative")
 """Triggers of a node that is silent only while what it measures is near what it sent."""
 _MEDIA = ("round-robin", "random", "can-arbitration")
 
 
-class LawStates(NamedTuple):
-    """What a receiver measures under a law: the age in every state, what follows each, and where it begins."""
-
-    ages: tuple[int, ...]
-    follows: tuple[tuple[tuple[int, Chance], ...], ...]
-    begins: tuple[int, ...]
-
-
 class State(NamedTuple):
-    """One state of everything: the slot's number in the cycle, the media's, the laws', and the ages of what each node sent."""
+    """One state of everything: the slot's number in the cycle, the media's, the laws', and what of each node is on its way."""
 
     phase: int
     media: tuple[object, ...]
@@ -54,41 +44,6 @@ class State(NamedTuple):
 
 Offers = dict[int, int]  # node: age of the sample that it sends in this slot
 Turned = Iterator[tuple[object, Offers, float]]
-
-
-def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
-    """Return the ages that a receiver measures slot by slot once a recording repeats; or why there is no such cycle."""
-    if not isinstance(law, RecordedLaw):
-        return "it records no ages"
-    if (slots := slots_served(law)) is not None:
-        return f"the recording ends after {slots} slots, and what follows is not known"
-    ages = law.recorded()
-    if len(ages) > MOST_STATES:
-        return f"the recording has {len(ages)} entries, at most {MOST_STATES} are computed with"
-    return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
-
-
-def law_states(way: Received) -> LawStates | str:
-    """Return what the controller measures under a node's law if the node sends in every slot; or why nothing is known."""
-    if isinstance(way.law, RecordedLaw):
-        cycle = recorded_cycle(way.law)
-        if isinstance(cycle, str):
-            return cycle
-        count = len(cycle)
-        return LawStates(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), (0,))
-    packets = way.delays() if way.of_packets else None
-    if packets is not None:
-        if packets.modes > 1 or packets.holds.any():
-            return "a packet law whose ages change is known where a node sends in every slot"
-        return LawStates((int(packets.delay[0]),), (((0, SURE),),), (0,))
-    states = way.states
-    if states is None:
-        return "states no chain, which transition_matrix() and mode_ages would be"
-    follows = tuple(
-        tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
-        for i, row in enumerate(states.high)
-    )  # fmt: skip
-    return LawStates(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
 
 
 def received_ages(
@@ -119,25 +74,26 @@ def received_ages(
             return f"{trigger}, and the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
         if sensor.clock.drawn:
             return f"{sensor.path}.clock draws when it sends"
-    laws: list[LawStates] = []
-    for way in arriving:
-        found = law_states(way)
+    channels: list[Channel] = []
+    for way, sensor in zip(arriving, sensors):
+        found = channel_of(way)
         if isinstance(found, str):
             return f"{way.path}: {found}"
-        laws.append(found)
+        if sensor.trigger.kind in BANDS and not found.sure:
+            return f"{way.path}: under a packet law whose ages change it is not known when what a silent node sent last has come"
+        channels.append(found)
     counts = [distinguished] * len(sensors) if isinstance(distinguished, int) else list(distinguished)
     on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
     waits = [s.clock.every - 1 if n in on_bus else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
-    far = [max(max(law.ages) + wait, count - 2) + 1 for law, wait, count in zip(laws, waits, counts)]  # received before: held
-    reach = max(max(law.ages) for law in laws)
-    states, steps = _explored(sensors, media, laws, far, reach)
+    far = [max(each.oldest + wait, count - 2) + 1 for each, wait, count in zip(channels, waits, counts)]  # received before: held
+    states, steps = _explored(sensors, media, channels, far)
     if not states:
         return f"media, clocks and laws together have more than {MOST_STATES} states"
     ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
     held, label = np.zeros(ages.shape, dtype=np.bool_), np.zeros(len(states), dtype=np.int64)
     begins = np.zeros(len(states), dtype=np.bool_)
     for i, (state, first) in enumerate(states.items()):
-        own = [state.sent[n][law.ages[at]] for n, (law, at) in enumerate(zip(laws, state.laws))]
+        own = [each.age(sent, at) for each, sent, at in zip(channels, state.sent, state.laws)]
         for sensor, age, bound in zip(sensors, own, far):
             ages[i, list(sensor.outputs)], held[i, list(sensor.outputs)] = min(age, bound - 1), age >= bound
         label[i] = (
@@ -156,31 +112,8 @@ def received_ages(
     )  # fmt: skip
 
 
-def never_received(sc: DelayChain | None, ca: DelayChain | None, rig: RigSpec) -> str:
-    """Return what of a loop's packets never comes where it is waited for, and why; empty: of each kind some come."""
-    if sc is not None:
-        held = sc.held_outputs(len(rig.outputs))[_lasting(sc)]
-        for n, sensor in enumerate(rig.sensors):
-            if held[:, list(sensor.outputs)].all():
-                shared = any(n in medium.nodes for medium in rig.media)
-                cause = "on its medium others send in every slot" if shared else "none is in time under its law"
-                return f"no sample of {sensor.path} ever comes to the controller: {cause}"
-    if ca is not None and ca.holds[_lasting(ca)].all():
-        return "no command ever comes to the actuator: none is in time under the law of network.ca"
-    return ""
-
-
-def _lasting(chain: DelayChain) -> np.ndarray:
-    """The modes of a chain but those of the first slots, to which none leads."""
-    lasts, follows = np.zeros(chain.modes, dtype=np.bool_), chain.bounds[1] > 0.0
-    after = ~lasts
-    while not np.array_equal(lasts, after):
-        lasts, after = after, after & follows[after].any(axis=0)
-    return lasts
-
-
 def _explored(
-    sensors: Sequence[Sensor], media: Sequence[SharedMedium], laws: Sequence[LawStates], far: Sequence[int], reach: int
+    sensors: Sequence[Sensor], media: Sequence[SharedMedium], channels: Sequence[Channel], far: Sequence[int]
 ) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
     """Return every state that comes about, with whether in slot 0, and the steps between them; none if there are too many."""
     turns = [_turns(medium, sensors) for medium in media]
@@ -194,7 +127,8 @@ def _explored(
     def following(state: State | None) -> Iterator[tuple[State, Chance]]:
         t = 0 if state is None else (state.phase + 1) % cycle
         of_laws = [
-            [(at, SURE) for at in law.begins] if state is None else law.follows[state.laws[n]] for n, law in enumerate(laws)
+            [(at, SURE) for at in each.begins] if state is None else each.follows(state.laws[n])
+            for n, each in enumerate(channels)
         ]
         of_media = [list(turn(None if state is None else state.media[i], t, due[t])) for i, turn in enumerate(turns)]
         alone = {n: 0 for n in free if due[t][n]}
@@ -202,14 +136,17 @@ def _explored(
             offers, chance = dict(alone), 1.0
             for _, own, share in moved:
                 offers, chance = offers | own, chance * share
-            sent = tuple(
-                _shifted(None if state is None else state.sent[n], offers.get(n), far[n], reach) for n in range(len(sensors))
-            )
             for drawn in product(*of_laws):
-                chances = [chance] * 3
-                for _, each in drawn:
-                    chances = [a * b for a, b in zip(chances, each)]
-                yield State(t, tuple(m for m, _, _ in moved), tuple(at for at, _ in drawn), sent), tuple(chances)  # type: ignore[misc]
+                laws = tuple(at for at, _ in drawn)
+                ways = (
+                    each.sends(None if state is None else state.sent[n], laws[n], offers.get(n), far[n])
+                    for n, each in enumerate(channels)
+                )
+                for sent in product(*ways):
+                    chances = [chance] * 3
+                    for _, each in (*drawn, *sent):
+                        chances = [a * b for a, b in zip(chances, each)]
+                    yield State(t, tuple(m for m, _, _ in moved), laws, tuple(on_way for on_way, _ in sent)), tuple(chances)  # type: ignore[misc]
 
     found: dict[State, bool] = dict.fromkeys((state for state, _ in following(None)), True)
     index, ahead, steps = {state: i for i, state in enumerate(found)}, list(found), []
@@ -224,14 +161,6 @@ def _explored(
         if len(index) > MOST_STATES:
             return {}, []
     return found, steps
-
-
-def _shifted(before: tuple[int, ...] | None, offered: int | None, far: int, reach: int) -> tuple[int, ...]:
-    """The ages of what a node had sent by slot k, k - 1, ..., one slot later; `far` for all that is held or was never sent."""
-    if before is None:
-        before = (far,) * (reach + 1)
-    newest = before[0] + 1 if offered is None else offered
-    return tuple(min(age, far) for age in (newest, *(age + 1 for age in before[:-1])))
 
 
 def _turns(medium: SharedMedium, sensors: Sequence[Sensor]) -> Callable[[object, int, Sequence[bool]], Turned]:

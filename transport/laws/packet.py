@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from transport.errors import FieldError
 from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
-from transport.laws.packet_chain import PacketChain, packet_chain
+from transport.laws.packet_chain import PacketChain, first_arrivals, packet_chain
 from transport.laws.packet_draws import LATEST, PacketDraws
 from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import chain_ages, mean_holding, several_of_many, stationary_row
@@ -169,6 +169,10 @@ class PacketLaw:
     def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain | str:
         """Return the chain of the ages of the newest packet, or in words why there is none; see `packet_chain`."""
         return packet_chain(self, latency(self.latency), period_s, deadline_s, SLOT_TOLERANCE, reach)
+
+    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
+        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
+        return first_arrivals(self, latency(self.latency), period_s, deadline_s, SLOT_TOLERANCE)
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain of the channel's modes: (1, 1), or (2, 2) good and bad."""

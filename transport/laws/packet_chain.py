@@ -84,6 +84,37 @@ def arrival_ages(
     return np.maximum(-np.diff(missed, prepend=1.0), 0.0)
 
 
+def first_arrivals(
+    law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float
+) -> NDArray[np.float64] | str:
+    """Return what `arrival_ages` says of a law whose packets come independently of each other, or wait; or in words why not.
+
+    Args:
+        law: the packet law.
+        latencies, period_s, deadline_s, tolerance: see `packet_chain`.
+    """
+    if isinstance(latencies, LatencyTrace):
+        return "its latencies are a recorded trace"
+    if not law.reordering and law.duplication > 0.0:
+        return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
+    longest, bound = _reach(law, latencies, period_s, deadline_s, tolerance)
+    if bound > MOST_STATES:
+        return f"latencies reach {bound} slots, at most {MOST_STATES}{_bounds(law, longest)}"
+    if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
+        return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
+    return arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, tolerance)
+
+
+def _reach(law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float) -> tuple[int, int]:
+    """Slots that the longest latency takes, and those after which no packet comes any more."""
+    longest = _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
+    return longest, longest if law.discard_older is None else min(longest, law.discard_older)
+
+
+def _bounds(law: Packets, longest: int) -> str:
+    return "" if law.discard_older is not None and law.discard_older < longest else "; discard_older = J bounds it"
+
+
 def packet_chain(
     law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float, reach: int = 0
 ) -> PacketChain | str:
@@ -115,19 +146,16 @@ def packet_chain(
     """
     if isinstance(latencies, LatencyTrace):
         return "its latencies are a recorded trace"
-    longest = _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
-    bound = longest if law.discard_older is None else min(longest, law.discard_older)
-    if not law.reordering and law.duplication > 0.0:
-        return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
+    longest, bound = _reach(law, latencies, period_s, deadline_s, tolerance)
     modes = len(law.channel_losses())
     windows = modes ** min(bound, 20)
     states = max(bound, reach) + 2 if modes == 1 else (3 + max(0, reach - bound)) * windows
     if states > MOST_STATES:
-        hint = "" if law.discard_older is not None and law.discard_older < longest else "; discard_older = J bounds it"
-        return f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}{hint}"
-    if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
-        return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
-    arrives = arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, tolerance)
+        said = f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}"
+        return said + _bounds(law, longest)
+    arrives = first_arrivals(law, latencies, period_s, deadline_s, tolerance)
+    if isinstance(arrives, str):
+        return arrives
     cut = latencies.cut if law.discard_older is None or law.discard_older >= longest else 0.0
     return _explored(law, arrives, max(bound, reach) + 1, bound, cut)
 

@@ -215,6 +215,32 @@ class PacketAges(Protocol):
 
 
 @runtime_checkable
+class PacketDelays(Protocol):
+    """A packet law that says how late each packet comes, for whoever does not send in every slot."""
+
+    @property
+    def reordering(self) -> bool:
+        """Whether a packet may overtake an earlier one; otherwise it waits for those that are not lost."""
+        ...
+
+    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
+        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
+        ...
+
+    def channel_losses(self) -> Sequence[float]:
+        """Return the probability that a packet is lost, in every mode of the channel."""
+        ...
+
+    def transition_matrix(self) -> NDArray[np.float64]:
+        """Return Pr(mode in the next slot | mode), (modes, modes)."""
+        ...
+
+    def stationary(self) -> NDArray[np.float64]:
+        """Return the law of the mode in slot 0, (modes,)."""
+        ...
+
+
+@runtime_checkable
 class LongRunLaw(Protocol):
     """A law that says itself what it does in the long run."""
 

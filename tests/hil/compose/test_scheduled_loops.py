@@ -87,7 +87,14 @@ SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
              "controller": {"kind": "smith", "gain": [[-0.5]]}},
             "[controller] is judged over nodes that send in every slot: network.nodes.n0.trigger (dead-band) lets",
         ),
-        ({"network.nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY}}, "packet law whose ages change"),
+        (
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "relative", "threshold": 0.1}, "law": LOSSY}},
+            "under a packet law whose ages change it is not known when what a silent node sent last has come",
+        ),
+        (
+            {"network.nodes.n0": ONE | {"clock": {"every": 2}, "law": LOSSY | {"reordering": False, "duplication": 0.1}}},
+            "network.nodes.n0.law: states no chain: packets wait for the copies of those before them",
+        ),
         ({"network.nodes.n0": ONE | {"clock": {"every": 1031, "phase": 5}}, "duration": "0.5 s"}, "more than 1024 states"),
         ({"network.nodes.n0": ONE | {"law": SHORT}, "duration": "0.2 s"}, "the recording ends after 3 slots"),
     ],

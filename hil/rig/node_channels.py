@@ -1,0 +1,205 @@
+"""The way of one node's samples to the controller: what its network law makes of what it sends, slot by slot.
+
+A channel has states of its law, such as the mode of a chain, and states of what is on its way. An age law lets a receiver measure
+an age a(k): the newest sample is the newest that was sent in or before slot k - a(k). Under a packet law each packet comes with
+a delay of its own; what is on its way, and when it comes, is part of the state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from hil.rig.packet_ages import Received, why_no_ages
+from transport.laws.delay_states import measured_ages
+from transport.laws.protocols import NetworkLaw, PacketDelays, RecordedLaw, slots_served
+
+MOST_ENTRIES = 1024
+"""Entries of a recording that are computed with: the theory takes one matrix per state, each on the stacked state."""
+
+Chance = tuple[float, float, float]  # probability, its lower and its upper bound
+SURE: Chance = (1.0, 1.0, 1.0)
+OnWay = tuple[int, ...]
+"""What of a node's samples is on its way, in ages and slots."""
+
+
+def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
+    """Return the ages that a receiver measures slot by slot once a recording repeats; or why there is no such cycle."""
+    if not isinstance(law, RecordedLaw):
+        return "it records no ages"
+    if (slots := slots_served(law)) is not None:
+        return f"the recording ends after {slots} slots, and what follows is not known"
+    ages = law.recorded()
+    if len(ages) > MOST_ENTRIES:
+        return f"the recording has {len(ages)} entries, at most {MOST_ENTRIES} are computed with"
+    return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
+
+
+class Channel(Protocol):
+    """What happens to the samples of one node. `far` stands for a sample that is held, or that never was sent."""
+
+    @property
+    def oldest(self) -> int:
+        """Largest age, in slots from when it was sent, of a packet that comes as the newest."""
+        ...
+
+    @property
+    def sure(self) -> bool:
+        """Whether the newest sample that was sent in time is there in every slot, however seldom the node sends."""
+        ...
+
+    @property
+    def begins(self) -> tuple[int, ...]:
+        """States of the law in slot 0."""
+        ...
+
+    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
+        """Return the states of the law that follow one."""
+        ...
+
+    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
+        """Yield what is on its way in a slot.
+
+        Args:
+            before: in the slot before; None in slot 0.
+            at: state of the law in this slot.
+            offered: age of the sample that the node sends in this slot, None without one.
+            far: as old, or older.
+        """
+        ...
+
+    def age(self, sent: OnWay, at: int) -> int:
+        """Return the age of the newest sample that has come, at most `far`."""
+        ...
+
+
+class AgeChannel(NamedTuple):
+    """An age law or a recording. What is on its way: the ages of the newest sample sent in or before slot k, k - 1, ...
+
+    Args:
+        ages: the age that a receiver measures in every state.
+        after: what follows each state.
+        begins: see `Channel`.
+    """
+
+    ages: tuple[int, ...]
+    after: tuple[tuple[tuple[int, Chance], ...], ...]
+    begins: tuple[int, ...]
+
+    @property
+    def oldest(self) -> int:
+        """See `Channel.oldest`."""
+        return max(self.ages)
+
+    @property
+    def sure(self) -> bool:
+        """See `Channel.sure`."""
+        return True
+
+    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
+        """See `Channel.follows`."""
+        return self.after[at]
+
+    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
+        """See `Channel.sends`."""
+        if before is None:
+            before = (far,) * (self.oldest + 1)
+        newest = before[0] + 1 if offered is None else offered
+        yield tuple(min(age, far) for age in (newest, *(age + 1 for age in before[:-1]))), SURE
+
+    def age(self, sent: OnWay, at: int) -> int:
+        """See `Channel.age`."""
+        return sent[self.ages[at]]
+
+
+class PacketChannel(NamedTuple):
+    """A packet law with bounded delays.
+
+    What is on its way: the age of the newest sample that has come, then of each packet that will come as the newest: in how many
+    slots, and the age of its sample; the newest sample first.
+
+    Args:
+        comes: Pr(a packet that the channel does not lose comes j slots late), (J + 1,); what misses to 1 never comes.
+        losses: loss probability in every mode of the law's channel.
+        matrix: Pr(next mode | mode).
+        in_order: whether a packet waits for those before it.
+        begins: see `Channel`.
+    """
+
+    comes: tuple[float, ...]
+    losses: tuple[float, ...]
+    matrix: tuple[tuple[float, ...], ...]
+    in_order: bool
+    begins: tuple[int, ...]
+
+    @property
+    def oldest(self) -> int:
+        """See `Channel.oldest`."""
+        return len(self.comes) - 1
+
+    @property
+    def sure(self) -> bool:
+        """See `Channel.sure`."""
+        return not any(self.losses) and max(self.comes) > 1.0 - 1e-15
+
+    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
+        """See `Channel.follows`."""
+        return tuple((mode, (share,) * 3) for mode, share in enumerate(self.matrix[at]) if share > 0.0)
+
+    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
+        """See `Channel.sends`."""
+        newest, *flying = (far,) if before is None else before
+        ahead = [(due - 1, age + 1) for due, age in zip(flying[::2], flying[1::2])]
+        if offered is None:
+            yield _arrived(newest + 1, ahead, far), SURE
+            return
+        last = max((due for due, _ in ahead), default=0) if self.in_order else 0
+        gets = 1.0 - self.losses[at]
+        outcomes: dict[OnWay, float] = {}
+        for late, share in enumerate(self.comes):
+            own = max(late, last)
+            after = _arrived(newest + 1, [(own, offered), *(each for each in ahead if each[0] < own)], far)
+            outcomes[after] = outcomes.get(after, 0.0) + gets * share
+        lost = _arrived(newest + 1, ahead, far)
+        outcomes[lost] = outcomes.get(lost, 0.0) + 1.0 - gets * sum(self.comes)
+        yield from ((after, (share,) * 3) for after, share in outcomes.items() if share > 1e-15)
+
+    def age(self, sent: OnWay, at: int) -> int:
+        """See `Channel.age`."""
+        return sent[0]
+
+
+def _arrived(newest: int, flying: list[tuple[int, int]], far: int) -> OnWay:
+    """What has come and what is on its way, newest sample first, once those that are due now have come."""
+    newest = min([newest, far, *(age for due, age in flying if due <= 0)])
+    return (newest, *(number for due, age in flying if due > 0 and age < newest for number in (due, age)))
+
+
+def channel_of(way: Received) -> Channel | str:
+    """Return the channel of a node's law as the controller meets it; or why nothing is known."""
+    law = way.law
+    if isinstance(law, RecordedLaw):
+        cycle = recorded_cycle(law)
+        if isinstance(cycle, str):
+            return cycle
+        count = len(cycle)
+        return AgeChannel(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), (0,))
+    if isinstance(law, PacketDelays):
+        comes = law.delay_chances(way.at.period_s, way.at.deadline_s)
+        if isinstance(comes, str):
+            return f"states no chain: {comes}"
+        return PacketChannel(
+            comes=tuple(comes.tolist()), losses=tuple(law.channel_losses()),
+            matrix=tuple(map(tuple, law.transition_matrix().tolist())), in_order=not law.reordering,
+            begins=tuple(np.flatnonzero(law.stationary() > 0.0).tolist()),
+        )  # fmt: skip
+    states = way.states
+    if states is None or way.of_packets:
+        return why_no_ages(law, way.at)
+    follows = tuple(
+        tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
+        for i, row in enumerate(states.high)
+    )  # fmt: skip
+    return AgeChannel(tuple(states.ages.tolist()), follows, tuple(np.flatnonzero(states.initial > 0.0).tolist()))
