@@ -81,8 +81,9 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     """Return what theory predicts of the first slots of a loop, None where it predicts nothing.
 
     That is: a controller that is no table of gains or clamps its integral, a network law without a chain, a packet law under
-    which the controller may receive nothing for longer than its chain distinguishes ages (then it answers zeros, not by its
-    gains), a plant that jumps or has delayed states, faults on the time line, or a reference that no input holds.
+    which the controller may receive nothing of a node for longer than its chain distinguishes ages (then it answers zeros, not by
+    its gains), first packets whose rows are of a longer delay than the law has, a plant that jumps or has delayed states, faults
+    on the time line, or a reference that no input holds.
 
     Args:
         loop: the composed experiment.
@@ -106,7 +107,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
     moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
     rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
-    if sum(way.silent(rest) for way in loop.chains.arriving) > SILENT:
+    if sum(way.silent(rest) for way in loop.chains.arriving) > SILENT or not _first_rows_known(loop, rest):
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
@@ -136,6 +137,17 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         names=signals.tracked, error_mean=error.error_mean[:, columns], error_sd=error.error_sd[:, columns], sums=tuple(sums),
         left_out=left_out(loop),
     )  # fmt: skip
+
+
+def _first_rows_known(loop: Loop, rest: int) -> bool:
+    """Return whether the rows of the first packets are predicted: they are those of the longest delay that a packet has rows for.
+
+    The theory takes the longest delay of the law; where that is shorter, it is right where nothing moves as long.
+    """
+    ca, sc = loop.chains.ca, loop.chains.sc
+    if ca is None or sc is None or loop.selection in ("constant", "applied"):
+        return True
+    return int(ca.label.max()) == loop.model.d_max or rest > sc.max_delay + ca.max_delay + 1
 
 
 def left_out(loop: Loop) -> tuple[str, ...]:

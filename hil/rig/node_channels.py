@@ -196,7 +196,9 @@ def channel_of(way: Received) -> Channel | str:
             begins=tuple(np.flatnonzero(law.stationary() > 0.0).tolist()),
         )  # fmt: skip
     states = way.states
-    if states is None or way.of_packets:
+    if way.of_packets:
+        return "states the ages of packets that are sent in every slot, and not how late each of them comes (delay_chances)"
+    if states is None:
         return why_no_ages(law, way.at)
     follows = tuple(
         tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())

@@ -148,3 +148,16 @@ GAPS = "{ kind = 'markov', matrix = [[0.2, 0.3, 0.5], [0.6, 0.1, 0.3], [0.3, 0.3
 )
 def test_variations_run_as_predicted(name: str, changes: list[str]) -> None:
     assert_predicted(name, changes)
+
+
+@pytest.mark.parametrize("rule", ["generated", "previous", "both"])
+def test_first_rows_of_a_longer_delay_than_the_law_has_are_not_predicted(rule: str) -> None:
+    """Packets have rows for d up to 3, and d is 1 or 2: in the first slots the actuator takes rows of d = 3."""
+    rows = [[[-0.01 * (1 + row)]] for row in range(16 if rule == "both" else 4)]
+    law = "{kind='markov', matrix=[[0.9, 0.1], [0.5, 0.5]], ages=[1, 2]}"
+    ways = ["network.sc={law={kind='constant', age=0}}", f"network.ca={{max_age=3, law={law}}}", "disturbance=[]"]
+    table = f"controller={{kind='send-all', selection='{rule}', gains=[{rows}]}}"
+    late, at_once = "reference=[{at='1 s', value=[1.0]}]", "plant.initial_angle_rad=1.0"
+    assert_predicted("dc-motor-h2", [*ways, table, late, "duration=3", "limits={}"], 100)
+    moves = compose(load_experiment("dc-motor-h2", [*ways, table, late, at_once, "limits={}"]), certify=False)
+    assert predict(moves, 20) is None
