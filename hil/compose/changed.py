@@ -23,7 +23,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
 from hil.plugins.protocols import GoesOn, JumpPlant, Plant
 from hil.rig.loop import Loop, digest_of
-from hil.rig.loop_chains import IN_PHASE
+from hil.rig.loop_chains import ANY_PHASE
 from hil.rig.normal_form import rig_of
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
@@ -94,9 +94,9 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
             check_references(experiment, loop.controller, loop.model)
             kept = [entry for entry in getattr(e, table) if table != "reference" or round(entry.at / e.period) != k]
             entries = sorted([*kept, *getattr(experiment, table)], key=lambda entry: entry.at)
-            verdict = None if loop.verdict is None else _in_the_run(loop.verdict, laws=False)
+            verdict = None if loop.verdict is None else _in_the_run(loop.verdict)
             return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}), verdict=verdict)
-        after = compose(experiment, certify=certify)
+        after = compose(experiment, certify=certify, in_phase=False)
     except ExperimentError:
         raise
     except (HilError, TypeError, KeyError, ValueError) as error:
@@ -147,7 +147,7 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
         if verdict is not None:  # the claim is on the same equations
             verdict = replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
         return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
-    after = compose(experiment, certify=certify)
+    after = compose(experiment, certify=certify, in_phase=False)
     _fits(loop, after, path)
     return _assuming(after, PLANT_NOT_COMPARED, anywhere=_some_modes(plant) or _some_modes(experiment.plant))
 
@@ -166,18 +166,17 @@ def _assuming(loop: Loop, *more: str, anywhere: bool = False) -> Loop:
     return dataclasses.replace(loop, verdict=replace(verdict, assumptions=own))
 
 
-def _in_the_run(verdict: Verdict, *, laws: bool = True, anywhere: bool = False) -> Verdict:
+def _in_the_run(verdict: Verdict, *, anywhere: bool = False) -> Verdict:
     """Return a verdict on a loop that begins in slot 0 as one on the loop from a change in its run on.
 
     Args:
         verdict: on the loop.
-        laws: whether a network law may have begun anew.
         anywhere: whether a plant that jumps may be in a mode to which it does not come by itself.
     """
     why = ""
     if verdict.kind == "stability in a region":
         why = "where its state is then is not known"
-    elif laws and any(said.endswith(IN_PHASE) for said in verdict.assumptions):
+    elif verdict.state == "refused" and any(said.endswith(ANY_PHASE) for said in verdict.assumptions):
         why = "which phases of both directions meet then is not known"
     elif verdict.quantity == UNTIL_ALL_CAME:
         why = "which nodes a packet has come of by then is not known"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,7 +22,7 @@ from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.first_packets import never_received, waited_for
 from hil.rig.loop import Loop, digest_of
-from hil.rig.loop_chains import IN_PHASE, loop_chains
+from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
 
@@ -39,14 +40,18 @@ DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, wh
 
 def judge(
     experiment: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, *,
-    external: bool,
+    external: bool, in_phase: bool = True,
 ) -> tuple[Verdict, Watched | None]:  # fmt: skip
     """Return the verdict on a loop, and what its run is compared with; None where no claim rests on it.
+
+    Args:
+        in_phase: whether both directions begin together; else any of their phases may meet, and a loop that is not stable in all
+            pairs of phases is undecided.
 
     Raises:
         ExperimentError: the loop has no certificate, and ``allow_uncertified`` is not set.
     """
-    problem = _problem(experiment, rig, chains, controller, model, selection)
+    problem = _problem(experiment, rig, chains, controller, model, selection, in_phase)
     verdict = certify(problem)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
@@ -85,12 +90,15 @@ def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) ->
 
 
 def _problem(
-    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str
+    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, in_phase: bool
 ) -> CertificationProblem:
     """Return the loop of the controller that is named, as it is judged."""
     found = loop_chains(rig, chains, controller, model)
     sc, ca, chainless, unmet = found.sc, found.ca, found.chainless, found.unmet
     repeat = sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None)
+    if repeat and not in_phase and sc is not None and ca is not None:
+        sc, ca, repeat = dataclasses.replace(sc, begins=None), dataclasses.replace(ca, begins=None), False
+        unmet = f"{unmet}; {ANY_PHASE}" if unmet else ANY_PHASE
     if repeat:
         unmet = f"{unmet}; {IN_PHASE}" if unmet else IN_PHASE
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback):

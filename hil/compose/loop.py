@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 
 def compose(
-    experiment: Experiment, *, certify: bool = True, external: bool = False, rig: RigSpec | None = None
+    experiment: Experiment, *, certify: bool = True, external: bool = False, rig: RigSpec | None = None, in_phase: bool = True
 ) -> Loop:
     """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
 
@@ -58,6 +58,7 @@ def compose(
         certify: whether to say what can be claimed of the loop.
         rig: of the experiment, where it is known already.
         external: an external controller answers on the link: of its loop nothing is known.
+        in_phase: whether both directions of the network begin together, and not one of them in the run.
 
     Raises:
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
@@ -65,7 +66,7 @@ def compose(
     """
     with in_words_of_parts(experiment), _small_matrices():
         try:
-            return _compose(experiment, certify, external, rig)
+            return _compose(experiment, certify, external, rig, in_phase)
         except ForeignVerdict as error:
             raise changed_meanwhile(experiment) from error
 
@@ -133,7 +134,7 @@ def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Exp
     return replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind}), gains, chains
 
 
-def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSpec | None = None) -> Loop:
+def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSpec | None, in_phase: bool) -> Loop:
     asked, rig, model = _modelled(experiment, known)
     try:
         experiment, gains, chains = _solved(asked, rig, model)
@@ -162,7 +163,9 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
             raise ExperimentError(experiment.name, unknown)
     verdict, watched = None, None
     if certify:
-        verdict, watched = judge(experiment, rig, chains, controller, model, running.selection, external=external)
+        verdict, watched = judge(
+            experiment, rig, chains, controller, model, running.selection, external=external, in_phase=in_phase
+        )  # fmt: skip
     return Loop(
         experiment=experiment,
         model=model,

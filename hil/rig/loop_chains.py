@@ -37,6 +37,7 @@ OLDEST_DISTINGUISHED = 16
 """Ages that are distinguished for a controller whose matrices all of them change."""
 
 
+ANY_PHASE = "both directions repeat, and any of their phases may meet"
 IN_PHASE = "both directions repeat, and meet in the phases in which they begin in slot 0"
 
 
