@@ -17,11 +17,13 @@ from msgspec import Struct
 
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
 from hil.rig.delay_chains import delay_chain
+from hil.rig.node_channels import recorded_chain
 from hil.rig.packet_ages import Receiver, received, why_no_ages
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.bits import frame_length
+from transport.laws.protocols import RecordedLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -217,6 +219,9 @@ def bus_chains(
     if bus.table.control:
         return sc, chain_of_ages(found.control, rig.at_actuator)
     applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
+    if isinstance(applied.law, RecordedLaw):
+        recorded = recorded_chain(applied.law)
+        return f"the law of network.ca {recorded}" if isinstance(recorded, str) else (sc, recorded)
     ca = applied.delays() if applied.of_packets else delay_chain(applied.law, states=applied.states)
     return (sc, ca) if ca is not None else f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
 

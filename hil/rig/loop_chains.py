@@ -24,11 +24,11 @@ from design.controllers import (
 from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
-from hil.rig.node_channels import recorded_cycle
+from hil.rig.node_channels import recorded_chain
 from hil.rig.packet_ages import Received
 from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.spec import RigSpec
-from transport.laws.protocols import NetworkLaw, RecordedLaw
+from transport.laws.protocols import RecordedLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -79,9 +79,10 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
             return LoopChains(sc, None, "", chains.why_none if sc is not None else "the law of network.ca states no chain")
-        ca, why = _recorded(rig.ca_law)
-        if ca is None:
-            return LoopChains(sc, None, "", f"the law of network.ca {why}")
+        recorded = recorded_chain(rig.ca_law)
+        if isinstance(recorded, str):
+            return LoopChains(sc, None, "", f"the law of network.ca {recorded}")
+        ca = recorded
     if sc is None:
         distinguished = _distinguished(controller, model)
         found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
@@ -164,17 +165,6 @@ def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[i
         return own
     K = np.array(controller.table(model), dtype=float)
     return 1 + int(np.flatnonzero((K[1:] != K[:-1]).any(axis=(1, 2, 3))).max(initial=-1) + 1)
-
-
-def _recorded(law: NetworkLaw) -> tuple[DelayChain | None, str]:
-    """The chain of ages that are recorded on the way to the actuator."""
-    from design.processes.delay_chain import DelayChain
-
-    cycle = recorded_cycle(law)
-    if isinstance(cycle, str):
-        return None, f"states no chain: {cycle}"
-    first = np.arange(len(cycle)) == 0
-    return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=first), ""
 
 
 def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:

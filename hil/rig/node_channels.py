@@ -8,13 +8,16 @@ a delay of its own; what is on its way, and when it comes, is part of the state.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
 from hil.rig.packet_ages import Received, why_no_ages
 from transport.laws.delay_states import measured_ages
 from transport.laws.protocols import NetworkLaw, PacketDelays, RecordedLaw, slots_served
+
+if TYPE_CHECKING:
+    from design.processes.delay_chain import DelayChain
 
 MOST_ENTRIES = 1024
 """Entries of a recording that are computed with: the theory takes one matrix per state, each on the stacked state."""
@@ -35,6 +38,16 @@ def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
     if len(ages) > MOST_ENTRIES:
         return f"the recording has {len(ages)} entries, at most {MOST_ENTRIES} are computed with"
     return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
+
+
+def recorded_chain(law: NetworkLaw) -> DelayChain | str:
+    """Return the chain of ages that are recorded on the way to the actuator; or why there is none."""
+    from design.processes.delay_chain import DelayChain
+
+    cycle = recorded_cycle(law)
+    if isinstance(cycle, str):
+        return f"states no chain: {cycle}"
+    return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=np.arange(len(cycle)) == 0)
 
 
 class Channel(Protocol):
