@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 from hil.api.experiment_source import load_experiment
 from hil.compose.judged import DELAYED, NOT_COMPARED
 from hil.compose.loop import compose
 from hil.rig.loop import Loop
 from hil.rig.watched import JumpStep
-from hil.runtime.nodes.jump_watch import JumpWatch
+from hil.runtime.nodes.jump_watch import FEW, UNLIKELY, JumpWatch, _too_many
 from hil.runtime.nodes.plant_watch import BLOCK
 from hil.session import simulated_session
 from plants import SwitchedExample
@@ -210,3 +211,14 @@ def test_no_slot_waits_until_a_block_of_a_plant_that_jumps_is_compared(monkeypat
 def test_a_plant_with_a_delay_inside_is_not_compared_and_the_verdict_says_so() -> None:
     loop = compose(load_experiment("vtol-delayed"))
     assert loop.verdict is not None and DELAYED in loop.verdict.assumptions
+
+
+@pytest.mark.parametrize("mean", [0.0, 1e-6, 1e-3, 0.1, 1.0, 10.0])
+def test_slots_that_miss_are_too_many_where_jumps_that_were_not_seen_would_hardly_be_so_many(mean: float) -> None:
+    """Beside the tail of Poisson's law: Chernoff's bound is no smaller, and for so few at most 20 times as large."""
+    for count in range(60):
+        chance = float(poisson.sf(count - 1, mean))
+        if count <= FEW or chance > UNLIKELY:
+            assert not _too_many(count, mean)
+        if count > FEW and chance < UNLIKELY / 20.0:
+            assert _too_many(count, mean)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from design.jump_linear.second_moment import mean_square_radius
+from design.networked_loop import polytope
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.polytope import quadratic_growth
 from plants import DCMotor
@@ -98,3 +99,13 @@ def test_random_loops_are_never_promised_less_than_they_grow():
         assert found is not None and worst <= found.factor * (1.0 + 1e-9)
         decided += found.factor < 1.0
     assert decided >= 10
+
+
+def test_a_family_of_as_many_numbers_as_may_be_is_sought_and_of_one_more_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two modes of two states have 2 x 3 numbers."""
+    loops = np.array([0.5 * np.eye(2)] * 2)
+    for most, sought in ((6, True), (5, False)):
+        monkeypatch.setattr(polytope, "MOST_UNKNOWNS", most)
+        found = polytope.family_growth(loops, np.full((2, 2), 0.5), loops[None], loops[None])
+        assert (found is not None) is sought
+        assert found is None or 0.25 <= found.factor < 0.26

@@ -163,6 +163,7 @@ def test_the_best_point_and_its_paired_differences(over_gain: hil.ParameterSweep
         ({"grid": {}}, "no parameter is named"),
         ({"grid": {"plant.gian": [1, 2]}}, "did you mean 'gain'"),
         ({"range": {"plant.gain": (100, 200)}}, "range=.* and points=N belong together"),
+        ({"range": {"plant.gain": (100, 200)}, "points": 0}, "points: 0; expected 1 to"),
         ({"range": {"plant.gain": (100, 150, 200)}, "points": 3}, "3 values; expected the lowest and the highest"),
         ({"range": {"plant.gain": (200, 100)}, "points": 3}, "the lower first"),
         ({"grid": {"plant.gain": [1]}, "range": {"plant.gain": (1, 2)}, "points": 2}, "one of them"),

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy import optimize
 
 from transport.law_fit.age_models import fit_ages
 from transport.law_fit.law_fit import fit_law
@@ -150,6 +151,23 @@ def test_the_profile_of_parameters_that_move_together_is_as_wide_as_the_others_l
     found = profile_intervals(lambda angles: 0.5 * np.einsum("bi,ij,bj->b", angles - middle, weight, angles - middle), middle)
     for interval, at, error in zip(found, middle, errors):
         assert angles_of(np.array(interval)) == pytest.approx([at - 1.96 * error, at + 1.96 * error], abs=0.02 * error)
+
+
+@pytest.mark.parametrize("delta", [0.4, 0.9, 1.5])
+@pytest.mark.parametrize("error", [1e-4, 1e-2])
+def test_the_bounds_of_a_normal_estimate_near_an_end_are_by_standard_errors_from_it(delta: float, error: float) -> None:
+    """Found `delta` standard errors from 0 the upper bound, u errors from it, solves u - delta = critical(u); the lower is 0."""
+    u = optimize.brentq(lambda u: u - delta - critical(u), delta, delta + 3.0)
+    at = angles_of(np.array([delta * error]))
+    for mirrored in (False, True):  # near 0, near 1
+
+        def cost(angles: NDArray[np.float64], mirrored: bool = mirrored) -> NDArray[np.float64]:
+            v = values_of(angles)[:, 0]
+            return np.asarray(0.5 * (((1.0 - v if mirrored else v) / error) - delta) ** 2)
+
+        (found,) = profile_intervals(cost, math.pi / 2.0 - at if mirrored else at)
+        low, high = (1.0 - found[1], 1.0 - found[0]) if mirrored else found
+        assert low == pytest.approx(0.0, abs=1e-9) and high / error == pytest.approx(u, abs=0.02)
 
 
 def test_an_interval_near_an_end_covers_as_far_from_it() -> None:

@@ -62,6 +62,13 @@ def test_forces_of_another_program_are_reported():
     assert avatar_path(view, wall_loop_of(view)).same and not avatar_path(other, wall_loop_of(other)).same
 
 
+def test_a_controller_that_does_not_say_what_it_touches_has_no_path(monkeypatch):
+    experiment = load_experiment("omni-push", ["duration=2"])
+    view = view_of(simulate(compose(experiment), 0), experiment)
+    monkeypatch.setattr(avatar, "_touching", lambda controller: None)
+    assert avatar_path(view, wall_loop_of(view)) is None
+
+
 def test_other_runs_have_no_wall():
     experiment = load_experiment("dc-motor-hinf", ["duration=2"])
     assert wall_loop_of(view_of(simulate(compose(experiment), 0), experiment)) is None
