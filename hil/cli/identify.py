@@ -11,7 +11,7 @@ import click
 
 from hil.cli.laws import files_of
 from hil.cli.option_types import Duration, Questions
-from hil.cli.terminal import Working, json_option, print_facts, print_json, visible
+from hil.cli.terminal import Working, json_option, print_facts, print_folded, print_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 
 NONE = 1
+LONGEST = 200
+"""Characters of a value of a law that is printed."""
 
 
 class Identifier(click.ParamType):  # type: ignore[type-arg]
@@ -111,30 +113,32 @@ def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> Non
     from hil.log.recordings.law_text import WORDS, independence_said
 
     tested = fit.tested
-    click.echo(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
+    print_folded(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
     for note in said["notes"]:
-        click.echo(f"  {visible(note)}")
+        _line(note)
     for line in independence_said(fit):
-        click.echo(f"  {line}")
+        _line(line)
     shape = "as measured" if fit.latencies.name in ("table", "constant") else f"shape p = {tested.shape:.2g}"
-    click.echo(f"  latencies: {fit.latencies.name} ({shape})")
+    _line(f"latencies: {fit.latencies.name} ({shape})")
     for name, (low, high) in list(said["intervals"].items())[:12]:
-        click.echo(f"  {name}: 95 %: {low:.4g} to {high:.4g}")
+        _line(f"{name}: 95 %: {low:.4g} to {high:.4g}")
     for age, (share, low, high) in enumerate(said.get("comes_at_age", [])[:8]):
-        click.echo(f"  comes at age {age}, if not before: {share:.5g}, 95 %: {low:.5g} to {high:.5g}")
+        _line(f"comes at age {age}, if not before: {share:.5g}, 95 %: {low:.5g} to {high:.5g}")
     for each in fit.candidates[:6]:
-        click.echo(f"  tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
+        _line(f"tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
     if fit.law_class == "none":
-        click.echo('  none of the laws explains these packets: replay them (kind = "trace", or latency = { file = ... })')
+        _line('none of the laws explains these packets: replay them (kind = "trace", or latency = { file = ... })')
         return
     click.echo("" if path is None else f"  written: {path}")
     if path is None:
-        click.echo(
-            "".join(
-                f"{key} = {text if len(text := toml_value(value)) < 200 else text[:200] + ' ...'}\n"
-                for key, value in fit.spec.items()
-            )
-        )
+        texts = {key: toml_value(value) for key, value in fit.spec.items()}
+        cut = any(len(text) > LONGEST for text in texts.values())
+        click.echo("".join(f"{key} = {text[:LONGEST]}{' ...' * (len(text) > LONGEST)}\n" for key, text in texts.items()))
+        print_folded("-o law.toml writes it whole" if cut else "")
+
+
+def _line(text: str) -> None:
+    print_folded(f"  {text}", "    ")
 
 
 @click.group(cls=Questions)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.terminal import Working, visible
+from hil.cli.terminal import Working, print_folded, visible
 
 
 @click.command()
@@ -49,7 +49,8 @@ def recover(file: Path, output: Path | None) -> None:
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
     with Working(f"records of {file}"):
         found = recover(file, target).text
-    print("\n".join(map(visible, found.splitlines())))
+    for line in found.splitlines():
+        print_folded(line, "  ")
     print(f"written: {visible(target)}")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import Working, json_option, print_json, visible
+from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
 from hil.errors import HilError
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
@@ -167,7 +167,8 @@ def check(group: str, kind: str, sets: tuple[str, ...], experiment: str, as_json
         print_json({"group": group, "kind": kind, "earned": said})
         return
 
-    print("\n".join(map(visible, said)))
+    for line in said:
+        print_folded(line, "  ")
 
 
 def _made(group: Any, kind: str, sets: tuple[str, ...]) -> Any:

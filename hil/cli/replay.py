@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.terminal import Working, json_option, print_json, visible
+from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -160,6 +160,7 @@ def _what_if(
     import numpy as np
 
     from hil.experiment import parse_plugin
+    from hil.log.topics import APPLIED
     from hil.session.replay.replay import experiment_of, what_if
 
     experiment = experiment_of(run, str(file), folder=folder)
@@ -181,10 +182,12 @@ def _what_if(
     if as_json:
         print_json({"controller": kind, "inputs": differences, "output": str(output) if output else None})
         return
+    units = {field.name: field.unit for field in run.schemas[APPLIED.name].fields}
     for name, d in differences.items():
-        print(
-            f"{name}: {kind} would have differed by {d['rms']:.4g} rms, {d['max']:.4g} at most "
-            f"(largest command {d['max_abs_replayed']:.4g}, recorded {d['max_abs_recorded']:.4g})"
+        u = f" {units.get(name, '')}".rstrip()
+        print_folded(
+            f"{name}: {kind} would have differed by {d['rms']:.4g}{u} rms, {d['max']:.4g}{u} at most "
+            f"(largest command {d['max_abs_replayed']:.4g}{u}, recorded {d['max_abs_recorded']:.4g}{u})"
         )
     print(f"series: {output}" if output else "the plant does not react to it; -o FILE.csv writes the series")
 

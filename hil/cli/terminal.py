@@ -150,10 +150,16 @@ def _shown(value: Cell) -> Text:
     return cell(text_of(value, 6) if isinstance(value, float) else text_of(value))
 
 
-def print_folded(text: str) -> None:
-    """Print a paragraph as wide as the terminal; no word is cut, so that a path is copied whole."""
+def print_folded(text: str, indent: str = "") -> None:
+    """Print a paragraph as wide as the terminal; no word is cut, so that a path is copied whole.
+
+    Args:
+        text: one line; the blanks before it stay.
+        indent: of the lines below the first.
+    """
     if text:
-        click.echo(fill(visible(text), terminal_columns(), break_long_words=False, break_on_hyphens=False))
+        shown = fill(visible(text), terminal_columns(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        click.echo(shown)
 
 
 def print_page(page: Page) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import subprocess
 import sys
 from contextlib import suppress
@@ -74,6 +75,25 @@ def test_no_color_is_no_escape_code(arguments: str, plain: bool) -> None:
     os.close(ours)
     assert process.returncode == 0 and len(shown) > 300
     assert (b"\x1b[" in shown) is not plain
+
+
+@pytest.mark.parametrize("words", [
+    ("identify", "law", "LOG"), ("replay", "LOG", "--controller", "h2"), ("recover", "LOG", "-o", "new.mcap"),
+    ("check", "plants", "dc-motor"), ("laws", "dc-motor-packets"), ("sweep", "vtol-h2", "--runs", "4", "--until", "sse=0.1"),
+    ("show", "nosuch"),
+], ids=lambda words: words[0])  # fmt: skip
+def test_prose_is_folded_at_the_terminals_columns(
+    cli: Hil, hil_log: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    _, out, _ = cli(*(str(hil_log) if word == "LOG" else word for word in words))
+    prose = [line for line in out.splitlines() if not re.match(r"(latency|matrix) = |.*\.mcap", line)]  # for a file, and paths
+    assert max(map(len, prose), default=0) <= 80
+
+
+def test_what_another_controller_would_have_commanded_has_its_unit(cli: Hil, hil_log: Path) -> None:
+    out = " ".join(cli("replay", str(hil_log), "--controller", "h2")[1].split())
+    assert re.search(r"voltage: h2 would have differed by \S+ V rms, \S+ V at most \(largest command \S+ V, recorded", out)
 
 
 def test_the_title_of_a_narrow_table_is_not_folded_at_its_columns(capsys: pytest.CaptureFixture[str]) -> None:
