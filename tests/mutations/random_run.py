@@ -140,14 +140,18 @@ def rule(done: Sequence[Tried]) -> list[str]:
 
 
 def table(done: Iterable[Tried]) -> list[str]:
-    """Return the lines of a table: what became of faults by room, and in all; the share is of all but the equivalent ones."""
+    """Return the lines of a table: what became of faults by room, and in all.
+
+    The share that is seen is of all but the equivalent ones; where some are undecided it lies between two numbers.
+    """
     by_room: dict[str, Counter[str]] = defaultdict(Counter)
     for place, outcome in done:
         for room in (place.room, "all"):
             by_room[room][outcome] += 1
-    lines = [f"{'room':24}{'faults':>8}" + "".join(f"{outcome:>12}" for outcome in get_args(Outcome)) + f"{'share':>8}"]
+    lines = [f"{'room':24}{'faults':>8}" + "".join(f"{outcome:>12}" for outcome in get_args(Outcome)) + f"{'share':>14}"]
     for room, count in sorted(by_room.items(), key=lambda each: (each[0] == "all", each[0])):
         judged = count.total() - count["equivalent"]
-        share = f"{count['killed'] / judged:.0%}" if judged else "-"
-        lines.append(f"{room:24}{count.total():8}" + "".join(f"{count[each]:12}" for each in get_args(Outcome)) + f"{share:>8}")
+        ends = (count["killed"], judged - count["survived"])  # where all that is undecided is alive, or seen
+        share = " to ".join(dict.fromkeys(f"{seen / judged:.0%}" for seen in ends)) if judged else "-"
+        lines.append(f"{room:24}{count.total():8}" + "".join(f"{count[each]:12}" for each in get_args(Outcome)) + f"{share:>14}")
     return lines

@@ -27,9 +27,9 @@ def test_the_table_counts_by_room_and_leaves_what_is_equivalent_out_of_the_share
     head, *lines = [line.split() for line in table(done)]
     assert head == ["room", "faults", "killed", "survived", "undecided", "equivalent", "share"]
     assert lines == [
-        ["hil/a", "6", "3", "1", "1", "1", "60%"],
+        ["hil/a", "6", "3", "1", "1", "1", "60%", "to", "80%"],
         ["hil/b", "1", "0", "0", "0", "1", "-"],
-        ["all", "7", "3", "1", "1", "2", "60%"],
+        ["all", "7", "3", "1", "1", "2", "60%", "to", "80%"],
     ]
 
 
