@@ -32,7 +32,7 @@ if TYPE_CHECKING:
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page, on 127.0.0.1; any that is free by default.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace a log that is there.")
+@click.option("--force", is_flag=True, help="Replace the file of -o.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
 @foxglove_option

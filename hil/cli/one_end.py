@@ -22,7 +22,7 @@ NONE_THERE = 1  # exit status: neither rig nor controller
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace a log that is there.")
+@click.option("--force", is_flag=True, help="Replace the file of -o.")
 @click.option("--wait", type=Duration(), help="How long to wait for a controller; until Ctrl-C by default.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")

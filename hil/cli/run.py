@@ -92,7 +92,7 @@ def let_go(path: Path) -> None:
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace a log that is there.")
+@click.option("--force", is_flag=True, help="Replace the file of -o.")
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
 @click.option("--index", type=click.Choice(["full", "chunk"]), default="full", show_default=True,
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
