@@ -162,7 +162,7 @@ def test_what_has_no_answer_is_refused(said: list[str], why: str) -> None:
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("dc-motor-packets", r"sensor\.law: a packet law whose ages change"),
+        ("dc-motor-packets", r"sensor\.law: under a packet law whose ages change"),
         ("dc-motor-ours-busy-can", r"network\.media\.bus: .* CAN bus with time .*motor\.trigger \(relative\)"),
         ("vtol-sensor-fault", "its plant jumps between modes"),
     ],
