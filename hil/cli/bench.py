@@ -9,7 +9,8 @@ from typing import Any, get_args
 import click
 
 from hil.cli.option_types import Duration, Questions
-from hil.cli.terminal import Working, json_option, print_json, print_table
+from hil.cli.page_text import print_table
+from hil.cli.terminal import Working, json_option, print_json
 from hil.errors import HilError
 from hil.experiment.tables import Affinity
 

@@ -12,7 +12,8 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Questions
-from hil.cli.terminal import json_option, show_page, visible
+from hil.cli.page_text import show_page
+from hil.cli.terminal import json_option, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:

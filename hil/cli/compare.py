@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import Working, json_option, print_folded, print_json, print_table, visible
+from hil.cli.page_text import print_table
+from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.option_types import Duration, Number
-from hil.cli.terminal import Working, json_option, print_facts, print_json, print_table, visible
+from hil.cli.page_text import print_table
+from hil.cli.terminal import Working, json_option, print_facts, print_json, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec.structs import replace
 
-from hil.cli.terminal import Working, show_page
+from hil.cli.page_text import show_page
+from hil.cli.terminal import Working
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def show_can_id(subject: str, path: Path | None, as_json: bool) -> None:
 
     Args:
         subject: an experiment.
-        path, as_json: as of `hil.cli.terminal.show_page`.
+        path, as_json: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no CAN bus with time, recorded traffic, or a file that cannot be written.
@@ -98,7 +99,7 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
     Args:
         target: plant and network.
         options: of the problem.
-        path, as_json: as of `hil.cli.terminal.show_page`.
+        path, as_json: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no gains meet the request, or a file that cannot be written.
@@ -128,7 +129,7 @@ def show_trigger(subject: str, input_weight: float | None, options: dict[str, An
         subject: an experiment.
         input_weight: weight R of every input; None: the default.
         options: of the problem.
-        path, as_json: as of `hil.cli.terminal.show_page`.
+        path, as_json: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no gains meet the request, an experiment that has no such question, or a file that cannot be written.

@@ -11,7 +11,8 @@ from pathlib import Path
 import click
 
 from hil.cli.option_types import Duration, NumberList, Ratio
-from hil.cli.terminal import Working, json_option, print_facts, print_json, show_page
+from hil.cli.page_text import show_page
+from hil.cli.terminal import Working, json_option, print_facts, print_json
 from hil.errors import HilError
 
 HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in integer arithmetic (Sturm)"

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, print_table, visible
+from hil.cli.page_text import print_table
+from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.cli.terminal import Working, print_folded, print_json, print_table, visible
+from hil.cli.page_text import print_table
+from hil.cli.terminal import Working, print_folded, print_json, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:

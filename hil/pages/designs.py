@@ -1,6 +1,6 @@
 """What questions beside a run are answered with, as pages: bounds on a CAN bus, the place on it, trade-offs of a design.
 
-On the screen their words and tables stand alone: `hil.cli.terminal.print_page`.
+On the screen their words and tables stand alone: `hil.cli.page_text.print_page`.
 """
 
 from __future__ import annotations

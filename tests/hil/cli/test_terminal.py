@@ -14,7 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.cli.terminal import LONGEST, message_lines, print_table, visible
+from hil.cli.page_text import print_table
+from hil.cli.terminal import LONGEST, message_lines, visible
 from hil.experiment import shipped
 from hil.pages.html.figures import Cell, Table
 from tests.hil.cli.conftest import Hil
