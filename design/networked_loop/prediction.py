@@ -266,10 +266,11 @@ class _Recursion:
 
 def follow(transition: Array) -> Any:
     """Return P' of a matrix of transitions P (N, N), sparse where most modes never follow each other: a stay of many slots."""
-    from scipy.sparse import csr_array
+    if np.count_nonzero(transition) >= SPARSE * transition.size:
+        return np.ascontiguousarray(transition.T)
+    from scipy.sparse import csr_array  # a seventh of the time of `hil report`, which seldom needs it
 
-    share = np.count_nonzero(transition) / transition.size
-    return csr_array(transition.T) if share < SPARSE else np.ascontiguousarray(transition.T)
+    return csr_array(transition.T)
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -8,6 +8,7 @@ are pooled.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from math import erfc, exp, fsum, lgamma, log, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,9 +88,26 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None, slo
     statistic = sum(evidence.statistic for evidence in found)
     if freedom == 0:  # nothing was left to chance, or too little to judge by
         return float("nan") if any(evidence.scarce for evidence in found) else 1.0
-    from scipy.special import gammaincc  # 0.1 s, for records that have something to test
+    return chi_square_tail(statistic, freedom)
 
-    return float(gammaincc(freedom / 2.0, statistic / 2.0))
+
+def chi_square_tail(statistic: float, freedom: int) -> float:
+    """Return the probability that a chi-square variable of `freedom` >= 1 degrees of freedom is larger than `statistic` >= 0.
+
+    Q(k/2, x) with x = statistic / 2: Q(a + 1, x) = Q(a, x) + x^a exp(-x) / Gamma(a + 1), Q(0, x) = 0, Q(1/2, x) = erfc sqrt(x).
+    Importing scipy.special for it takes a quarter of the time of `hil report`.
+
+    >>> round(chi_square_tail(3.841459, 1), 6)
+    0.05
+
+    Reference: NIST Digital Library of Mathematical Functions, 8.8.2 and 8.4.6.
+    """
+    x = statistic / 2.0
+    if x == 0.0:
+        return 1.0
+    odd = freedom % 2 / 2.0
+    terms = (exp((odd + n) * log(x) - x - lgamma(odd + n + 1.0)) for n in range(freedom // 2))
+    return min((erfc(sqrt(x)) if odd else 0.0) + fsum(terms), 1.0)
 
 
 def is_testable(law: NetworkLaw) -> bool:

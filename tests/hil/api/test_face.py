@@ -64,6 +64,14 @@ def test_a_run_imports_its_own_plant_and_controller_and_nothing_that_it_does_not
     assert (tmp_path / "x.mcap").stat().st_size and not sorted(found & UNUSED)
 
 
+def test_a_report_of_a_usual_run_imports_no_scipy(tmp_path: Path) -> None:
+    """It would take a third of its time; the run is long enough for its law to be tested."""
+    done = hil.run("dc-motor-hinf", log=tmp_path / "x.mcap")
+    found = imported_by(f"import hil; hil.report({str(tmp_path / 'x.mcap')!r})")
+    assert "hil.pages" in found and "scipy" not in found
+    assert 0.0 < done.summary["network"]["sc"]["p_value"] < 1.0
+
+
 @pytest.mark.parametrize("package", [hil, design, controllers, plants, transport])
 def test_every_name_of_a_face_is_there(package: object) -> None:
     names = package.__all__  # type: ignore[attr-defined]

@@ -16,7 +16,7 @@ from scipy import stats
 
 from hil.measure.network_paths import network_metrics
 from transport.draws import DUPLICATED, LOST, SENT, Draw
-from transport.law_tests.statistics import is_testable, law_p_value, mode_counts, transition_counts
+from transport.law_tests.statistics import chi_square_tail, is_testable, law_p_value, mode_counts, transition_counts
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge
@@ -188,3 +188,10 @@ def test_a_law_that_discards_old_packets_is_accepted_and_another_is_not() -> Non
         assert law_p_value(law, channel, draws, slot) > 1e-6
         assert law_p_value(dataclasses.replace(law, discard_older=0), channel, draws, slot) < 1e-12
         assert law_p_value(dataclasses.replace(law, loss=0.2), channel, draws, slot) < 1e-12
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 4, 17, 100, 1001, 20_000])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.9, 1.0, 1.1, 2.0, 8.0])
+def test_the_tail_of_chi_square_is_that_of_scipy(freedom: int, share: float) -> None:
+    statistic = share * freedom
+    assert chi_square_tail(statistic, freedom) == pytest.approx(stats.chi2.sf(statistic, freedom), rel=1e-9, abs=1e-300)
