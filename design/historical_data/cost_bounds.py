@@ -13,9 +13,7 @@ import numpy.typing as npt
 
 from design.controllers.sensor_nodes import SensorNodes
 from design.errors import Infeasible, NotStable
-from design.historical_data.guaranteed_cost import Start
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, cycle
-from design.historical_data.sensor_schedule import Information
 
 RARE: Final = 1e-5
 """Branches of this probability are left."""
@@ -26,19 +24,6 @@ KNOWN: Final = 1e-12
 
 Seen = tuple[tuple[int, int, int], ...]
 """Of what a slot brings: (state, age of the newest sample, samples)."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CostBounds:
-    """What no controller can go below.
-
-    Args:
-        full_state: with the whole state known in every slot.
-        causal: for any causal controller that knows what the packets have brought, and where x(0) comes from.
-    """
-
-    full_state: float
-    causal: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,22 +41,6 @@ class Hearing:
     start: Array
     seen: tuple[Seen, ...]
     loss: float = 0.0
-
-
-def lower_bounds(plant: DelayedPlant, information: Information, start: Start) -> CostBounds:
-    """Return lower bounds of the cost over a fixed schedule without loss.
-
-    Args:
-        plant: the plant (5.1) and its weights.
-        information: whose packet comes in which phase.
-        start: what the cost is the mean over.
-    """
-    seen = tuple(
-        tuple((state, information.delay, information.buffer) for state, node in enumerate(information.nodes)
-              if node == information.order[(phase - information.delay) % information.phases])
-        for phase in range(information.phases)
-    )  # fmt: skip
-    return bounds(plant, Hearing(transition=cycle(information.phases), start=start.phases, seen=seen), start.moment)
 
 
 def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing | None:
@@ -130,8 +99,8 @@ def mean_full_state_bound(plant: DelayedPlant, moment: Array) -> float:
     return float(np.trace(_regulator(plant, plant.memory)[0][:n, :n] @ moment))
 
 
-def bounds(plant: DelayedPlant, hearing: Hearing, moment: Array) -> CostBounds:
-    r"""Return lower bounds of the mean cost.
+def causal_bound(plant: DelayedPlant, hearing: Hearing, moment: Array) -> float:
+    r"""Return what no causal controller can go below in the mean; it knows what the packets brought, and where x(0) comes from.
 
     The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: which packet comes,
     and what is lost, depends neither on the state nor on the input, so separation holds over a random schedule as over a cycle.
@@ -175,7 +144,7 @@ def bounds(plant: DelayedPlant, hearing: Hearing, moment: Array) -> CostBounds:
                 ]
         live = sorted(later, key=lambda branch: -branch[0])[:BRANCHES]
         slots += 1
-    return CostBounds(full_state=full, causal=full + float(extra))
+    return full + float(extra)
 
 
 def _without(F: Array, rows: npt.NDArray[np.int_]) -> Array:

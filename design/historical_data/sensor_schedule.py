@@ -6,8 +6,6 @@ phase is the node whose packet came.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import numpy.typing as npt
 
@@ -16,89 +14,25 @@ from design.errors import FieldError
 from design.historical_data.lifted_loop import cycle
 
 Mask = npt.NDArray[np.bool_]
+Array = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Information:
-    """Who measures what, who sends when, and how much of the past a packet carries.
-
-    Args:
-        nodes: per state the number of the node that measures it, counted from 0.
-        order: which node sends in phase 0, 1, ...; (0, 1, ..., n - 1) is round robin (5.2).
-        buffer: m, samples of each state in a packet, the newest first.
-        memory: tau, the oldest sample x(k - tau) that the controller uses.
-        delay: sensor-to-controller delay, samples.
-
-    Raises:
-        ValueError: a number that does not fit; the message begins with its name.
-    """
-
-    nodes: tuple[int, ...]
-    order: tuple[int, ...]
-    buffer: int
-    memory: int
-    delay: int = 0
-
-    def __post_init__(self) -> None:
-        if not self.nodes or min(self.nodes) < 0:
-            raise FieldError("nodes", f"{list(self.nodes)}, expected a node from 0 for every state")
-        unknown = sorted(set(self.order) - set(self.nodes))
-        if not self.order or unknown:
-            raise FieldError("order", f"{list(self.order)}, expected nodes that measure something: {sorted(set(self.nodes))}")
-        if self.memory < 0:
-            raise FieldError("memory", f"{self.memory}, expected 0 or more")
-        if not 1 <= self.buffer <= self.memory + 1:
-            raise FieldError("buffer", f"{self.buffer} samples, expected 1 to memory + 1 = {self.memory + 1}")
-        if not 0 <= self.delay <= self.memory:
-            raise FieldError("delay", f"{self.delay} samples, expected 0 to the memory, {self.memory}")
-
-    @property
-    def phases(self) -> int:
-        """L, the length of the schedule."""
-        return len(self.order)
-
-    def newest(self, phase: int, node: int) -> list[int]:
-        """Return the ages of the packets of a node that have arrived in a phase, newest first, as far as the memory reaches."""
-        ages = range(self.delay, self.memory + 1)
-        return [e for e in ages if self.order[(phase - e) % self.phases] == node]
-
-    def mask(self) -> Mask:
-        """Return which gains may differ from zero, (phases, memory + 1, states): [i, j, l] stands for x_l(k - j).
-
-        >>> print(Information(nodes=(0, 1, 2, 3), order=(0, 1, 2, 3), buffer=3, memory=5).mask()[2].astype(int))
-        [[0 0 1 0]
-         [0 1 1 0]
-         [1 1 1 0]
-         [1 1 0 1]
-         [1 0 1 1]
-         [0 1 1 1]]
-        """
-        known = np.zeros((self.phases, self.memory + 1, len(self.nodes)), dtype=bool)
-        for i in range(self.phases):
-            for state, node in enumerate(self.nodes):
-                for e in self.newest(i, node):
-                    known[i, e : e + self.buffer, state] = True
-        return known
-
-
-def round_robin(states: int, *, buffer: int, memory: int | None = None, delay: int = 0) -> Information:
+def round_robin(states: int, *, buffer: int, delay: int = 0) -> SensorNodes:
     """Return the chapter's arrangement: sensor l measures x_l, one after the other (5.2).
 
     Args:
         states: n.
-        buffer: m.
-        memory: tau; default n + m - 2 + delay, the oldest sample of the first full cycle.
+        buffer: m, samples of the state in a packet, the newest first.
         delay: sensor-to-controller delay, samples.
     """
     every = tuple(range(states))
-    reach = states + buffer - 2 + delay if memory is None else memory
-    return Information(nodes=every, order=every, buffer=buffer, memory=reach, delay=delay)
+    return SensorNodes(
+        names=tuple(f"x{l + 1}" for l in every), outputs=tuple((l,) for l in every), buffers=(buffer,) * states,
+        delays=(delay,) * states, turns=Turns(order=every),
+    )  # fmt: skip
 
 
-Array = npt.NDArray[np.float64]
-
-
-def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
+def mask_of(nodes: SensorNodes, memory: int | None = None, uses: Uses = "history") -> Mask:
     r"""Return which gains may differ from zero, (phases, memory + 1, outputs).
 
     They are the zero-element constraints (5.8), in general.
@@ -113,35 +47,46 @@ def mask_of(nodes: SensorNodes, memory: int, uses: Uses) -> Mask:
 
     Args:
         nodes: the sensor nodes.
-        memory: tau, the oldest sample x(k - tau) that the controller uses.
+        memory: tau, the oldest sample x(k - tau) that the controller uses; default the oldest of the first full cycle, or of a
+            packet.
         uses: all that has come, or the packet of this slot.
 
     Raises:
         ValueError: a delay that changes, or a buffer that is longer than the history; the message begins with the place.
 
     >>> one = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 2), delays=(0, 0), turns=Turns(order=(0, 1)))
-    >>> mask_of(one, 1, "history").astype(int).tolist()
+    >>> mask_of(one, 1).astype(int).tolist()
     [[[1, 0], [0, 1]], [[0, 1], [1, 1]]]
+    >>> print(mask_of(round_robin(4, buffer=3))[2].astype(int))
+    [[0 0 1 0]
+     [0 1 1 0]
+     [1 1 1 0]
+     [1 1 0 1]
+     [1 0 1 1]
+     [0 1 1 1]]
     """
     outputs = sum(map(len, nodes.outputs))
     delays = [delay for delay in nodes.delays if delay is not None]
     if len(delays) < len(nodes.delays):
         raise FieldError("nodes", "the theory knows which samples have arrived only where every node has a constant delay")
+    turns = nodes.turns
+    cycle = turns.cycle if turns is not None and uses == "history" else ()
+    if memory is None:
+        waited = max((age for slot in cycle for _, age in slot), default=0)
+        memory = max(len(cycle) - 1, 0) + waited + max(nodes.buffers) - 1 + max(delays)
     for name, buffer, delay in zip(nodes.names, nodes.buffers, delays):
         if buffer + delay > memory + 1:
             raise FieldError(
                 f"network.nodes.{name}.buffer",
                 f"{buffer} samples that are {delay} slots late, but the gains reach back {memory} slots only",
             )
-    turns = nodes.turns
     count = 1 if turns is None else turns.phases
-    cycle = () if turns is None else turns.cycle
     known = np.zeros((count, memory + 1, outputs), dtype=bool)
     for n, (own, buffer, delay) in enumerate(zip(nodes.outputs, nodes.buffers, delays)):
         if turns is None:
             known[0, delay:, list(own)] = True
             continue
-        if uses == "history" and cycle:
+        if cycle:
             for i in range(count):
                 for e in range(delay, memory + 1):
                     for age in [age for node, age in cycle[(i - e) % count] if node == n]:

@@ -93,16 +93,13 @@ class HistoricalDesigned:
             raise FieldError("uses", "over lost packets gains are designed for uses = 'current-packet' or 'last-packets'")
         if self.uses != "history" and (nodes.turns is None or nodes.turns.received):
             raise FieldError("uses", "where several packets come in a slot, gains are over all that has come: uses = 'history'")
-        late = max(delay or 0 for delay in nodes.delays)
-        cycle = nodes.turns.cycle if nodes.turns is not None and uses == "history" else ()
-        waited = max((age for slot in cycle for _, age in slot), default=0)
-        memory = max(len(cycle) - 1, 0) + waited + max(nodes.buffers) - 1 + late if self.memory is None else self.memory
         try:
-            mask = mask_of(nodes, memory, uses)
+            mask = mask_of(nodes, self.memory, uses)
         except ValueError as error:
             raise FieldError("memory", str(error)) from None
         if self.uses == "newest":
-            mask &= (np.arange(memory + 1) == late)[None, :, None]
+            late = max(delay or 0 for delay in nodes.delays)
+            mask &= (np.arange(mask.shape[1]) == late)[None, :, None]
         phases = len(mask)
         at = phases_at_start(nodes, uses)
         full: npt.NDArray[np.bool_] = with_lost_turns(mask, nodes).astype(bool)

@@ -38,7 +38,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     Raises:
         HilError: another controller or plant, or orders that cannot be tried.
     """
-    from design.historical_data.cost_bounds import bounds, cost_moments, hearing_of, mean_full_state_bound
+    from design.historical_data.cost_bounds import causal_bound, cost_moments, hearing_of, mean_full_state_bound
     from design.historical_data.gapped_history import phase_gains
     from design.historical_data.lifted_loop import close
 
@@ -62,7 +62,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
     hearing = hearing_of(nodes, from_any_phase=True)
     if hearing is not None:
-        found["bound_causal"] = bounds(plant, hearing, start.moment).causal
+        found["bound_causal"] = causal_bound(plant, hearing, start.moment)
         found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
     if spread:
         if each.renewed is not None:
@@ -92,18 +92,12 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGa
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:
     from design.historical_data.guaranteed_cost import average_start
     from design.historical_data.orders import orders_by_cost
-    from design.historical_data.sensor_schedule import Information
 
     turns = nodes.turns
     if not _fixed_order(nodes) or turns is None or Counter(turns.order) != Counter(range(len(nodes.names))):
         raise HilError(f"{name}: --orders: needs turns in a fixed order, one for every node, no loss, and one buffer and delay")
-    owner = {output: n for n, own in enumerate(nodes.outputs) for output in own}
-    delay = nodes.delays[0] or 0
-    info = Information(
-        nodes=tuple(owner[i] for i in range(len(plant.A))), order=turns.order, buffer=nodes.buffers[0],
-        memory=max(K.shape[1] - 1, nodes.buffers[0] - 1 + delay), delay=delay,
-    )  # fmt: skip
-    tried = orders_by_cost(plant, info, average_start(len(plant.A), len(turns.order)))
+    memory = max(K.shape[1] - 1, nodes.buffers[0] - 1 + (nodes.delays[0] or 0))
+    tried = orders_by_cost(plant, nodes, average_start(len(plant.A), len(turns.order)), memory)
     return [{"nodes": [nodes.names[n] for n in each.order], "mean_cost": each.cost} for each in tried]
 
 

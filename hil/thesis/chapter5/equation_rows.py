@@ -12,7 +12,7 @@ import numpy.typing as npt
 from design.as_printed.chapter5 import historical_gains, newest_gains
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close, cycle
-from design.historical_data.sensor_schedule import Mask, round_robin
+from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.log.run import Run
@@ -39,15 +39,16 @@ def equations(plant: DelayedPlant) -> dict[str, Any]:
     run = simulate(loop, 0)
     spent = Cost().of(view_of(run, loop.experiment))["cost"]
     states = np.column_stack([run.arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
-    gains, info, current = historical_gains(), round_robin(4, buffer=3), cycle(4)
+    gains, nodes, current = historical_gains(), round_robin(4, buffer=3), cycle(4)
+    mask, buffer = mask_of(nodes), nodes.buffers[0]
     received = received_nodes(run)
     start, x0 = average_start(4, 4), DelayedStates().initial_state
     radius, mean_cost = random_gains(plant)
     return {
         "received": len(received), "wrong": wrong_turns(received), "loop": loop_difference(plant, gains, states),
         "spent": np.nan if spent is None else spent, "exact": cost(close(plant, gains), start_at(x0, 4, 1)),
-        "oldest": max(info.phases - 1 + info.buffer - 1, 0), "m": info.memory - info.phases + 2, "buffer": info.buffer,
-        **mask_numbers(info.mask()[2], info.buffer), "matrices": len(gains) * gains.shape[1], "shape": gains.shape[2:],
+        "oldest": max(len(mask) - 1 + buffer - 1, 0), "m": mask.shape[1] - len(mask) + 1, "buffer": buffer,
+        **mask_numbers(mask[2], buffer), "matrices": len(gains) * gains.shape[1], "shape": gains.shape[2:],
         "paths": float((current > 0).sum(axis=1).max()), "strange": float((current != np.roll(np.eye(4), 1, axis=1)).sum()),
         "n": len(plant.A), "p": plant.B.shape[1], "tau": plant.memory, "weight": 0.1,
         "xi": float(np.abs(plant.weight - 0.1 * np.eye(len(plant.A))).max()),

@@ -13,7 +13,7 @@ from design.historical_data.guaranteed_cost import average_start, cost, cyclic_o
 from design.historical_data.lifted_loop import DelayedPlant, close, common_bound
 from design.historical_data.measurement_noise import stationary_cost
 from design.historical_data.orders import orders_by_cost
-from design.historical_data.sensor_schedule import Mask, round_robin
+from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.statements import Statement, above, below, exactly
 from plants.delayed_states import DelayedStates
@@ -28,22 +28,22 @@ def variant_plant(plant: DelayedPlant) -> DelayedPlant:
 
 def further(plant: DelayedPlant, report_progress: ReportProgress) -> dict[str, Any]:
     """Return the numbers of this stage."""
-    x0, info = np.array(DelayedStates().initial_state), round_robin(4, buffer=3)
-    mask = info.mask()
+    x0, nodes = np.array(DelayedStates().initial_state), round_robin(4, buffer=3)
+    mask = mask_of(nodes)
     report_progress("input weight")
     printed = (historical_gains(), newest_gains())
     peaks = [largest_input(plant, gains, x0, 0) for gains in printed]
     J = [cost(close(plant, gains), start_at(x0, 4, 0)) for gains in printed]
     matched = [match_peak(plant, mask, x0, 0, peak) for peak in peaks]
     report_progress("order of the sensors")
-    orders = orders_by_cost(plant, info, average_start(4, 4))
-    own = next(each for each in orders if each.order == info.order)
+    orders = orders_by_cost(plant, nodes, average_start(4, 4))
+    own = next(each for each in orders if each.order == (0, 1, 2, 3))
     report_progress("any order of the sensors")
     bound, worst = any_order(plant, historical_gains(), x0)
     report_progress("Theorem 5.1 on another plant")
     variant = variant_plant(plant)
     return {
-        **delay(round_robin(4, buffer=3, memory=6).mask(), round_robin(4, buffer=3, memory=6, delay=1).mask()),
+        **delay(mask_of(nodes, 6), mask_of(round_robin(4, buffer=3, delay=1))),
         "matched": matched, "peaks": peaks, "J": J, "more": [ours.peak - peak for ours, peak in zip(matched, peaks)],
         "share": [ours.cost / theirs for ours, theirs in zip(matched, J)], "order": own.cost / orders[0].cost,
         "orders": ", ".join(f"{'-'.join(str(node + 1) for node in each.order)} {each.cost:.4f}" for each in orders),

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.historical_data.block_diagonal import functional
-from design.historical_data.cost_bounds import lower_bounds
+from design.historical_data.cost_bounds import causal_bound, hearing_of
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.sensor_schedule import round_robin
+from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.pages.html.figures import Figure, Series
@@ -45,7 +45,7 @@ def gains_numbers(plant: DelayedPlant, historical: Array, newest: Array) -> dict
     ours, theirs = costs(plant, historical), costs(plant, newest)
     idle = costs(plant, 0.0 * newest)[0]
     return {
-        "stray": float(np.abs(historical[:, :, 0][~round_robin(4, buffer=3).mask()]).max()),
+        "stray": float(np.abs(historical[:, :, 0][~mask_of(round_robin(4, buffer=3))]).max()),
         "used": float(np.count_nonzero(historical)), "J": ours, "alike": sum(f"{J:.1f}" == "220.2" for J in ours),
         "certificate": certify_cost(plant, historical, average_start(4, 4)).state, "less": ours[1] - theirs[1],
         "least": min(ours) - max(theirs), "gain": 1.0 - ours[1] / idle, "idle": idle,
@@ -75,12 +75,13 @@ def _least_radius(plant: DelayedPlant, state: int) -> float:
 
 def history_numbers(plant: DelayedPlant) -> dict[str, Any]:
     """Return what historical data are worth once the gains are optimal."""
-    start, full = average_start(4, 4), round_robin(4, buffer=3)
-    newest = full.mask() & (np.arange(6) == 0)[None, :, None]
+    start, nodes = average_start(4, 4), round_robin(4, buffer=3)
+    full, hearing = mask_of(nodes), hearing_of(nodes, from_any_phase=True)
+    newest = full & (np.arange(6) == 0)[None, :, None]
     return {
-        "mean": [cost(close(plant, synthesise(plant, mask, start)), start) for mask in (full.mask(), newest)],
+        "mean": [cost(close(plant, synthesise(plant, mask, start)), start) for mask in (full, newest)],
         "printed": [cost(close(plant, gains), start) for gains in (historical_gains(), newest_gains())],
-        "bound": lower_bounds(plant, full, start).causal,
+        "bound": np.nan if hearing is None else causal_bound(plant, hearing, start.moment),
     }
 
 

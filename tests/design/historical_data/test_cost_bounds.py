@@ -11,10 +11,9 @@ import pytest
 from msgspec import structs
 
 from design.controllers.sensor_nodes import SensorNodes, Turns
-from design.historical_data.cost_bounds import Hearing, bounds, full_state_bound, hearing_of, lower_bounds
-from design.historical_data.guaranteed_cost import average_start
+from design.historical_data.cost_bounds import Hearing, causal_bound, full_state_bound, hearing_of, mean_full_state_bound
 from design.historical_data.lifted_loop import DelayedPlant
-from design.historical_data.sensor_schedule import Information
+from design.historical_data.sensor_schedule import round_robin
 
 Array = npt.NDArray[np.float64]
 
@@ -74,9 +73,9 @@ def test_the_bound_over_random_lossy_turns_is_what_the_best_causal_controller_co
     assert hearing is not None
     costs = np.array([certainty_equivalent_cost(PLANT, path, 1) for path in paths(hearing, 100, 30, 1)])
     band = 3.29 * costs.std(ddof=1) / np.sqrt(len(costs))
-    found = bounds(PLANT, hearing, np.eye(2)).causal
+    found = causal_bound(PLANT, hearing, np.eye(2))
     assert abs(costs.mean() - found) < band
-    other = bounds(PLANT, replace(hearing, loss=0.5), np.eye(2)).causal
+    other = causal_bound(PLANT, replace(hearing, loss=0.5), np.eye(2))
     assert abs(costs.mean() - other) > 2 * band
 
 
@@ -84,13 +83,14 @@ def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound(
     turning = Turns(transition=((0.0, 1.0), (1.0, 0.0)), initial=(0.5, 0.5))
     chain = hearing_of(structs.replace(NODES, buffers=(1, 1), turns=turning))
     assert chain is not None
-    info = Information(nodes=(0, 1), order=(0, 1), buffer=1, memory=1)
-    found = lower_bounds(PLANT, info, average_start(2, 2))
-    assert bounds(PLANT, chain, np.eye(2)).causal == pytest.approx(found.causal, rel=1e-9)
-    values = [bounds(PLANT, replace(chain, loss=loss), np.eye(2)).causal for loss in (0.0, 0.1, 0.3)]
-    assert found.full_state < values[0] < values[1] < values[2]
+    cycle, full_state = hearing_of(round_robin(2, buffer=1), from_any_phase=True), mean_full_state_bound(PLANT, np.eye(2))
+    assert cycle is not None
+    found = causal_bound(PLANT, cycle, np.eye(2))
+    assert causal_bound(PLANT, chain, np.eye(2)) == pytest.approx(found, rel=1e-9)
+    values = [causal_bound(PLANT, replace(chain, loss=loss), np.eye(2)) for loss in (0.0, 0.1, 0.3)]
+    assert full_state < values[0] < values[1] < values[2]
     everything = hearing_of(structs.replace(NODES, turns=None))
-    assert everything is not None and bounds(PLANT, everything, np.eye(2)).causal == pytest.approx(found.full_state, rel=1e-12)
+    assert everything is not None and causal_bound(PLANT, everything, np.eye(2)) == pytest.approx(full_state, rel=1e-12)
 
 
 def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
@@ -98,7 +98,7 @@ def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
     for delay in (0, 1, 2):
         own = hearing_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))), from_any_phase=True)
         assert own is not None
-        values.append(bounds(PLANT, own, np.eye(2)).causal)
+        values.append(causal_bound(PLANT, own, np.eye(2)))
     assert values[0] < values[1] < values[2]
 
 

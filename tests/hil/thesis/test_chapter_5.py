@@ -12,7 +12,7 @@ import pytest
 from design.as_printed.chapter5 import historical_gains, newest_gains
 from design.historical_data.block_diagonal import tangent_scheme
 from design.historical_data.lifted_loop import DelayedPlant
-from design.historical_data.sensor_schedule import round_robin
+from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
@@ -71,7 +71,7 @@ def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
     claims = {item for item in said if item.startswith(("the controller has 24", "Remark 5.3"))}
     assert {item for item, verdict in said.items() if verdict != "reproduced"} == claims and len(said) == 11
     assert {said[item] for item in claims} == {"claim false"}
-    info = round_robin(4, buffer=3)
+    mask = mask_of(round_robin(4, buffer=3))
     assert equations.wrong_turns([0, 1, 2, 3, 0]) == 0 and equations.wrong_turns([0, 1, 3, 3, 0]) > 0
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
     x = np.column_stack([simulate(loop, 0).arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
@@ -79,9 +79,9 @@ def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
     unstable = equations.equations(replace(PLANT, weight=np.eye(4)))
     for change, start in (
         ({"wrong": 1}, "(5.2)"), ({"loop": wrong_loop}, "(5.1), (5.4)"), ({"spent": 220.3}, "(5.3)"),
-        ({"spent": np.nan}, "(5.3)"), ({"m": 4}, "m = tau"), (equations.mask_numbers(info.mask()[1], 3), "(5.8)"),
-        (equations.mask_numbers(round_robin(4, buffer=2, memory=5).mask()[2], 2), "(5.8)"),
-        (equations.mask_numbers(round_robin(4, buffer=5).mask()[2][:6], 5), "Remark 5.1"), ({"xi": unstable["xi"]}, "5.4"),
+        ({"spent": np.nan}, "(5.3)"), ({"m": 4}, "m = tau"), (equations.mask_numbers(mask[1], 3), "(5.8)"),
+        (equations.mask_numbers(mask_of(round_robin(4, buffer=2), 5)[2], 2), "(5.8)"),
+        (equations.mask_numbers(mask_of(round_robin(4, buffer=5))[2][:6], 5), "Remark 5.1"), ({"xi": unstable["xi"]}, "5.4"),
         ({"newest": "refused"}, "Figures 5.3"), ({"random_radius": 1.01}, "5.5"),
     ):  # fmt: skip
         turned = changed(said, verdicts(equations.EQUATIONS, values | change))
@@ -96,11 +96,11 @@ def test_every_row_beyond_the_chapter_is_as_said() -> None:
     values = further(PLANT, lambda text, done=0, total=0, /: None)
     said = verdicts(FURTHER, values)
     assert sorted(said.values()) == ["claim false"] + ["reproduced"] * 7
-    prompt = round_robin(4, buffer=3, memory=6).mask()
+    prompt = mask_of(round_robin(4, buffer=3), 6)
     slow = prompt.copy()
     slow[:, 0] = False
     variant = variant_plant(PLANT)
-    none = proof_numbers(variant, tangent_scheme(variant, round_robin(4, buffer=3).mask(), X0, iterations=0), X0)
+    none = proof_numbers(variant, tangent_scheme(variant, mask_of(round_robin(4, buffer=3)), X0, iterations=0), X0)
     bound, worst = any_order(PLANT, newest_gains(), X0)
     assert bound > worst and delay(prompt, slow)["missing"] == 0
     for change, verdict in (
