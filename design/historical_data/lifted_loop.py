@@ -6,18 +6,15 @@ fixed schedule, any stochastic matrix for a random one. Everything that follows 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError, Infeasible, NotStable
+from design.errors import FieldError, NotStable
 from design.jump_linear.periodic_chain import periodic_cost, periodic_radius
-from design.jump_linear.second_moment import forward
-from design.solvers import solver
+from design.jump_linear.second_moment import backward, forward
 
 Array = npt.NDArray[np.float64]
 SWEEPS = 20_000
@@ -123,7 +120,7 @@ class LiftedLoop:
             NotStable: the sum has no end.
         """
         if not self.cyclic:
-            return self._fixed_point(lambda S: self.Q + _quadratic(self.L, np.tensordot(self.transition, S, axes=1)), guess)
+            return self._fixed_point(lambda S: self.Q + backward(self.L, self.transition, S), guess)
         phases, S = len(self.L), np.zeros_like(self.Q)
         product, total = np.eye(self.L.shape[-1]), np.zeros_like(self.Q[0])
         for i in range(phases):
@@ -220,10 +217,6 @@ def cycle(phases: int) -> Array:
     return np.roll(np.eye(phases), 1, axis=1)
 
 
-def _quadratic(L: Array, S: Array) -> Array:
-    return L.transpose(0, 2, 1) @ S @ L
-
-
 def _series(M: Array, W: Array) -> Array:
     """Return the sum of M'^t W M^t over t >= 0, by doubling."""
     total, power = W, M
@@ -237,42 +230,3 @@ def _series(M: Array, W: Array) -> Array:
                 return np.asarray(0.5 * (total + total.T))
             power = power @ power
     raise NotStable("the cost has no finite sum: the loop is not stable")
-
-
-MARGINS = (1e-6, 1e-5, 1e-4, 1e-3)
-"""By how much the inequalities are asked to hold, as a share of the largest weight: a solver's rounding cannot break them."""
-
-
-def common_bound(loop: LiftedLoop, X0: Array) -> tuple[float, Array]:
-    """Return the least X0' P X0 with P > 0 and L_i' P L_i - P + Q_i <= 0 for every phase i, and P.
-
-    One P for every order of the sensors: stability and a bound of the cost, whichever node sends next.
-
-    The inequalities are asked for with a margin and evaluated at the returned matrix: the bound holds for that matrix.
-
-    Args:
-        loop: the lifted loop; its chain is not used.
-        X0: (N,), the stacked state in slot 0.
-
-    Raises:
-        Infeasible: no such P was found; ``value`` is the largest eigenvalue that stays.
-    """
-    cp = solver("cvxpy")
-
-    size, scale = loop.L.shape[-1], float(np.abs(loop.Q).max())
-    worst = np.inf
-    for margin in MARGINS:
-        P: Any = cp.Variable((size, size), symmetric=True)
-        rows = [L.T @ P @ L - P + Q / scale + margin * np.eye(size) << 0 for L, Q in zip(loop.L, loop.Q)]
-        problem: Any = cp.Problem(cp.Minimize(X0 @ P @ X0), rows)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what the solver returns is checked below, whatever it says of it
-            problem.solve(solver=cp.CLARABEL)
-        if P.value is None:
-            raise Infeasible(f"no common Lyapunov matrix was found: the solver says {problem.status}")
-        found = scale * np.asarray(0.5 * (P.value + P.value.T))
-        gaps = loop.L.transpose(0, 2, 1) @ found @ loop.L - found + loop.Q
-        worst = float(np.linalg.eigvalsh(0.5 * (gaps + gaps.transpose(0, 2, 1))).max())
-        if worst <= 0.0 < float(np.linalg.eigvalsh(found)[0]):
-            return float(X0 @ found @ X0), found
-    raise Infeasible("the Lyapunov matrix of the solver does not satisfy the inequalities", value=worst)

@@ -64,7 +64,8 @@ class HistoricalDesigned:
         Raises:
             ValueError: a plant or nodes for which nothing can be designed.
         """
-        from design.historical_data.guaranteed_cost import Start, average_start, match_peak, synthesise
+        from design.historical_data.guaranteed_cost import Start, average_start
+        from design.historical_data.least_cost import match_peak, synthesise
         from design.historical_data.lifted_loop import DelayedPlant
         from design.historical_data.sensor_schedule import (
             lossy,
@@ -121,7 +122,8 @@ class HistoricalDesigned:
 
     def _of_last_packets(self, plant: DelayedPlant, nodes: SensorNodes, x0: npt.NDArray[np.float64]) -> Historical:
         from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
-        from design.historical_data.guaranteed_cost import Start, synthesise
+        from design.historical_data.guaranteed_cost import Start
+        from design.historical_data.least_cost import synthesise
         from design.historical_data.sensor_schedule import undecided_because
 
         if nodes.turns is None:

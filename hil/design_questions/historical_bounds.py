@@ -91,7 +91,7 @@ def _any_start(nodes: SensorNodes, uses: Uses, K: Gains) -> tuple[Start, PhaseGa
 
 def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> list[dict[str, Any]]:
     from design.historical_data.guaranteed_cost import average_start
-    from design.historical_data.orders import orders_by_cost
+    from design.historical_data.least_cost import orders_by_cost
 
     turns = nodes.turns
     if not _fixed_order(nodes) or turns is None or Counter(turns.order) != Counter(range(len(nodes.names))):

@@ -8,11 +8,16 @@ import numpy as np
 import numpy.typing as npt
 
 from design.as_printed.chapter5 import historical_gains, newest_gains
-from design.historical_data.block_diagonal import BlockDiagonalProof, cone_complementarity, largest_eigenvalue, tangent_scheme
-from design.historical_data.guaranteed_cost import average_start, cost, cyclic_orders, largest_input, match_peak, start_at
-from design.historical_data.lifted_loop import DelayedPlant, close, common_bound
-from design.historical_data.measurement_noise import stationary_cost
-from design.historical_data.orders import orders_by_cost
+from design.historical_data.block_diagonal import (
+    BlockDiagonalProof,
+    common_bound,
+    cone_complementarity,
+    largest_eigenvalue,
+    tangent_scheme,
+)
+from design.historical_data.guaranteed_cost import average_start, cost, start_at, stationary_cost
+from design.historical_data.least_cost import cyclic_orders, largest_input, match_peak, orders_by_cost
+from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.statements import Statement, above, below, exactly

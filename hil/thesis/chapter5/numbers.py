@@ -10,7 +10,8 @@ import numpy.typing as npt
 from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.historical_data.block_diagonal import functional
 from design.historical_data.cost_bounds import causal_bound, hearing_of
-from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, synthesise
+from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at
+from design.historical_data.least_cost import synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose

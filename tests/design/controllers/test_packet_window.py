@@ -9,7 +9,8 @@ import pytest
 
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, window_of
 from design.historical_data.gapped_history import window_chain, window_mask, window_start, window_undecided
-from design.historical_data.guaranteed_cost import average_start, cost, synthesise
+from design.historical_data.guaranteed_cost import average_start, cost
+from design.historical_data.least_cost import synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close
 from plants.delayed_states import DelayedStates
 

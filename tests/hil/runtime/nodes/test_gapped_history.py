@@ -9,8 +9,8 @@ import pytest
 
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
 from design.historical_data.gapped_history import gapped_gains, gaps_undecided, phase_gains
+from design.historical_data.guaranteed_cost import close_received
 from design.historical_data.lifted_loop import DelayedPlant, close
-from design.historical_data.measurement_noise import close_received
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.historical_data.measurement_noise import noise_costs
+from design.historical_data.guaranteed_cost import close_received
+from design.historical_data.lifted_loop import DelayedPlant
+from design.jump_linear.second_moment import forward
 from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -49,6 +51,21 @@ def literal_costs(loop: Loop, noise: np.ndarray) -> np.ndarray:
     return total
 
 
+def noise_costs(
+    plant: DelayedPlant, K: np.ndarray, sd: np.ndarray, share: np.ndarray, slots: int, chain: np.ndarray | None = None
+) -> np.ndarray:
+    """What the noise adds to the cost in slot 0, 1, ...: the covariance of (X, Y), slot by slot."""
+    loop = close_received(plant, K, chain)
+    size, n = loop.L.shape[-1] - K.shape[1] * K.shape[3], len(sd)
+    fresh, P, found = np.zeros(loop.L.shape[1:]), np.zeros_like(loop.L), []
+    fresh[size : size + n, size : size + n] = np.diag(sd**2)
+    for _ in range(slots):
+        P = P + share[:, None, None] * fresh
+        found.append(np.einsum("iab,iab->", loop.Q, P))
+        share, P = share @ loop.transition, forward(loop.L, loop.transition, P)
+    return np.array(found)
+
+
 def test_noise_costs_what_is_predicted() -> None:
     """The run is (5.1) with the draws of its own stream; 2,000 literal runs: 4.4 standard errors, 5 % off would be seen."""
     slots, sd = 60, np.array([0.1, 0.2, 0.0, 0.3])
@@ -58,7 +75,7 @@ def test_noise_costs_what_is_predicted() -> None:
     assert cost_of(loop, 7) == pytest.approx(float(literal_costs(loop, draws)[0]), rel=1e-5)
     plant, K = delayed_plant_of(loop.experiment.plant, loop.model), loop.controller.history()  # type: ignore[attr-defined]
     assert plant is not None and loop.verdict is not None
-    said = np.fromiter(noise_costs(plant, K, sd, np.eye(4)[1]), float, 400)
+    said = noise_costs(plant, K, sd, np.eye(4)[1], 400)
     costs = literal_costs(loop, sd[:, None] * np.random.default_rng(2).standard_normal((slots, 4, 2000)))
     error = costs.std(ddof=1) / np.sqrt(len(costs))
     assert abs(costs.mean() - said[:slots].sum()) < 4.4 * error and 8.8 * error < 0.2 * said[:slots].sum()
@@ -76,7 +93,7 @@ def test_noise_over_random_turns_costs_what_its_slots_come_to() -> None:
     assert plant is not None
     lost = np.concatenate([K, np.zeros_like(K)])
     chain = np.kron([[0.9, 0.1]] * 2, np.full((4, 4), 0.25))
-    said = np.fromiter(noise_costs(plant, lost, [0.1, 0.2, 0.0, 0.3], chain[0], chain), float, 300)
+    said = noise_costs(plant, lost, np.array([0.1, 0.2, 0.0, 0.3]), chain[0], 300, chain)
     assert said[-1] == pytest.approx(loop.verdict.details["noise_cost_per_slot"], rel=1e-9)
 
 
