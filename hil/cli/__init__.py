@@ -57,10 +57,10 @@ COMMANDS = {
 }
 
 _SHARED_FILES = {
-    "rig": "one_end", "controller": "one_end", "discover": "one_end",
+    "rig": "one_end", "controller": "one_end", "discover": "one_end", "keys": "one_end",
     "report": "log_files", "recover": "log_files", "export": "log_files", "layout": "log_files",
-    "show": "experiment_files", "schema": "experiment_files", "solve": "experiment_files",
-    "can": "can", "dbc": "can",
+    "show": "list", "schema": "list", "solve": "list",
+    "can": "can", "dbc": "can", "vcan": "can",
     "new": "new", "check": "new",
     "bench": "bench", "probe": "bench",
     "guide": "guide", "licences": "guide",

@@ -10,7 +10,7 @@ import click
 
 from hil.cli.option_types import Duration, Questions
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, json_option, print_json
+from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
 from hil.experiment.tables import Affinity
 
@@ -28,8 +28,6 @@ def status_line(text: str) -> None:
 
 
 def _check(option: str, value: float, low: float, high: float) -> None:
-    from hil.errors import HilError
-
     if not low <= value <= high:
         raise HilError(f"{option}: {value:g}; expected a number from {low:g} to {high:g}")
 
@@ -54,7 +52,7 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 @json_option("Print JSON.")
 def timing(
     duration: float, turns: int, links: tuple[str, ...], experiments: tuple[str, ...], sets: tuple[str, ...],
-    affinities: tuple[str, ...], live: bool, as_json: bool,
+    affinities: tuple[str, ...], live: bool,
 ) -> None:  # fmt: skip
     """Run the rig (by default at 1 kHz) beside cyclictest at the same priority."""
     from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
@@ -62,26 +60,21 @@ def timing(
     _check("--duration", duration, *SECONDS)
     _check("--duration over --turns", duration / turns, *SECONDS)
     if live:
-        _live(duration, turns, (links or LINKS)[0], (experiments or (EXPERIMENT,))[0], as_json)
+        _live(duration, turns, (links or LINKS)[0], (experiments or (EXPERIMENT,))[0])
         return
     rows = bench_timing(
         duration_s=duration, turns=turns, links=links or LINKS, experiments=experiments or (EXPERIMENT,), sets=sets,
         affinities=affinities, progress=status_line,
     )  # fmt: skip
-    if as_json:
-        print_json(rows)
-        return
-    flat = []
-    for row in rows:
-        shown = {
-            "rig": row["lateness_us"],
-            "cyclictest": row["cyclictest_us"],
-            "ratio": row["ratio"],
-        }
-        for name, values in shown.items():
-            points = {q: values[q] for q in ("p50", "p99", "p99_9", "max")}
-            flat.append({"experiment": row["experiment"], "link": row["link"], "lateness in us": name, **points})
-    show_table("wake-up lateness", flat)
+    answer(rows, _show_timing, rows)
+
+
+def _show_timing(rows: list[dict[str, Any]]) -> None:
+    show_table("wake-up lateness", [
+        {"experiment": row["experiment"], "link": row["link"], "lateness in us": name,
+         **{q: row[key][q] for q in ("p50", "p99", "p99_9", "max")}}
+        for row in rows for name, key in (("rig", "lateness_us"), ("cyclictest", "cyclictest_us"), ("ratio", "ratio"))
+    ])  # fmt: skip
     of = f"of {rows[-1]['link']}"
     show_table("round trips and overruns", [
         {"experiment": row["experiment"], "link": row["link"], "affinity": row["affinity"],
@@ -94,14 +87,11 @@ def timing(
     print(f"{rows[0]['slots']} slots for each link; {rows[0]['scheduler']}")
 
 
-def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool) -> None:
+def _live(duration: float, turns: int, link: str, experiment: str) -> None:
     from hil.bench.timing import bench_live
 
     rows = bench_live(duration_s=duration, turns=turns, link=link, experiment=experiment, progress=status_line)
-    if as_json:
-        print_json(rows)
-        return
-    show_table(f"lateness of {experiment} over {link}, in us", [
+    answer(rows, show_table, f"lateness of {experiment} over {link}, in us", [
         {"readers": row["readers"], **row["lateness_us"], **{f"{q}, ratio": v for q, v in row["ratio"].items()},
          "late or over": row["missed"], "dropped": row["dropped_records"], "pictures": row["pictures"]}
         for row in rows
@@ -113,40 +103,33 @@ def _live(duration: float, turns: int, link: str, experiment: str, as_json: bool
 @click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
 @click.option("--can", "buses", is_flag=True, help="Instead: CAN buses, with the bus model off and on.")
 @json_option("Print JSON.")
-def links(rate: float, duration: float, buses: bool, as_json: bool) -> None:
+def links(rate: float, duration: float, buses: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
 
     _check("--rate", rate, 1, 100_000)
     _check("--duration", duration, *SECONDS)
     if buses:
-        _can_buses(duration, as_json)
+        from hil.bench.can_buses import bench_can_buses
+
+        rows = bench_can_buses(duration, progress=status_line)
+        answer(rows, _show_buses, rows)
         return
     rows = bench_links(rate_hz=rate, duration_s=duration)
-    if as_json:
-        print_json(rows)
-    else:
-        show_table(f"round trips at {rate:g} Hz, us", rows)
+    answer(rows, show_table, f"round trips at {rate:g} Hz, us", rows)
 
 
-def _can_buses(duration: float, as_json: bool) -> None:
-    from hil.bench.can_buses import bench_can_buses
-
-    rows = bench_can_buses(duration, progress=status_line)
-    if as_json:
-        print_json(rows)
-    else:
-        show_table("frames per second between two programs of python-can", [
-            {"bus": row["bus"], "frames/s": row["frames_s"], "ratio": row["times_off"], "lost": row["lost"],
-             "note": row["note"][:60]}
-            for row in rows
-        ])  # fmt: skip
-        show_table("round trips, and the error of frame times beside cyclictest, in us", [
-            {"bus": row["bus"], "p50": row["p50_us"], "p99": row["p99_us"], "p50, ratio": row["trip_times_off"],
-             "error p50": row["late_p50_us"], "error p99": row["late_p99_us"], "cyclictest p99": row["cyclictest_p99_us"],
-             "ratio ": row["late_of_cyclictest"]}
-            for row in rows
-        ])  # fmt: skip
+def _show_buses(rows: list[dict[str, Any]]) -> None:
+    show_table("frames per second between two programs of python-can", [
+        {"bus": row["bus"], "frames/s": row["frames_s"], "ratio": row["times_off"], "lost": row["lost"], "note": row["note"][:60]}
+        for row in rows
+    ])  # fmt: skip
+    show_table("round trips, and the error of frame times beside cyclictest, in us", [
+        {"bus": row["bus"], "p50": row["p50_us"], "p99": row["p99_us"], "p50, ratio": row["trip_times_off"],
+         "error p50": row["late_p50_us"], "error p99": row["late_p99_us"], "cyclictest p99": row["cyclictest_p99_us"],
+         "ratio ": row["late_of_cyclictest"]}
+        for row in rows
+    ])  # fmt: skip
 
 
 @bench.command()
@@ -155,7 +138,7 @@ def _can_buses(duration: float, as_json: bool) -> None:
 @click.option("--sessions", type=click.IntRange(0, 1000), default=0, show_default=True, help="Short sessions in a row.")
 @click.option("--at-once", type=click.IntRange(0, 64), default=0, show_default=True, help="Short sessions at the same time.")
 @json_option("Print JSON.")
-def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
+def soak(duration: float, sessions: int, at_once: int) -> None:
     """Endurance at 1 kHz over can:hil: memory of each process, log, overruns beside cyclictest.
 
     Exit status 0: it holds. 1: it does not. 4: undecided, the machine was too busy to tell.
@@ -163,10 +146,7 @@ def soak(duration: float, sessions: int, at_once: int, as_json: bool) -> None:
     from hil.bench.soak import STATUS, bench_soak
 
     row = bench_soak(duration_s=duration, sessions=sessions, at_once=at_once, progress=status_line)
-    if as_json:
-        print_json(row)
-    else:
-        _soak(row)
+    answer(row, _soak, row)
     raise SystemExit(STATUS[row["verdict"]])
 
 

@@ -13,11 +13,12 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
+from hil.cli.terminal import Working, answer, json_option, print_folded, visible
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import Interval
+    from hil.sweeps.comparison import Comparison
     from hil.sweeps.problems import Problem, Reached
 
 
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 @json_option()
 def compare(
     experiments: tuple[str, ...], runs: int, duration: str | None, sets: tuple[str, ...], jobs: int, output: Path | None,
-    force: bool, as_json: bool,
+    force: bool,
 ) -> None:  # fmt: skip
     """Run EXPERIMENTS for the same seeds; print and plot the distributions of their metrics.
 
@@ -41,8 +42,6 @@ def compare(
     from hil.cli.sweep import check_jobs
     from hil.experiment import load_experiment
     from hil.files.outputs import check_page, write_output
-    from hil.measure.signals import with_unit
-    from hil.pages.html.figures import Table
     from hil.pages.many_runs import compare_page
     from hil.sweeps.comparison import compare
     from hil.sweeps.sweep import statistics
@@ -80,10 +79,16 @@ def compare(
         }
         for name, values in comparison.values.items()
     }
-    if as_json:
-        print_json({"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None})
-        return
-    for name in experiments[1:]:
+    said = {"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}
+    answer(said, _show_comparison, comparison, out, output)
+
+
+def _show_comparison(comparison: Comparison, out: dict[str, Any], output: Path | None) -> None:
+    from hil.measure.signals import with_unit
+    from hil.pages.html.figures import Table
+
+    first, *others = out
+    for name in others:
         print_folded(comparison.verdict(name))
     for name, caution in comparison.cautions.items():
         print_folded(f"{name}: {caution}")
@@ -91,7 +96,7 @@ def compare(
     quantities, none = comparison.measured()
     for quantity in quantities:
         rows.append((with_unit(quantity.title, quantity.unit), "", "", "", ""))
-        rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in experiments]
+        rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in out]
     heads = ("metric, experiment", "n", "mean", "difference", "95 % interval")
     note = f"differences are against {first}, run by run on the same delays" + (none and f"; {none}")
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
@@ -124,12 +129,14 @@ def _as_json(gap: Interval) -> dict[str, float | None]:
 @click.option("--runs", type=click.IntRange(2, 100_000), default=200, show_default=True, help="Seeds 0, 1, ... of each problem.")
 @click.option("--write", is_flag=True, help="Run the controllers that were tried, and store the best of each problem.")
 @json_option()
-def problems(controller: str | None, names: tuple[str, ...], runs: int, write: bool, as_json: bool) -> None:
+def problems(controller: str | None, names: tuple[str, ...], runs: int, write: bool) -> None:
     """Show the problem set: of each problem the best controller that is known, its mean with a 95 % interval, and a lower bound.
 
     The objective is the sum of squared errors after one pulse, in the mean over the seeds. Nothing is ranked.
     Exit status 1: the controller ran on none of the problems.
     """
+    from msgspec import to_builtins
+
     from hil.sweeps.problems import best_known, problems, reached
 
     chosen = [problem for problem in problems() if not names or problem.name in names]
@@ -146,13 +153,9 @@ def problems(controller: str | None, names: tuple[str, ...], runs: int, write: b
     table = None if controller is None else _table(controller)
     known = best_known()
     found = {} if table is None else {problem.name: _run(problem, table, runs, reached) for problem in chosen}
-    if as_json:
-        from msgspec import to_builtins
-
-        said = {p.name: {"source": p.source, "experiment": p.experiment, "best_known": known.get(p.name)} for p in chosen}
-        print_json({name: entry | ({"yours": to_builtins(found[name])} if name in found else {}) for name, entry in said.items()})
-    else:
-        _show(chosen, known, found)
+    said = {p.name: {"source": p.source, "experiment": p.experiment, "best_known": known.get(p.name)} for p in chosen}
+    yours = {name: {"yours": to_builtins(reached)} for name, reached in found.items()}
+    answer({name: entry | yours.get(name, {}) for name, entry in said.items()}, _show, chosen, known, found)
     if found and all(each.mean is None for each in found.values()):
         raise SystemExit(1)
 

@@ -11,7 +11,7 @@ import click
 
 from hil.cli.option_types import Duration, Number
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, json_option, print_facts, print_json, visible
+from hil.cli.terminal import Working, answer, json_option, print_facts, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -63,14 +63,24 @@ class GainsOrWall(click.Command):
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
 @click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
               help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
-@click.option("--uncertainty", multiple=True, metavar="NAME=WIDTH",
-              help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.")
+@click.option(
+    "--uncertainty",
+    multiple=True,
+    metavar="NAME=WIDTH",
+    help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.",
+)
 @click.option("--robust", is_flag=True, help="--uncertainty: gains of least guaranteed H2 norm, not those for the nominal plant.")
-@click.option("--local", type=click.Choice(["lqr", "lqg", "hinf"]),
-              help="Design for the plant without a network, by python-control, and judge it over the network.")
+@click.option(
+    "--local",
+    type=click.Choice(["lqr", "lqg", "hinf"]),
+    help="Design for the plant without a network, by python-control, and judge it over the network.",
+)
 @click.option("--noise", type=NUMBER, help="--local: noise of a sample per unit of the input disturbance [0.01].")  # fmt: skip
-@click.option("--network", type=click.Path(path_type=Path),
-              help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.")
+@click.option(
+    "--network",
+    type=click.Path(path_type=Path),
+    help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves possible.",
+)
 @click.option("--orders", is_flag=True, help="Gains over historical data: try every order of the nodes' turns.")
 @click.option("--spread", is_flag=True, help="Gains over historical data: the standard deviation of the cost over runs, too.")
 @click.option("--trade-off", is_flag=True, help="H2 against H-infinity norm, mixed designs between the pure ones; -o: a page.")
@@ -83,7 +93,7 @@ def command(
     subject: str, objective: str, information: str, gain_bound: float | None, hinf_bound: float | None,
     input_weight: float | None, z: str, period: float | None, samples: int, sojourns: int, row_sojourns: int, integral: float,
     starts: int, seed: int, method: str, uncertainty: tuple[str, ...], local: str | None, noise: float | None, orders: bool,
-    spread: bool, path: Path | None, force: bool, as_json: bool, network: Path | None, can_id: bool,
+    spread: bool, path: Path | None, force: bool, network: Path | None, can_id: bool,
     trade_off: bool, robust: bool, trigger: bool,
 ) -> None:  # fmt: skip
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
@@ -98,7 +108,7 @@ def command(
     from design.errors import DesignError
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
-    from hil.cli.design_answers import experiment_over_history, show_historical
+    from hil.cli.design_answers import experiment_over_history, measured_ways, network_document, show_historical
     from hil.cli.design_pages import SHAPES, show_can_id, show_trade_off, show_trigger
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
@@ -109,19 +119,19 @@ def command(
         check_page(path, force=force)  # now, and not after the work
     if can_id:
         _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
-        show_can_id(subject, path, as_json)
+        show_can_id(subject, path)
         return
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if trigger:
         mean = {"subject", "trigger", "gain_bound", "input_weight", "starts", "seed", "path", "force", "as_json"}
         _refuse_others(mean, "with --trigger, whose gains are H2 gains that use no ages: a silent node sends none")
-        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path, as_json)
+        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path)
         return
     experiment = experiment_over_history(subject)
     if experiment is not None:
         _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")
-        show_historical(experiment, orders, spread, as_json)
+        show_historical(experiment, orders, spread)
         return
     if orders or spread:
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
@@ -136,17 +146,15 @@ def command(
         "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
     }  # fmt: skip
     if trade_off:
-        show_trade_off(target, shape, path, as_json)
+        show_trade_off(target, shape, path)
         return
-    over = None
+    ways = None
     if network is not None:
-        from hil.cli.design_network import measured_network
-
         with Working(f"network of {network}"):
-            over = measured_network(network, target)
-        target = over.target
+            sc, ca, *_ = ways = measured_ways(network, target.period_s)
+        target = target._replace(sc=sc.chain(), ca=ca.chain())
     if local is not None:
-        _local(target, local, input_weight, noise, as_json)
+        _local(target, local, input_weight, noise)
         return
     if noise is not None:
         raise HilError("--noise: belongs to --local")
@@ -165,8 +173,8 @@ def command(
                 design, plant=target.plant, period_s=target.period_s, wall_s=wall_s, versions=package_versions()
             )
             document["verdict"] = verdict_on(target, design).to_json()
-            if over is not None:
-                document["network"] = over.document(design)
+            if ways is not None:
+                document["network"] = network_document(target, design, *ways)
             if intervals:
                 document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
                 document["robust"] = robust
@@ -178,13 +186,10 @@ def command(
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
-    if as_json:
-        print_json(document)
-    else:
-        _show(design, document)
+    answer(document, _show, design, document)
 
 
-def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None, as_json: bool) -> None:
+def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None) -> None:
     """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
     from design.requests.tracking import LocalDesigned
     from hil.cli.design_answers import design_local, show_local
@@ -196,7 +201,7 @@ def _local(target: TrackingTarget, method: str, input_weight: float | None, nois
     )  # fmt: skip
     with Working(f"{target.plant}, {method} without a network"):
         found = design_local(target, request)
-    show_local(found, as_json=as_json)
+    answer(found, show_local, found)
 
 
 def _check_row_sojourns(row_sojourns: int, information: str) -> None:
@@ -266,7 +271,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
             lines.append(("guaranteed H2 norm", f"{found['h2_norm']:.6g}", ""))
             lines.append(("guaranteed H-infinity", f"{found['hinf_norm']:.6g}", ""))
     if "network" in document:
-        from hil.cli.design_network import network_lines
+        from hil.cli.design_answers import network_lines
 
         lines += network_lines(document["network"])
     if "file" in document:

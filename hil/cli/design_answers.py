@@ -1,4 +1,4 @@
-"""What `hil design` answers beside gains that are solved: over historical data, and without a network."""
+"""What `hil design` answers beside gains that are solved: over historical data, without a network, over a measured one."""
 
 from __future__ import annotations
 
@@ -11,12 +11,16 @@ from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_linear_law
-from hil.cli.terminal import Working, print_facts, print_json
+from hil.cli.terminal import Working, answer, print_facts
 from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
 from hil.errors import HilError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from design.controllers.sensor_nodes import Uses
+    from design.tracking.synthesis import Design
+    from hil.design_questions.measured_network import Measured
     from hil.experiment import Experiment
 
 
@@ -43,7 +47,7 @@ def experiment_over_history(subject: str) -> Experiment | None:
     return experiment if len(rig_of(experiment).sensors) > 1 or isinstance(experiment.controller, OverHistory) else None
 
 
-def show_historical(experiment: Experiment, orders: bool, spread: bool, as_json: bool) -> None:
+def show_historical(experiment: Experiment, orders: bool, spread: bool) -> None:
     """Print what gains over historical data cost."""
     from hil.compose.loop import compose
     from hil.design_questions.historical_bounds import judge_historical
@@ -53,11 +57,7 @@ def show_historical(experiment: Experiment, orders: bool, spread: bool, as_json:
             found = judge_historical(compose(experiment), orders=orders, spread=spread)
     except ValueError as error:
         raise HilError(f"{experiment.name}: {error}") from error
-    if as_json:
-        print_json(found)
-        return
-    for line in historical_lines(found):
-        print(line)
+    answer(found, lambda: print(*historical_lines(found), sep="\n"))
 
 
 def historical_lines(found: dict[str, Any]) -> list[str]:
@@ -117,11 +117,8 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
     }
 
 
-def show_local(document: dict[str, Any], *, as_json: bool) -> None:
+def show_local(document: dict[str, Any]) -> None:
     """Print a local design."""
-    if as_json:
-        print_json(document)
-        return
     alone, verdict = document["without_network"], document["verdict"]
     click.echo(f"{document['plant']}, {document['local']} by python-control, period {document['period_s']:g} s")
     print_facts((
@@ -131,3 +128,56 @@ def show_local(document: dict[str, Any], *, as_json: bool) -> None:
         ("over the network", verdict["state"], verdict["reason"]),
         ("in an experiment", "", f'[controller] kind = "local-designed", method = "{document["local"]}"'),
     ))  # fmt: skip
+
+
+DEADLINE = 0.6
+"""Share of a slot within which a packet must come, as in an experiment that says nothing else."""
+
+
+def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tuple[str, ...]]:
+    """Return both directions of a measured link, the law of each fitted to its packets, and what was done about clocks.
+
+    It is what ``hil design PLANT --network LOG`` designs for. Fitting alone loads scipy.stats, half a second of CPU.
+
+    Args:
+        path: a log of `hil probe`, or of a run.
+        period_s: length of a slot, s.
+
+    Raises:
+        HilError: the log has one direction, or a direction that no law explains.
+    """
+    from hil.design_questions.measured_network import measured
+    from hil.log.recordings.read import read_recording
+    from hil.log.recordings.recording import BACK, THERE, packet_records
+    from transport.law_fit.law_fit import fit_law
+
+    records, notes = packet_records(read_recording([path]))
+    if THERE not in records or BACK not in records:
+        said = f"holds {' and '.join(records)}; a design needs both directions, as `hil probe` measures them"
+        raise HilError(f"--network {path}: {said}")
+    found = {}
+    for way, record in records.items():
+        try:
+            found[way] = measured(fit_law(record, period_s, DEADLINE * period_s), holds_input=way == BACK)
+        except HilError as error:
+            raise HilError(f"--network {path}: {way}: {error}") from error
+    return found[THERE], found[BACK], notes
+
+
+def network_document(
+    target: TrackingTarget, design: Design, sc: Measured, ca: Measured, notes: tuple[str, ...]
+) -> dict[str, Any]:
+    """Return the laws of a measured network, and the verdict over all that the measurement leaves possible, as plain values."""
+    from hil.design_questions.measured_network import region_verdict
+
+    ways = {
+        name: {"class": way.fit.law_class, "packets": len(way.fit.record.sent_s), "law": way.fit.spec, "max_age": way.at.max_age}
+        for name, way in (("sc", sc), ("ca", ca))
+    }
+    return {**ways, "notes": list(notes), "region": region_verdict(target, design, sc, ca).to_json()}
+
+
+def network_lines(said: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Return what a document says of the measured network, line by line: name, value, remark."""
+    lines = [(f"network, {way}", said[way]["class"], f"{said[way]['packets']} packets") for way in ("sc", "ca")]
+    return [*lines, ("over all it leaves", said["region"]["state"], said["region"]["reason"])]

@@ -27,12 +27,12 @@ SHAPES = frozenset({
 """Options that mean something with ``--trade-off``."""
 
 
-def show_can_id(subject: str, path: Path | None, as_json: bool) -> None:
+def show_can_id(subject: str, path: Path | None) -> None:
     """Run an experiment with its packets in every place: what the loop's place on its CAN bus costs, and which to take.
 
     Args:
         subject: an experiment.
-        path, as_json: as of `hil.cli.page_text.show_page`.
+        path: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no CAN bus with time, recorded traffic, or a file that cannot be written.
@@ -53,7 +53,7 @@ def show_can_id(subject: str, path: Path | None, as_json: bool) -> None:
         "experiment": experiment.name, "duration_s": seconds, "places": [_plain(each) for each in judged],
         "recommended": None if free is None else _plain(free), "with_others_moved": None if best is None else _plain(best),
     }  # fmt: skip
-    show_page(can_priority_page(experiment.name, seconds, judged, free, best), document, path, as_json)
+    show_page(can_priority_page(experiment.name, seconds, judged, free, best), document, path)
 
 
 def _judge(place: Place) -> Judged:
@@ -93,13 +93,13 @@ def _plain(each: Judged) -> dict[str, object]:
     }  # fmt: skip
 
 
-def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path | None, as_json: bool) -> None:
+def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path | None) -> None:
     """Solve the designs of a curve: what a smaller H-infinity norm costs in the H2 norm.
 
     Args:
         target: plant and network.
         options: of the problem.
-        path, as_json: as of `hil.cli.page_text.show_page`.
+        path: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no gains meet the request, or a file that cannot be written.
@@ -117,10 +117,10 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
         "plant": target.plant, "period_s": target.period_s, "information": options["information"],
         "designs": [each.to_json() for each in found],
     }  # fmt: skip
-    show_page(norm_trade_off_page(target.plant, found), document, path, as_json)
+    show_page(norm_trade_off_page(target.plant, found), document, path)
 
 
-def show_trigger(subject: str, input_weight: float | None, options: dict[str, Any], path: Path | None, as_json: bool) -> None:
+def show_trigger(subject: str, input_weight: float | None, options: dict[str, Any], path: Path | None) -> None:
     """Design gains for every threshold of an event trigger, judge and run them: cost against packets.
 
     After Ctrl-C what was found until then is printed and written, with what is open; the exit status is 130.
@@ -129,7 +129,7 @@ def show_trigger(subject: str, input_weight: float | None, options: dict[str, An
         subject: an experiment.
         input_weight: weight R of every input; None: the default.
         options: of the problem.
-        path, as_json: as of `hil.cli.page_text.show_page`.
+        path: as of `hil.cli.page_text.show_page`.
 
     Raises:
         HilError: no gains meet the request, an experiment that has no such question, or a file that cannot be written.
@@ -168,7 +168,7 @@ def show_trigger(subject: str, input_weight: float | None, options: dict[str, An
         "interrupted": status != 0, "points": [each.to_json() | {"on_front": each in best} for each in points],
         "undecided": [each._asdict() for each in open_points],
     }  # fmt: skip
-    show_page(trigger_page(subject, asked.kind, points, best, open_points), document, path, as_json)
+    show_page(trigger_page(subject, asked.kind, points, best, open_points), document, path)
     if status:
         print(f"hil: design interrupted after {len(points)} of {len(plan)} points", file=sys.stderr)
         sys.exit(status)

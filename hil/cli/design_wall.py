@@ -12,7 +12,7 @@ import click
 
 from hil.cli.option_types import Duration, NumberList, Ratio
 from hil.cli.page_text import show_page
-from hil.cli.terminal import Working, json_option, print_facts, print_json
+from hil.cli.terminal import Working, answer, json_option, print_facts
 from hil.errors import HilError
 
 HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in integer arithmetic (Sturm)"
@@ -35,7 +35,7 @@ VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, ov
 def command(
     period: float, delay: tuple[float, ...], hand: float, damping: float | None, stiffness: float | None, taps: int | None,
     varying: bool, weight: tuple[tuple[float, ...], tuple[float, ...]] | None, path: Path | None, header: Path | None,
-    force: bool, as_json: bool,
+    force: bool,
 ) -> None:  # fmt: skip
     """Design the stiffest coupler that is safe for every passive hand at every delay of a set.
 
@@ -62,8 +62,10 @@ def command(
                 delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness, varying=varying,
                 weight=asked,
             )  # fmt: skip
-            plain = found if asked is None else stiffest_coupler(
-                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying
+            plain = (
+                found
+                if asked is None
+                else stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying)
             )
     except FieldError as error:
         raise HilError(f"--weight: {error}") from error
@@ -92,23 +94,21 @@ def command(
         write_output(path, text)
     if header is not None:
         write_output(header, coupler_header(found))
-    if as_json:
-        print_json(document)
-        return
     weighed: tuple[tuple[str, str, str], ...] = ()
     if asked is not None:
         largest, before = (f"{asked.peak(each.coupler):.6g}" for each in (found, plain))
         weighed = (("weight", f"largest |W C| {largest} m/N, {before} of the stiffest", ""),)
     moves = ", varying" if varying else ""
     compliance = found.coupler.static_compliance_m_per_n
-    print_facts((
+    facts = (
         ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling", ""),
         ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays", ""),
         ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples{moves}, any passive hand, "
                       f"{beta:g} N s/m of damping", ""),
         *weighed,
         ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n), ""),
-    ))  # fmt: skip
+    )  # fmt: skip
+    answer(document, print_facts, facts)
 
 
 @click.command()
@@ -122,7 +122,7 @@ def command(
 @json_option()
 def stiffness_map(
     period: tuple[float, ...], delay: tuple[float, ...], hand: tuple[float, ...], lever: float, table: Path | None,
-    output: Path | None, force: bool, as_json: bool,
+    output: Path | None, force: bool,
 ) -> None:  # fmt: skip
     """Show the stiffest wall that is safe for every passive hand: certified, beside its ceiling and what the field quotes.
 
@@ -154,4 +154,4 @@ def stiffness_map(
             writer.writerow({**asdict(cell), "taps_m_per_n": " ".join(map(repr, cell.taps_m_per_n))})
         write_output(table, text.getvalue())
     document = {"device": device, "cells": [asdict(cell) for cell in cells]}
-    show_page(stiffness_page(cells, **device), document, output, as_json)
+    show_page(stiffness_page(cells, **device), document, output)

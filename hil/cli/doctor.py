@@ -13,18 +13,16 @@ import shutil
 import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from shutil import get_terminal_size
-from textwrap import TextWrapper
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 import numpy as np
 from threadpoolctl import threadpool_info
 
-from hil.cli.terminal import json_option, print_json, visible
+from hil.cli.terminal import answer, json_option, print_folded
 from hil.log.write.provenance import loop_form
 from hil.plugins.user_modules import REMEDY, shadows
 from hil.runtime.real.machine import processor
@@ -145,8 +143,11 @@ def _clock() -> Check:
     late.sort()
     source = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
     name = source.read_text().strip() if source.exists() else "unknown"
-    return "clock", late[10] < 1000, f"{name}; a 2 ms sleep ends {late[10]:.0f} us late (median), {late[-1]:.0f} us at worst", (
-        "" if late[10] < 1000 else "the machine is busy or virtual: use longer periods, or virtual time"
+    return (
+        "clock",
+        late[10] < 1000,
+        f"{name}; a 2 ms sleep ends {late[10]:.0f} us late (median), {late[-1]:.0f} us at worst",
+        ("" if late[10] < 1000 else "the machine is busy or virtual: use longer periods, or virtual time"),
     )
 
 
@@ -173,7 +174,6 @@ def _packages() -> Check:
 
 
 def _machine() -> tuple[bool, str, str]:
-
     return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
 
 
@@ -222,7 +222,7 @@ def _tool(program: str, package: str, why: str) -> Check:
 @click.command()
 @click.option("--link", metavar="URI", help="Say from whom a rig on this link accepts commands.")
 @json_option("Print one JSON list.")
-def command(link: str | None, as_json: bool) -> None:
+def command(link: str | None) -> None:
     """Check CAN, zenoh, scheduler, clock and packages. A missing part limits some real-time runs, but no run in virtual time."""
 
     there = importlib.util.find_spec("zenoh") is not None
@@ -234,30 +234,11 @@ def command(link: str | None, as_json: bool) -> None:
               _ours("kind of machine", _machine), _loop(),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
-    if as_json:
-        print_json([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks])
-        return
-    columns = get_terminal_size().columns
-    for check in checks:
-        print(lines_of(check, columns))
+    answer([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], show, checks)
 
 
-def lines_of(check: Check, columns: int) -> str:
-    r"""Return what stands on a terminal of so many columns for a check.
-
-    >>> print(lines_of(("cc", False, "absent", "apt-get install gcc (hil bench links has its floor in C)"), 40))
-    missing  cc: absent
-             remedy: apt-get install gcc
-             (hil bench links has its floor
-             in C)
-    """
-    what, fine, finding, remedy = check
-    lines = [_wrapped(f"{'ok     ' if fine else 'missing'}  ", f"{what}: {finding}", columns)]
-    lines += [_wrapped(BELOW, f"remedy: {remedy}", columns)] if remedy else []
-    return "\n".join(lines)
-
-
-def _wrapped(begin: str, text: str, columns: int) -> str:
-    """Return a line that goes on below itself; no word is cut, so that a path is copied whole."""
-    wrapper = TextWrapper(columns, initial_indent=begin, subsequent_indent=BELOW, break_long_words=False, break_on_hyphens=False)
-    return wrapper.fill(visible(text))
+def show(checks: Sequence[Check]) -> None:
+    """Print a line for each check, and one for its remedy; what a terminal has no room for goes on below itself."""
+    for what, fine, finding, remedy in checks:
+        print_folded(f"{'ok     ' if fine else 'missing'}  {what}: {finding}", BELOW)
+        print_folded(f"{BELOW}remedy: {remedy}" if remedy else "", BELOW)

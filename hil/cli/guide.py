@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from hil.cli.terminal import Line, console, json_option, print_folded, print_json, print_lines
+from hil.cli.terminal import Line, answer, console, json_option, print_folded, print_lines
 from hil.errors import HilError, nearest
 
 ORDER = (
@@ -77,12 +77,13 @@ def guide(topic: str | None) -> None:
 
 @click.command()
 @json_option()
-def licences(as_json: bool) -> None:
+def licences() -> None:
     """List every installed package with its version and licence; those that ask something of who passes them on come first."""
     rows = bill()
-    if as_json:
-        print_json({"packages": rows})
-        return
+    answer({"packages": rows}, _show_licences, rows)
+
+
+def _show_licences(rows: list[dict[str, Any]]) -> None:
     width = max(len(row["version"]) for row in rows)
     lines = []
     for row in sorted(rows, key=lambda row: (not row["copyleft"], row["name"])):

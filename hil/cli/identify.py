@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,7 @@ import click
 
 from hil.cli.laws import files_of
 from hil.cli.option_types import Duration, Questions
-from hil.cli.terminal import Working, json_option, print_facts, print_folded, print_json
+from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @json_option()
 def law(
     files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,
-    output: Path | None, page: Path | None, force: bool, as_json: bool,
+    output: Path | None, page: Path | None, force: bool,
 ) -> None:  # fmt: skip
     """Fit a network law to recorded packets: a log of hil probe or of a run (.mcap), a table (.csv), a capture of ping
     or of frames over zenoh (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
@@ -91,11 +92,7 @@ def law(
         from hil.pages.analyses import law_page
 
         write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}), replace=force)
-    if as_json:
-        print_json({way: {"law": fits[way].spec, "fit": said[way]} for way in fits})
-    else:
-        for way, fit in fits.items():
-            _show(way, fit, said[way], targets.get(way))
+    answer({way: {"law": fits[way].spec, "fit": said[way]} for way in fits}, _show_fits, fits, said, targets)
     if len(found) < len(fits):
         raise SystemExit(NONE)
 
@@ -106,6 +103,11 @@ def _shares(fit: LawFit) -> list[float]:
 
     shares = analyse_law(parse_table("hil.laws", fit.spec, "law"), fit.period_s, fit.deadline_s).age_shares
     return [float(share) for share in shares]
+
+
+def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets: dict[str, Path]) -> None:
+    for way, fit in fits.items():
+        _show(way, fit, said[way], targets.get(way))
 
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
@@ -155,7 +157,7 @@ command.add_command(law)
 @click.option("--input", "u_name", metavar="NAME", help="Signal that drives the axis [the plant's].")
 @click.option("--measured", "y_name", metavar="NAME", help="Signal that is measured [the plant's].")
 @json_option()
-def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None, as_json: bool) -> None:
+def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.
 
     All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise: the intervals are then too narrow.
@@ -180,10 +182,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
     except DesignError as error:
         raise HilError(f"identify: {error}") from error
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
-    if as_json:
-        print_json(said)
-    else:
-        _print(said)
+    answer(said, _print, said)
     if fit.residuals.verdict == "correlated":
         raise SystemExit(1)
 
@@ -247,7 +246,7 @@ def _print(said: dict[str, Any]) -> None:
 @click.option("--fault", default="fault_mode", show_default=True, metavar="NAME", help="State that is the true mode.")
 @click.option("--detected", default="detected_mode", show_default=True, metavar="NAME", help="State that is the detected mode.")
 @json_option()
-def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected: str, as_json: bool) -> None:
+def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected: str) -> None:
     """Estimate the rates of a fault and of its detection (4.2) from one or more LOGs of a plant that logs both modes.
 
     Jumps are counted over the time in which they could come, apart for every true mode; intervals are at 95 %.
@@ -264,9 +263,11 @@ def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected
         found = jump_rates([record for record, _ in read], edges, restarts=read[0][1])
     except DesignError as error:
         raise HilError(f"identify: {error}") from error
-    if as_json:
-        print_json({"logs": [str(path) for path in logs], "rates": [_plain_rate(each) for each in found]})
-        return
+    rates = [each._asdict() | {"before_s": each.before_s if isfinite(each.before_s) else None} for each in found]
+    answer({"logs": [str(path) for path in logs], "rates": rates}, _show_rates, found)
+
+
+def _show_rates(found: Sequence[JumpRate]) -> None:
     for each in found:
         what = "fault" if each.fault is None else f"detected, fault {each.fault}"
         until = f"{each.before_s:g}" if isfinite(each.before_s) else "..."
@@ -274,7 +275,3 @@ def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected
             f"{what:>18}  {each.source} -> {each.to}  h {each.after_s:g} to {until} s: {each.rate:.4g} 1/s, "
             f"95 %: {each.low:.4g} to {each.high:.4g} ({each.jumps} jumps in {each.exposure_s:.4g} s)"
         )
-
-
-def _plain_rate(each: JumpRate) -> dict[str, Any]:
-    return each._asdict() | {"before_s": each.before_s if isfinite(each.before_s) else None}

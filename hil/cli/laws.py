@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import msgspec
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, visible
+from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, visible, wants_json
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -33,11 +34,11 @@ NEGLIGIBLE = 1e-6
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
 def command(
-    experiment: str, sets: tuple[str, ...], from_bus: bool, output: Path | None, force: bool, as_json: bool
+    experiment: str, sets: tuple[str, ...], from_bus: bool, output: Path | None, force: bool
 ) -> None:  # fmt: skip
     """Show stationary law, mean bursts, ages and losses of EXPERIMENT's network: of every sensor node, and to the actuator."""
     if from_bus:
-        _from_bus(experiment, sets, output, force, as_json)
+        _from_bus(experiment, sets, output, force)
         return
     if output is not None or force:
         raise HilError("-o: belongs to --from-bus; hil show prints an experiment with its laws")
@@ -51,96 +52,28 @@ def command(
     period_s = float(checked.period)
     deadline_s = checked.timing.deadline * period_s
     rig = rig_of(checked)
-    networks = {sensor.name: (sensor.law, sensor.law_kind) for sensor in rig.sensors}
+    if not wants_json():
+        way = "sensor to controller (sc)"
+        for node in rig.sensors:
+            found = analyse_law(node.law, period_s, deadline_s, node.law_kind)
+            _print(checked.name, period_s, way if len(rig.sensors) == 1 else f"node {node.name}, {way}", found)
+        found = analyse_law(rig.ca_law, period_s, deadline_s, rig.ca_kind)
+        _print(checked.name, period_s, "controller to actuator (ca)", found)
+        return
 
     def analysed(law: NetworkLaw, kind: str) -> dict[str, Any]:
         matrix = mode_transitions(law)
-        found: dict[str, Any] = _json(asdict(analyse_law(law, period_s, deadline_s, kind)))
+        found = _json(analyse_law(law, period_s, deadline_s, kind))
         return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
-    if as_json:
-        shared = checked.network.sc.law
-        laws = {"sc": analysed(shared, checked.kinds.get("network.sc.law", "?")), "ca": analysed(rig.ca_law, rig.ca_kind)}
-        nodes = {name: laws["sc"] if law is shared else analysed(law, kind) for name, (law, kind) in networks.items()}
-        said = {"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes}
-        print_json(said)
-        return
-    way = "sensor to controller (sc)"
-    titled = {way if len(rig.sensors) == 1 else f"node {name}, {way}": both for name, both in networks.items()}
-    titled["controller to actuator (ca)"] = rig.ca_law, rig.ca_kind
-    every = {title: analyse_law(law, period_s, deadline_s, kind) for title, (law, kind) in titled.items()}
-    _print(checked.name, period_s, every)
+    shared = checked.network.sc.law
+    laws = {"sc": analysed(shared, checked.kinds.get("network.sc.law", "?")), "ca": analysed(rig.ca_law, rig.ca_kind)}
+    nodes = {node.name: laws["sc"] if node.law is shared else analysed(node.law, node.law_kind) for node in rig.sensors}
+    print_json({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes})
 
 
-def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool, as_json: bool) -> None:
-    from transport.law_tests.analysis import analyse_law
-
-    named, period_s, deadline_s, laws = laws_of_bus(name, sets, output, force)
-    shown = {way: analyse_law(law, period_s, deadline_s, found.spec["kind"]) for way, (found, law) in laws.items()}
-    if as_json:
-        said = {way: _json(asdict(found)) | {"analysis": _json(asdict(shown[way]))} for way, (found, _) in laws.items()}
-        print_json({"experiment": named, "period_s": period_s, "laws": said})
-        return
-    for way, (found, _) in laws.items():
-        title = {"sc": "over the bus to the controller (sc)", "ca": "over the bus to the actuator (ca)"}[way]
-        _print(named, period_s, {title: shown[way]}, (found.how, bound_said(found)))
-    if output is not None:
-        for way, path in files_of(output, laws).items():
-            print(f"written: {visible(path)}; in an experiment: {way}.law = {{ file = \"{visible(path)}\" }}")
-
-
-def _print(name: str, period_s: float, networks: Mapping[str, LawAnalysis], notes: Sequence[str] = ()) -> None:
-    from hil.pages.html.figures import Table
-
-    for title, law in networks.items():
-        click.echo(f"{click.style(visible(name), bold=True)}, {visible(title)}: {law.kind} law, T = {period_s * 1e3:g} ms")
-        if len(law.stationary) > 1:  # one mode lasts for ever
-            ages: Sequence[int | str] = law.mode_ages or ("-",) * len(law.stationary)
-            rows = [
-                (mode, age, f"{share:.4f}", f"{burst:.4g}", f"{burst * period_s:.4g}")
-                for mode, (age, share, burst) in enumerate(zip(ages, law.stationary, law.mean_bursts))
-            ]
-            print_table(Table(columns=("mode", "age", "share of slots", "mean burst (slots)", "mean burst (s)"), rows=rows))
-        shares = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
-        if len(law.age_shares) > 10:
-            shares += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
-        for note in notes:
-            print_folded(note)
-        sampled = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
-        above = "above " if law.older > NEGLIGIBLE else ""
-        lines = [
-            Line("age of the newest packet", f"{shares or 'nothing ever arrives'}{sampled}"),
-            Line("mean age", f"{above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms"),
-        ]
-        if not math.isnan(law.mean_latency_s):
-            lines.append(Line("mean latency", f"{law.mean_latency_s * 1e3:.4g} ms"))
-        full = f", {law.overflow:.4g} at the full queue{sampled}" if law.overflow else ""
-        lines.append(Line("lost", f"{law.loss_probability:.4g} of the packets{full}"))
-        if not math.isnan(law.unused):
-            lines.append(Line("never used", f"{law.unused:.4g} of the packets"))
-        print_lines(lines)
-        print()
-
-
-def _json(value: Any) -> Any:
-    """JSON has neither infinity nor NaN: both become null."""
-    if isinstance(value, dict):
-        return {key: _json(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_json(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def laws_of_bus(
-    name: str, sets: tuple[str, ...], output: Path | None, force: bool
-) -> tuple[str, float, float, dict[str, tuple[BusLaw, NetworkLaw]]]:  # fmt: skip
-    """Return an experiment's name, its period and deadline in s, and the law of each way over its bus; write their files.
-
-    Args:
-        name: of the experiment.
-        sets: changes of its fields.
-        output: file; of two ways law.toml becomes law.sc.toml and law.ca.toml. None: none is written.
-        force: replace files that are there.
+def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool) -> None:
+    """Show the law of each way over an experiment's bus, and write their files.
 
     Raises:
         HilError: no such bus, too few packets, or a file that cannot be written.
@@ -152,14 +85,12 @@ def laws_of_bus(
     from hil.files.outputs import check_output, write_output
     from hil.rig.can_bus import can_bus_of
     from hil.runtime.virtual import simulate
+    from transport.law_tests.analysis import analyse_law
 
     experiment = load_experiment(name, sets)
     loop = compose(experiment, certify=False)
     bus = can_bus_of(loop.rig)
-    files: dict[str, Path] = {}
-    if output is not None and bus is not None:
-        ways = ("sc", "ca") if bus.table.control else ("sc",)
-        files = files_of(output, ways)
+    files = {} if output is None or bus is None else files_of(output, ("sc", "ca") if bus.table.control else ("sc",))
     for path in files.values():
         check_output(path, fresh=not force, remedy="choose another name or add --force")
     found = exact_laws(loop)
@@ -167,11 +98,61 @@ def laws_of_bus(
         loop = compose(to_estimate_from(experiment), certify=False)
         with Working(f"run of {experiment.name}"):
             found = estimated_laws(loop, simulate(loop, experiment.seed).arrays)
-    laws: dict[str, Any] = {way: (law, parse_table("hil.laws", law.spec, "law")) for way, law in found.items()}
     for way, path in files.items():
         write_output(path, found[way].text, replace=force)
     period_s = float(experiment.period)
-    return experiment.name, period_s, experiment.timing.deadline * period_s, laws
+    deadline_s = experiment.timing.deadline * period_s
+    shown = {
+        way: analyse_law(parse_table("hil.laws", law.spec, "law"), period_s, deadline_s, law.spec["kind"])
+        for way, law in found.items()
+    }
+    if wants_json():
+        said = {way: _json(law) | {"analysis": _json(shown[way])} for way, law in found.items()}
+        print_json({"experiment": experiment.name, "period_s": period_s, "laws": said})
+        return
+    for way, law in found.items():
+        title = {"sc": "over the bus to the controller (sc)", "ca": "over the bus to the actuator (ca)"}[way]
+        _print(experiment.name, period_s, title, shown[way], (law.how, bound_said(law)))
+    for way, path in files.items():
+        print(f'written: {visible(path)}; in an experiment: {way}.law = {{ file = "{visible(path)}" }}')
+
+
+def _print(name: str, period_s: float, title: str, law: LawAnalysis, notes: Sequence[str] = ()) -> None:
+    from hil.pages.html.figures import Table
+
+    click.echo(f"{click.style(visible(name), bold=True)}, {visible(title)}: {law.kind} law, T = {period_s * 1e3:g} ms")
+    if len(law.stationary) > 1:  # one mode lasts for ever
+        ages: Sequence[int | str] = law.mode_ages or ("-",) * len(law.stationary)
+        rows = [
+            (mode, age, f"{share:.4f}", f"{burst:.4g}", f"{burst * period_s:.4g}")
+            for mode, (age, share, burst) in enumerate(zip(ages, law.stationary, law.mean_bursts))
+        ]
+        print_table(Table(columns=("mode", "age", "share of slots", "mean burst (slots)", "mean burst (s)"), rows=rows))
+    shares = ", ".join(f"{age}: {share:.4f}" for age, share in enumerate(law.age_shares[:10]))
+    if len(law.age_shares) > 10:
+        shares += f", older: {max(0.0, 1.0 - sum(law.age_shares[:10])):.2g}"
+    for note in notes:
+        print_folded(note)
+    sampled = "" if law.age_method == "exact" else " (from 50,000 simulated slots)"
+    above = "above " if law.older > NEGLIGIBLE else ""
+    lines = [
+        Line("age of the newest packet", f"{shares or 'nothing ever arrives'}{sampled}"),
+        Line("mean age", f"{above}{law.mean_age:.4g} slots = {law.mean_age * period_s * 1e3:.4g} ms"),
+    ]
+    if not math.isnan(law.mean_latency_s):
+        lines.append(Line("mean latency", f"{law.mean_latency_s * 1e3:.4g} ms"))
+    full = f", {law.overflow:.4g} at the full queue{sampled}" if law.overflow else ""
+    lines.append(Line("lost", f"{law.loss_probability:.4g} of the packets{full}"))
+    if not math.isnan(law.unused):
+        lines.append(Line("never used", f"{law.unused:.4g} of the packets"))
+    print_lines(lines)
+    print()
+
+
+def _json(found: object) -> dict[str, Any]:
+    """Return a dataclass as JSON has it: neither infinity nor NaN, both become null."""
+    plain: dict[str, Any] = json.loads(msgspec.json.encode(found, enc_hook=float))  # which is asked for numpy's numbers
+    return plain
 
 
 def files_of(output: Path, ways: Collection[str]) -> dict[str, Path]:

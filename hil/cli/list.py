@@ -1,13 +1,18 @@
-"""``hil list``: experiments that come with the package, every plug-in that is installed, and the keys of one."""
+"""``hil list``, ``hil show``, ``hil schema``, ``hil solve``: experiments and plug-ins, those that come with the package first.
+
+What is installed, and the keys of one of it; the file of an experiment, its schema, and the gains that stand beside it.
+"""
 
 from __future__ import annotations
 
+import json
 import textwrap
 from typing import Any, Final
 
 import click
 
-from hil.cli.terminal import Line, json_option, print_json, print_lines, terminal_columns, visible
+from hil.cli.completion import EXPERIMENT
+from hil.cli.terminal import Line, Working, answer, json_option, print_json, print_lines, terminal_columns, visible, wants_json
 from hil.errors import HilError
 
 LONGEST_DEFAULT: Final = 40
@@ -39,21 +44,21 @@ class Group(click.Choice[str]):
 @click.argument("group", type=Group(GROUPS), required=False)
 @click.argument("kind", required=False, shell_complete=_kinds)
 @json_option()
-def command(group: str | None, kind: str | None, as_json: bool) -> None:
+def command(group: str | None, kind: str | None) -> None:
     """List the shipped experiments and the installed plug-ins.
 
     With GROUP only those, with what each of them is; with KIND also the keys of its table, their types, defaults and meaning:
     hil list controllers designed.
     """
     if group is None:
-        _all(as_json)
+        _all()
     elif kind is None:
-        _group(group, as_json)
+        _group(group)
     else:
-        _kind(group, kind, as_json)
+        _kind(group, kind)
 
 
-def _all(as_json: bool) -> None:
+def _all() -> None:
     import tomllib
 
     from hil.experiment import shipped
@@ -67,9 +72,12 @@ def _all(as_json: bool) -> None:
         group: {name: registry.provider(f"hil.{group}", name) for name in registry.names(f"hil.{group}")}  # type: ignore[arg-type]
         for group in GROUPS
     }
-    if as_json:
-        print_json({"experiments": experiments, "plants": of, "first": FIRST, "plugins": plugins})
-        return
+    answer({"experiments": experiments, "plants": of, "first": FIRST, "plugins": plugins}, _show_all, experiments, of, plugins)
+
+
+def _show_all(experiments: dict[str, str], of: dict[str, str], plugins: dict[str, dict[str, str]]) -> None:
+    from hil.experiment.load import FIRST
+
     print(f"to begin with: hil run {FIRST}; hil show {FIRST} prints its file\n")
     for plant in dict.fromkeys([of[FIRST], *of.values()]):
         print(f"experiments with the plant {visible(plant)}")
@@ -94,7 +102,7 @@ def one_line(text: str, width: int) -> str:
     return textwrap.shorten(text, max(width, 20), placeholder=" ...")
 
 
-def _group(group: str, as_json: bool) -> None:
+def _group(group: str) -> None:
     from hil.plugins import registry
     from hil.plugins.fields import about
 
@@ -104,20 +112,21 @@ def _group(group: str, as_json: bool) -> None:
             found[name] = " ".join(about(f"hil.{group}", name).split("\n\n")[0].split())  # type: ignore[arg-type]
         except HilError as error:  # a user's plug-in that cannot be imported
             found[name] = str(error)
-    if as_json:
-        print_json(found)
-        return
+    answer(found, _show_group, group, found)
+
+
+def _show_group(group: str, found: dict[str, str]) -> None:
     print_lines([Line(f"  {name}", text) for name, text in found.items()])
     print(f"hil list {group} KIND shows its keys")
 
 
-def _kind(group: str, kind: str, as_json: bool) -> None:
+def _kind(group: str, kind: str) -> None:
     from hil.plugins import registry
     from hil.plugins.fields import about, fields_of
 
     cls = registry.load(f"hil.{group}", kind)  # type: ignore[arg-type]
     said, fields = about(f"hil.{group}", kind), fields_of(cls)  # type: ignore[arg-type]
-    if as_json:
+    if wants_json():
         keys: dict[str, Any] = {f.name: {"type": f.type, "default": f.default or None, "meaning": f.meaning} for f in fields}
         print_json({"group": group, "kind": kind, "about": said, "keys": keys})
         return
@@ -132,7 +141,6 @@ def _kind(group: str, kind: str, as_json: bool) -> None:
 
 def _keys(cls: object, within: str) -> None:
     """Print the keys of a table, those of a table inside it behind its own, as paths."""
-    from hil.cli.terminal import visible
     from hil.plugins.fields import fields_of, tables_of
 
     tables = tables_of(cls)
@@ -171,3 +179,52 @@ def _wrapped(lines: list[str], indent: str) -> None:
 
 def _columns() -> int:
     return max(terminal_columns(), 60)
+
+
+@click.command()
+@click.argument("experiment", type=EXPERIMENT)
+def show(experiment: str) -> None:
+    """Print the file of a shipped EXPERIMENT: hil show dc-motor-hinf > mine.toml"""
+    from hil.experiment.load import near_shipped, shipped
+
+    found = shipped()
+    if experiment not in found:
+        hint = near_shipped(experiment) or ";"
+        raise HilError(f"no shipped experiment {experiment!r:.80}{hint} `hil list` shows them")
+    print(found[experiment].read_text(encoding="utf-8"), end="")
+
+
+@click.command()
+def schema() -> None:
+    """Print the JSON Schema of experiment files (for editors: put its path in the file's `#:schema` line)."""
+    from hil.experiment.schema import experiment_schema
+
+    print(json.dumps(experiment_schema(), indent=2))
+
+
+@click.command()
+@click.argument("experiments", metavar="EXPERIMENT...", nargs=-1, required=True)
+def solve(experiments: tuple[str, ...]) -> None:
+    """Solve the gains of every EXPERIMENT and store them in gains/NAME.json beside its file.
+
+    What is solved differs from machine to machine in its last digits. With the file beside it an experiment has the same
+    bits on every machine. The file holds the digest of its problem: after a change of plant, network or request the
+    gains are solved where they run, the summary says so, and this command stores them anew.
+
+    Exit status 2 where an experiment asks for no design, or no gains meet its request.
+    """
+    from hil.compose.loop import solved_gains
+    from hil.compose.stored_gains import gains_file, gains_text
+    from hil.experiment import load_experiment
+    from hil.files.outputs import made_folder, write_output
+
+    for name in experiments:
+        experiment = load_experiment(name)
+        with Working(f"gains of {experiment.name}"):
+            found = solved_gains(experiment)
+        if found is None:
+            raise HilError(f"{name}: its gains are given; there is nothing to solve")
+        path = gains_file(experiment)
+        made_folder(path.parent)
+        write_output(path, gains_text(experiment, *found), replace=True)
+        print(f"{path}: gains of {experiment.name} ({found[0].kind})")

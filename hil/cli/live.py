@@ -11,7 +11,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import foxglove_beside, foxglove_option
-from hil.cli.terminal import Working, json_option, print_json
+from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 def command(
     experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
     speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
-    foxglove: int | None, as_json: bool,
+    foxglove: int | None,
 ) -> None:  # fmt: skip
     """Watch a run of EXPERIMENT in the browser, and change it there: reference, disturbance, network, controller, faults.
 
@@ -87,10 +87,7 @@ def command(
         experiment = load_experiment(experiments[0], sets, seed=seed, duration=duration)
         with foxglove_beside(scripted, foxglove) as onlooker:
             session = run_session(experiment, clock=clock, link=link, path=path(experiment), onlooker=onlooker)  # type: ignore[arg-type]
-        if as_json:
-            print_json(session.summary)
-        else:
-            show_summary(session.summary)
+        answer(session.summary, show_summary, session.summary)
         sys.exit(session.status)
 
     def load(name: str, again: int | None) -> Experiment:

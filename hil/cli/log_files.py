@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.terminal import Working, print_folded, visible
+from hil.cli.terminal import Working, print_each_folded, visible
 
 
 @click.command()
@@ -49,8 +49,7 @@ def recover(file: Path, output: Path | None) -> None:
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
     with Working(f"records of {file}"):
         found = recover(file, target).text
-    for line in found.splitlines():
-        print_folded(line, "  ")
+    print_each_folded(found.splitlines())
     print(f"written: {visible(target)}")
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hil.cli.terminal import NARROWEST, cell, console, print_folded, print_json, terminal_columns, visible
+from hil.cli.terminal import NARROWEST, answer, cell, console, print_folded, terminal_columns, visible
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -95,14 +95,13 @@ def print_page(page: Page) -> None:
                 print_folded(block.text)
 
 
-def show_page(page: Page, document: object, path: Path | None, as_json: bool) -> None:
+def show_page(page: Page, document: object, path: Path | None) -> None:
     """Write a page where a path is given; print it without its figures, or as JSON.
 
     Args:
         page: the answer.
         document: the same as JSON values.
         path: of the page; None: none is written.
-        as_json: print JSON.
 
     Raises:
         HilError: the file cannot be written.
@@ -111,7 +110,4 @@ def show_page(page: Page, document: object, path: Path | None, as_json: bool) ->
 
     if path is not None:
         write_output(path, page.html())
-    if as_json:
-        print_json(document)
-    else:
-        print_page(page)
+    answer(document, print_page, page)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
+from hil.cli.terminal import Working, answer, json_option, print_folded, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -47,7 +47,6 @@ def command(
     speed: float,
     folder: str | None,
     output: Path | None,
-    as_json: bool,
 ) -> None:
     """Replay the log FILE. Without an option: --verify.
 
@@ -86,26 +85,22 @@ def command(
     else:
         run = _signed(file, key)
     if controller is not None:
-        _what_if(run, file, folder, controller, sets, output, as_json)
+        _what_if(run, file, folder, controller, sets, output)
     elif onto is not None:
-        _onto(run, onto, speed, as_json)
+        _onto(run, onto, speed)
     elif process is not None:
-        _ask(run, file, process, as_json)
+        _ask(run, file, process)
     else:
-        _verify(run, file, folder, auth, as_json)
+        _verify(run, file, folder, auth)
 
 
-def _ask(run: Run, file: Path, uri: str, as_json: bool) -> None:
+def _ask(run: Run, file: Path, uri: str) -> None:
     from hil.session.replay.process import ask_process
 
     with Working(f"sensor packets to {uri}"):
         done = ask_process(run, uri, str(file))
-    if as_json:
-        print_json(asdict(done))
-    else:
-        for difference in done.differences:
-            print(visible(str(difference)))
-        print(f"{done.different} of {done.compared} answers differ")
+    lines = (*map(visible, done.differences), f"{done.different} of {done.compared} answers differ")
+    answer(asdict(done), lambda: print(*lines, sep="\n"))
     sys.exit(1 if done.different else 0)
 
 
@@ -125,7 +120,7 @@ def _signed(file: Path, key: Path) -> Run:
         return read_run(file, descriptor=log.fileno())
 
 
-def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json: bool) -> None:
+def _verify(run: Run, file: Path, folder: str | None, auth: Path | None) -> None:
     from hil.log.run import records_sha256
     from hil.session.replay.recorded import verify_tags
     from hil.session.replay.replay import changed_files, experiment_of, verify
@@ -137,30 +132,24 @@ def _verify(run: Run, file: Path, folder: str | None, auth: Path | None, as_json
         tags = None if auth is None else verify_tags(run, auth, str(file))
         verdict = verify(run, str(file), experiment)
         sha256 = records_sha256(run)
-    if as_json:
-        found = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference}
-        counts = {"answers": verdict.answers, "states": verdict.states}
-        verified = {} if tags is None else {"tags": asdict(tags)}
-        print_json({**found, **counts, **verified, "records_sha256": sha256})
-    else:
-        alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
-        print(alike if verdict.likeness != "different" else f"different: {verdict.difference}")
-        if verdict.likeness == "same within 1e-9":
-            print(f"first other bits: {verdict.difference}")
-        if tags is not None:
-            wrong = f"; {tags.wrong} have not the key's, the first in slot {tags.first}" if tags.wrong else ""
-            print(f"tags: {tags.verified} verified{wrong}")
-        print(f"records: SHA-256 {sha256}")
+    alike = f"{verdict.likeness}: {verdict.answers} control packets, {verdict.states} plant states"
+    lines = [alike if verdict.likeness != "different" else f"different: {verdict.difference}"]
+    if verdict.likeness == "same within 1e-9":
+        lines.append(f"first other bits: {verdict.difference}")
+    if tags is not None:
+        wrong = f"; {tags.wrong} have not the key's, the first in slot {tags.first}" if tags.wrong else ""
+        lines.append(f"tags: {tags.verified} verified{wrong}")
+    said = {"likeness": verdict.likeness, "identical": verdict.difference is None, "difference": verdict.difference,
+            "answers": verdict.answers, "states": verdict.states, **({} if tags is None else {"tags": asdict(tags)}),
+            "records_sha256": sha256}  # fmt: skip
+    answer(said, lambda: print(*lines, f"records: SHA-256 {sha256}", sep="\n"))
     sys.exit(1 if verdict.likeness == "different" or (tags is not None and tags.wrong) else 0)
 
 
-def _what_if(
-    run: Run, file: Path, folder: str | None, kind: str, sets: tuple[str, ...], output: Path | None, as_json: bool
-) -> None:
+def _what_if(run: Run, file: Path, folder: str | None, kind: str, sets: tuple[str, ...], output: Path | None) -> None:
     import numpy as np
 
     from hil.experiment import parse_plugin
-    from hil.log.topics import APPLIED
     from hil.session.replay.replay import experiment_of, what_if
 
     experiment = experiment_of(run, str(file), folder=folder)
@@ -179,9 +168,13 @@ def _what_if(
         }
     if output is not None:
         _write_series(output, series)
-    if as_json:
-        print_json({"controller": kind, "inputs": differences, "output": str(output) if output else None})
-        return
+    said = {"controller": kind, "inputs": differences, "output": str(output) if output else None}
+    answer(said, _show_differences, run, kind, differences, output)
+
+
+def _show_differences(run: Run, kind: str, differences: dict[str, dict[str, float]], output: Path | None) -> None:
+    from hil.log.topics import APPLIED
+
     units = {field.name: field.unit for field in run.schemas[APPLIED.name].fields}
     for name, d in differences.items():
         u = f" {units.get(name, '')}".rstrip()
@@ -205,13 +198,11 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
             np.savetxt(file, rows, delimiter=",", fmt="%.9g")
 
 
-def _onto(run: Run, uri: str, speed: float, as_json: bool) -> None:
+def _onto(run: Run, uri: str, speed: float) -> None:
     from hil.session.replay.replay import onto
 
     with Working(f"onto {uri}") as watch:
         done = onto(run, uri, speed, watch.counted)
-    if as_json:
-        print_json({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us})
-    else:
-        error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items() if value is not None)
-        print(f"{done.frames} frames on {uri} at {speed:g} times the recorded speed; own timing error in us: {error}")
+    error = ", ".join(f"{name} {value:.0f}" for name, value in done.error_us.items() if value is not None)
+    words = f"{done.frames} frames on {uri} at {speed:g} times the recorded speed; own timing error in us: {error}"
+    answer({"frames": done.frames, "speed": speed, "timing_error_us": done.error_us}, print, words)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.terminal import json_option, print_json, terminal_columns
+from hil.cli.terminal import json_option, print_json, terminal_columns, wants_json
 
 if TYPE_CHECKING:
     from hil.thesis import Checkpoint, Reproduction, Row, Step
@@ -30,12 +30,10 @@ WIDEST = 110
 @click.command()
 @click.argument("chapter")
 @json_option("Print one JSON object; for all, one per chapter by its name.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder."
-)
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder.")
 @click.option("--power", "with_power", is_flag=True, help="Say too how many rows a number that is 10 % off turns.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
-def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, force: bool) -> None:
+def command(chapter: str, output: Path | None, with_power: bool, force: bool) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
     The rule beside each row decides its verdict from its numbers, and says what kind of claim it is. With -o
@@ -50,6 +48,7 @@ def command(chapter: str, as_json: bool, output: Path | None, with_power: bool, 
 
     if chapter not in (*chapters(), ALL):
         raise click.UsageError(f"{chapter!r} is not one of {', '.join((*chapters(), ALL))}")
+    as_json = wants_json()
     names = chapters() if chapter == ALL else (chapter,)
     pages = _pages(chapter, names, output, force)  # now, and not after the work
     results = {}
@@ -168,9 +167,7 @@ class _Progress:
         self._bar.start()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
         self._bar.stop()
 
     def __call__(self, step: Step) -> None:

@@ -18,7 +18,7 @@ import click
 from design.signals_later import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, foxglove_beside, foxglove_option
-from hil.cli.terminal import json_option, print_json, visible
+from hil.cli.terminal import answer, json_option, visible, wants_json
 from hil.errors import HilError
 from hil.plugins.first_instants import collect_garbage_again
 
@@ -122,7 +122,6 @@ def command(
     external: bool,
     wait: float | None,
     require_valid_timing: bool,
-    as_json: bool,
     quiet: bool,
     live: bool,
     foxglove: int | None,
@@ -181,7 +180,7 @@ def command(
                 onlooker = views.enter_context(watched(clock, lambda url: click.echo(f"open {url}", err=True)))  # type: ignore[arg-type]
             if foxglove is not None:
                 onlooker = views.enter_context(foxglove_beside(onlooker, foxglove))
-            if not (as_json or quiet or sys.stderr is None or not sys.stderr.isatty()):
+            if not (wants_json() or quiet or sys.stderr is None or not sys.stderr.isatty()):
                 from hil.cli.live_view import LiveView
 
                 taps = views.enter_context(LiveView(checked, clock, link=uri)).taps
@@ -203,8 +202,5 @@ def command(
     status = session.status
     if status == 0 and require_valid_timing and not session.summary["timing"]["valid"]:
         status = 4
-    if as_json:
-        print_json(session.summary)
-    else:
-        show(session.summary)
+    answer(session.summary, show, session.summary)
     sys.exit(status)

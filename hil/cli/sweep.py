@@ -14,7 +14,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, json_option, print_folded, print_json, visible
+from hil.cli.terminal import Working, answer, json_option, print_folded, visible
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
@@ -62,7 +62,6 @@ def command(
     scheduler: str | None,
     jobs: int,
     sets: tuple[str, ...],
-    as_json: bool,
 ) -> None:
     """Run EXPERIMENT in virtual time for many seeds; print mean, spread and percentiles of its metrics.
 
@@ -100,7 +99,7 @@ def command(
         run_points(
             experiment, points_of(grids, ranges, points), sets=sets, runs=runs, first_seed=first_seed, resume=resume,
             workers=Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs),
-            page=output, table=table, force=force, as_json=as_json,
+            page=output, table=table, force=force,
         )  # fmt: skip
         return
     if output is not None:
@@ -143,9 +142,7 @@ def command(
         }
     if table is not None:
         write_output(table, csv_of(as_points(found)), replace=force)
-    _show(out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, as_json)
-    if table is not None and not as_json:
-        print(f"csv: {visible(table)}")
+    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, table)
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
@@ -204,17 +201,20 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         raise HilError(f"--until: {e}") from e
 
 
-def _show(out: dict[str, Any], titles: dict[str, str], as_json: bool) -> None:
+def _show(out: dict[str, Any], titles: dict[str, str], table: Path | None) -> None:
+    print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
+    if out["runs"]:
+        _show_metrics(out, titles)
+    else:
+        print("no run ended, so there is nothing to show")
+    if table is not None:
+        print(f"csv: {visible(table)}")
+
+
+def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
     from hil.pages.html.figures import Table
     from hil.sweeps.shown import in_no_run
 
-    if as_json:
-        print_json(out)
-        return
-    print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
-    if not out["runs"]:
-        print("no run ended, so there is nothing to show")
-        return
     print_folded(out["caution"] or "")
     rows: list[tuple[Any, ...]] = []
     none: list[str] = []

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, print_folded, print_json, visible
+from hil.cli.terminal import Working, answer, print_folded, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ def run_points(
     page: Path | None,
     table: Path | None,
     force: bool,
-    as_json: bool,
 ) -> None:
     """Run an experiment at many points; print a table, and write a page and a CSV file where asked to.
 
@@ -48,7 +47,6 @@ def run_points(
         page: HTML page to write.
         table: CSV file to write, a row per run.
         force: replace a table that is there.
-        as_json: print one JSON object instead of a table.
 
     Raises:
         HilError: if a point is no valid experiment, or a file cannot be written.
@@ -93,10 +91,7 @@ def run_points(
             for number, columns in enumerate(found.columns)
         ],
     }
-    if as_json:
-        print_json(out)
-    else:
-        _show(out, found, page, table)
+    answer(out, _show, out, found, page, table)
     if found.interrupted:
         if resume is not None:
             print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)

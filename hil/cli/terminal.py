@@ -99,6 +99,12 @@ def print_folded(text: str, indent: str = "") -> None:
         click.echo(shown)
 
 
+def print_each_folded(lines: Iterable[str]) -> None:
+    """Print each line as wide as the terminal; what it has no room for goes on below, two blanks in."""
+    for line in lines:
+        print_folded(line, "  ")
+
+
 GAP = 2  # blanks between the columns
 FACTS = 22  # characters of a fact's name
 NARROWEST = 12  # characters of a column of words, however narrow the terminal is
@@ -211,12 +217,31 @@ _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
 def json_option(help: str = "Print one JSON object.") -> Callable[[_Command], _Command]:
-    """Return the option `--json` of a command, its parameter `as_json`; what else is printed goes to standard error.
+    """Return the option `--json` of a command, which `answer` heeds; what else is printed goes to standard error.
 
     Args:
         help: what ``--help`` says of it.
     """
-    return click.option("--json", "as_json", is_flag=True, is_eager=True, callback=_only_json, help=help)
+    return click.option("--json", "as_json", is_flag=True, is_eager=True, expose_value=False, callback=_only_json, help=help)
+
+
+def wants_json() -> bool:
+    """Return whether the command that runs was asked for JSON."""
+    return _OUT in click.get_current_context().meta
+
+
+def answer(value: object, show: Callable[..., object], *arguments: object) -> None:
+    """Print what a command found: its one JSON value where `--json` asks for it, else words for people.
+
+    Args:
+        value: as JSON has it.
+        show: prints the words.
+        arguments: of `show`.
+    """
+    if wants_json():
+        print_json(value)
+    else:
+        show(*arguments)
 
 
 def print_json(value: object) -> None:
@@ -225,10 +250,9 @@ def print_json(value: object) -> None:
     print(json.dumps(value, indent=2), file=out, flush=True)
 
 
-def _only_json(context: click.Context, _option: click.Parameter, as_json: bool) -> bool:
+def _only_json(context: click.Context, _option: click.Parameter, as_json: bool) -> None:
     if as_json and not context.resilient_parsing:
         context.meta[_OUT] = context.with_resource(_stdout_to_stderr())
-    return as_json
 
 
 @contextmanager

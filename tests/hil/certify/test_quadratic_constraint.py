@@ -66,7 +66,7 @@ def test_a_plant_without_detection_takes_no_constraint() -> None:
 def test_gains_for_a_constraint_are_stored_and_read(tmp_path: Path) -> None:
     from click.testing import CliRunner
 
-    from hil.cli.experiment_files import solve as command
+    from hil.cli.list import solve as command
 
     path = tmp_path / "own.toml"
     text = shipped()["vtol-fault"].read_text().replace('name = "vtol-fault"', 'name = "own"')

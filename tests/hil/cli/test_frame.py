@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from hil.cli import COMMANDS
-from hil.cli.doctor import lines_of
+from hil.cli import doctor as doctor_page
 from hil.cli.terminal import visible
 from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
@@ -46,12 +46,16 @@ def test_schema_is_json_and_knows_the_tables(cli: Hil) -> None:
     assert schema["$schema"].startswith("https://json-schema.org/") and "plant" in schema["properties"]
 
 
-def test_doctor_gives_a_remedy_for_all_that_is_missing(doctor: list[dict[str, Any]]) -> None:
+def test_doctor_gives_a_remedy_for_all_that_is_missing(
+    doctor: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Whatever this machine has at this moment: what is printed is what was found."""
+    monkeypatch.setenv("COLUMNS", "80")
     assert {"package ownership", "clock", "SocketCAN"} <= {check["what"] for check in doctor}
     assert [check["what"] for check in doctor if not check["ok"] and not check["remedy"]] == []
     for check in doctor:
-        shown = lines_of((check["what"], check["ok"], check["finding"], check["remedy"]), 80)
+        doctor_page.show([(check["what"], check["ok"], check["finding"], check["remedy"])])
+        shown = capsys.readouterr().out
         assert shown.startswith("ok  " if check["ok"] else "missing  ")
         assert ("remedy: " in shown) == bool(check["remedy"])
         reported = f"{shown[:7]} {check['what']}: {check['finding']}" + (f" remedy: {check['remedy']}" if check["remedy"] else "")
@@ -59,7 +63,8 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(doctor: list[dict[str, An
         assert all(len(line) <= 80 or len(line.split()) == 1 for line in shown.splitlines())  # a path is never cut
 
 
-def test_doctor_prints_a_line_for_every_check(cli: Hil, doctor: list[dict[str, Any]]) -> None:
+def test_doctor_prints_a_line_for_every_check(cli: Hil, doctor: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_page, "_zenoh_cpus", lambda: (True, "not measured a second time", ""))
     status, out, _ = cli("doctor", "--link", "can:socketcan:can0")
     assert status == 0 and all(f"{check['what']}: " in out for check in doctor)
 
