@@ -39,7 +39,8 @@ _NAMES: Final = {
     "design.semi_markov_loop.robust_feedback": "FeedbackRequest fastest_feedback largest_uncertainty robust_feedback",
     "design.semi_markov_loop.stability": "analyse largest_decay",
     "design.semi_markov_loop.system": "DelayedJumpSystem JumpSystem NormBounded VertexUncertainty",
-    "design.tracking.design_file": "load_design solve_cached",
+    "design.tracking.design_file": "load_design",
+    "design.tracking.gain_cache": "solve_cached",
     "design.tracking.problem": "TrackingProblem",
     "design.tracking.synthesis": "Design solve",
 }

@@ -43,7 +43,7 @@ from design.semi_markov_loop.system import JumpSystem as JumpSystem
 from design.semi_markov_loop.system import NormBounded as NormBounded
 from design.semi_markov_loop.system import VertexUncertainty as VertexUncertainty
 from design.tracking.design_file import load_design as load_design
-from design.tracking.design_file import solve_cached as solve_cached
+from design.tracking.gain_cache import solve_cached as solve_cached
 from design.tracking.problem import TrackingProblem as TrackingProblem
 from design.tracking.synthesis import Design as Design
 from design.tracking.synthesis import solve as solve

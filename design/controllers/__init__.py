@@ -13,8 +13,7 @@ _NAMES: Final = {
     "MultiSampleController Rows RowsOfStays RunningController Sample Selection SeveralSamples SojournDependent "
     "ages_distinguished check_row_sojourns integral_limit integrates packet_samples row_count row_sojourns_distinguished "
     "sojourns_distinguished",
-    "gain_rows": "GainIndex nested",
-    "gain_rows_many": "feedforward held_exactly",
+    "gain_rows": "GainIndex feedforward held_exactly nested",
     "historical": "Historical",
     "linear_law": "AgedFeedback AgedRows LinearFeedback LinearLaw OutputFeedback RowsLaw",
     "send_all": "Constant Local PublishedH2 PublishedHinf SendAll",

@@ -26,9 +26,9 @@ from design.controllers.contract import row_count as row_count
 from design.controllers.contract import row_sojourns_distinguished as row_sojourns_distinguished
 from design.controllers.contract import sojourns_distinguished as sojourns_distinguished
 from design.controllers.gain_rows import GainIndex as GainIndex
+from design.controllers.gain_rows import feedforward as feedforward
+from design.controllers.gain_rows import held_exactly as held_exactly
 from design.controllers.gain_rows import nested as nested
-from design.controllers.gain_rows_many import feedforward as feedforward
-from design.controllers.gain_rows_many import held_exactly as held_exactly
 from design.controllers.historical import Historical as Historical
 from design.controllers.linear_law import AgedFeedback as AgedFeedback
 from design.controllers.linear_law import AgedRows as AgedRows

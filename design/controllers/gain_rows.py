@@ -1,21 +1,78 @@
-"""The rows of *send all, apply one* in a loop, one slot after the other (7.9)-(7.13)."""
+"""The rows of *send all, apply one*, one slot after the other (7.9)-(7.13): in one loop, and in many runs at once.
+
+Each of many runs has bit for bit what one alone computes.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import Gains, Known, LoopModel, Rows, RunningController, Selection
-from design.controllers.exact_products import dot
-from design.controllers.gain_rows_many import feedforward, sojourn_ranges
+from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
+from design.controllers.exact_products import dot, pseudo_inverse
+
+Matrix = NDArray[np.float64]
 
 
-def nested(K: NDArray[np.float64]) -> Gains:
-    """Return K[tau, row, m, p] as the nested tuples that an experiment file holds."""
-    return tuple(tuple(tuple(tuple(map(float, row)) for row in mat) for mat in rows) for rows in K)
+def nested(array: NDArray[np.float64]) -> Any:
+    """Return an array as the nested tuples that an experiment file holds."""
+    return _tuples(array.astype(np.float64).tolist())
+
+
+def _tuples(values: Any) -> Any:
+    return tuple(map(_tuples, values)) if isinstance(values, list) else values
+
+
+def feedforward(model: LoopModel) -> NDArray[np.float64]:
+    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
+
+    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed. With p > m the outputs cannot all be chosen:
+    it holds for the references that some input holds, see `held_exactly`.
+
+    Raises:
+        ValueError: if p <= m and N is rank deficient: no steady state tracks every reference.
+    """
+    matrices = (model.A, model.B, model.C)
+    return np.array(_feedforward(*(tuple(map(tuple, M.tolist())) for M in matrices)))
+
+
+@lru_cache(maxsize=16)
+def _feedforward(*matrices: tuple[tuple[float, ...], ...]) -> list[list[float]]:
+    A, B, C = map(np.array, matrices)
+    (n, m), p = B.shape, len(C)
+    N = np.block([[A - np.eye(n), B], [C, np.zeros((p, m))]])
+    if p <= m and np.linalg.matrix_rank(N) < n + p:
+        raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
+    found: list[list[float]] = pseudo_inverse(N)[n:, n:].tolist()
+    return found
+
+
+def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
+    """Return whether some state and input hold the outputs at r.
+
+    Args:
+        model: the loop.
+        r: reference, (p,).
+
+    Reference: thesis (7.6).
+    """
+    n, m = model.B.shape
+    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((len(r), m))]])
+    aim = np.concatenate([np.zeros(n), np.asarray(r, dtype=np.float64)])
+    return bool(np.abs(N @ (np.linalg.pinv(N) @ aim) - aim).max() <= 1e-9 * max(1.0, np.abs(aim).max()))
+
+
+def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:
+    """Return for every tau the first and the last of its gains; see `GainIndex`."""
+    first = [sum(sojourns[:tau]) for tau in range(len(sojourns))]
+    own = [tau for tau, count in enumerate(sojourns) if count]
+    taken = [next((other for other in own if other >= tau), own[-1]) for tau in range(len(sojourns))]
+    return [(first[tau], first[tau] + sojourns[tau] - 1) for tau in taken]
 
 
 class GainIndex:
@@ -59,9 +116,9 @@ class GainRows:
         self.selection = selection
         self._limit = tuple(map(float, limit))
         self._sum = [0.0] * model.C.shape[0] if integral else []
-        self._gains = nested(K)
+        self._gains: Gains = nested(K)
         self._index = GainIndex(sojourns or (1,) * len(K))
-        self._omega = tuple(tuple(map(float, row)) for row in feedforward(model))
+        self._omega: Rows = nested(feedforward(model))
         # One input, one output: the same sums without loops in loops, 18 % of an interpreted virtual slot.
         scalar = K.shape[2:] == (1, 1)
         self._scalars = [[mat[0][0] for mat in rows] for rows in self._gains] if scalar else None
@@ -76,9 +133,7 @@ class GainRows:
         if self._limit:
             self._sum = [min(max(s, -most), most) for s, most in zip(self._sum, self._limit)]
         star = [dot(row, r) for row in self._omega]
-        return tuple(
-            [tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._index.at(tau)]]
-        )
+        return tuple([tuple([s + dot(gains, known) for s, gains in zip(star, mat)]) for mat in self._gains[self._index.at(tau)]])
 
 
 class NodeGainRows:
@@ -119,3 +174,90 @@ class NodeGainRows:
         for own, count in zip(age, self._ages):
             index = index * count + min(own, count - 1)
         return self._rows(k, index, y, known.reference)
+
+
+class BatchGainRows:
+    """u = u* + K[tau, row] Y in many runs; see `GainRows`, whose sums these are, in the same order.
+
+    Args:
+        K: gains, (tables, rows, m, width).
+        selection: how the actuator picks a row.
+        model: the loop.
+        runs: how many.
+        integral: whether the gains have p columns for the sum of the newest errors.
+        sojourns: how many tables every tau has.
+        limit: largest size of each sum; empty: any.
+    """
+
+    def __init__(
+        self, K: Matrix, selection: Selection, model: LoopModel, runs: int, integral: bool = False, sojourns: Sequence[int] = (),
+        limit: Sequence[float] = (),
+    ) -> None:  # fmt: skip
+        self._limit = np.array(limit, dtype=np.float64)[:, None]
+        self.selection = selection
+        self.memory: int | None = None
+        p = model.C.shape[0]
+        self._sum = np.zeros((p if integral else 0, runs))
+        self._scalar = K.shape[2:] == (1, 1)
+        self._gains = np.ascontiguousarray(np.moveaxis(K, 0, -1))  # (rows, m, width, tables)
+        self._omega = [tuple(map(float, row)) for row in feedforward(model)]
+        ranges = sojourn_ranges(sojourns or (1,) * len(K))
+        self._first, self._last = (np.array(column, dtype=np.intp) for column in zip(*ranges))
+        self._counts = bool((self._last > self._first).any())
+        self._tau = np.full(runs, -1, dtype=np.intp)
+        self._index = np.full(runs, -1, dtype=np.intp)
+
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs); where a run has not started they mean nothing and change nothing.
+
+        Args:
+            k: slot.
+            known: the oldest of the newest samples says tau.
+        """
+        started, y, r = known.started, known.y, known.reference
+        tau = known.ages[0] if len(known.ages) == 1 else known.ages.max(axis=0)
+        gains = self._gains.take(self._gain(started, tau), axis=-1)
+        if self._scalar:
+            scalar: Matrix = self._omega[0][0] * r[0] + gains[:, :, 0] * (y[0] - r[0])
+            return scalar
+        error = [row - r[j % len(r)] for j, row in enumerate(y)]
+        summands = [*error, *self._sum]
+        if len(self._sum):
+            added = self._sum + np.array(error[: len(self._sum)])
+            added = np.clip(added, -self._limit, self._limit) if len(self._limit) else added
+            self._sum = np.where(started, added, self._sum)
+        total = np.zeros((gains.shape[0], gains.shape[1], gains.shape[3]))
+        for j, x in enumerate(summands):
+            total += gains[:, :, j] * x
+        star = np.array([dot(row, r) for row in self._omega])
+        return star[:, None] + total
+
+    def _gain(self, started: NDArray[np.bool_], tau: NDArray[np.intp]) -> NDArray[np.intp]:
+        at = np.minimum(tau, len(self._first) - 1)
+        first = self._first.take(at)
+        if not self._counts:
+            return first
+        index = np.where(tau == self._tau, np.minimum(self._index + 1, self._last.take(at)), first)
+        self._tau, self._index = np.where(started, tau, self._tau), np.where(started, index, self._index)
+        return index
+
+
+class NodeGainRowsOfMany:
+    """The gains of every node's age in many runs, each bit for bit what `NodeGainRows` computes alone.
+
+    Args:
+        running: the rows of a table by its index.
+        ages: how many ages of each node have tables.
+    """
+
+    def __init__(self, running: BatchGainRows, ages: Sequence[int]) -> None:
+        self._running, self._counts = running, tuple(ages)
+        self.selection: Selection = running.selection
+        self.memory: int | None = None
+
+    def rows(self, k: int, known: KnownInBatch) -> Matrix:
+        """Return the rows of slot k, (rows, m, runs), by the age of every node's newest sample."""
+        index = np.zeros(known.ages.shape[1], dtype=np.intp)
+        for i, count in enumerate(self._counts):
+            index = index * count + np.minimum(known.ages[min(i, len(known.ages) - 1)], count - 1)
+        return self._running.rows(k, known._replace(ages=index[None]))

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers.contract import Known, KnownInBatch, LoopModel, Rows, Selection
+from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, Selection
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses, phase_at, window_of
 from design.errors import FieldError
 
@@ -91,9 +91,6 @@ class BatchHistorical:
         return ((sent + turns.phase) % count + count * total if count else total), None
 
 
-History = tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]  # [phase][j][m][p]
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Historical:
     """Gains K[phase][j][m][p] on the outputs of j slots ago, for every turn of the schedule.
@@ -107,7 +104,7 @@ class Historical:
 
     kind: ClassVar[str] = "historical"
 
-    gains: History
+    gains: Gains
     uses: Uses = "history"
 
     def __post_init__(self) -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
 from design.controllers.exact_products import dot
-from design.controllers.gain_rows_many import feedforward
+from design.controllers.gain_rows import feedforward
 from design.errors import FieldError
 
 Matrix = tuple[tuple[float, ...], ...]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import (
     Gains,
-    KnownInBatch,
     LoopModel,
     MultiSampleController,
     Rows,
@@ -24,30 +23,8 @@ from design.controllers.contract import (
     check_row_sojourns,
     row_count,
 )
-from design.controllers.gain_rows import GainRows, NodeGainRows
-from design.controllers.gain_rows_many import BatchGainRows, Matrix
+from design.controllers.gain_rows import BatchGainRows, GainRows, NodeGainRows, NodeGainRowsOfMany
 from design.errors import FieldError
-
-
-class NodeGainRowsOfMany:
-    """The gains of every node's age in many runs, each bit for bit what `NodeGainRows` computes alone.
-
-    Args:
-        running: the rows of a table by its index.
-        ages: how many ages of each node have tables.
-    """
-
-    def __init__(self, running: BatchGainRows, ages: Sequence[int]) -> None:
-        self._running, self._counts = running, tuple(ages)
-        self.selection: Selection = running.selection
-        self.memory: int | None = None
-
-    def rows(self, k: int, known: KnownInBatch) -> Matrix:
-        """Return the rows of slot k, (rows, m, runs), by the age of every node's newest sample."""
-        index = np.zeros(known.ages.shape[1], dtype=np.intp)
-        for i, count in enumerate(self._counts):
-            index = index * count + np.minimum(known.ages[min(i, len(known.ages) - 1)], count - 1)
-        return self._running.rows(k, known._replace(ages=index[None]))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

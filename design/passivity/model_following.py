@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_are
 
+from design.controllers.gain_rows import nested
 from design.controllers.rendered_wall import LinearInContact
 from design.controllers.virtual_wall import ModelFollowing
 from design.controllers.wall import Material, Wall
@@ -59,13 +60,9 @@ def follow_wall(
     feedback = _feedback(wall.materials, A3, B3, targets, ca, np.asarray(material_chain, dtype=np.float64), force_weight)
     gain = _filter(A3, sc, hand_step_n, noise_m)
     return ModelFollowing(
-        wall=wall, plant=_rows(A3), force=tuple(B3.tolist()), filter_gain=tuple(gain.tolist()),
-        targets=tuple(_rows(t) for t in targets), feedback=_rows(feedback),
+        wall=wall, plant=nested(A3), force=nested(B3), filter_gain=nested(gain), targets=nested(targets),
+        feedback=nested(feedback),
     )  # fmt: skip
-
-
-def _rows(matrix: Array) -> tuple[tuple[float, ...], ...]:
-    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def _held(device: HeldDevice, period_s: float, stiffness: float, damping: float) -> Array:

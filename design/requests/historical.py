@@ -9,11 +9,12 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from design.controllers.historical import Historical, History
+from design.controllers.gain_rows import nested
+from design.controllers.historical import Historical
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses
 from design.errors import FieldError
-from design.requests.gain_cache import cached_history
 from design.requests.tracking import DesignTask
+from design.tracking.gain_cache import cached_history
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant
@@ -173,5 +174,4 @@ class PublishedHistorical:
 
 def historical_of(K: npt.NDArray[np.float64], uses: Uses) -> Historical:
     """Return the controller that runs an array K[phase, j, m, p]."""
-    gains: History = tuple(tuple(tuple(tuple(map(float, row)) for row in rows) for rows in phase) for phase in K.tolist())
-    return Historical(gains=gains, uses=uses)
+    return Historical(gains=nested(K), uses=uses)

@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 
-from design.controllers import LoopModel, Rows, RunningController, Selection
+from design.controllers import Gains, LoopModel, Rows, RunningController, Selection, nested
 from design.controllers.exact_products import product
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
@@ -81,7 +81,7 @@ class Scheduled:
 
     kind: ClassVar[str] = "scheduled"
 
-    gain: tuple[tuple[tuple[tuple[float, ...], ...], ...], ...]
+    gain: Gains
     starts_s: tuple[tuple[float, ...], ...]
     schedule: Literal["hold", "linear"] = "hold"
     constraint: QuadraticConstraint | None = None
@@ -172,7 +172,7 @@ class RobustScheduled:
 
     def solve(self, task: DesignTask) -> Scheduled:
         """Return the gains as the controller that runs: from the cache, where this was solved before."""
-        from design.requests.gain_cache import cached_gain
+        from design.tracking.gain_cache import cached_gain
 
         found = cached_gain((self, task.jump_system, task.jump_process), lambda: self._solved(task))
         return scheduled_of(found, self.constraint)
@@ -263,10 +263,4 @@ class PublishedScheduled:
 
 def scheduled_of(gain: ScheduledGain, constraint: QuadraticConstraint | None = None) -> Scheduled:
     """Return the controller that runs a :class:`ScheduledGain`, with the constraint that it is to meet."""
-    nested: Any = tuple(
-        tuple(tuple(tuple(map(float, row)) for row in section) for section in mode) for mode in gain.gain.tolist()
-    )
-    return Scheduled(
-        gain=nested, starts_s=tuple(tuple(map(float, row)) for row in gain.starts_s.tolist()), schedule=gain.schedule,
-        constraint=constraint,
-    )  # fmt: skip
+    return Scheduled(gain=nested(gain.gain), starts_s=nested(gain.starts_s), schedule=gain.schedule, constraint=constraint)

@@ -59,6 +59,17 @@ class DesignTask:
     folder: str = "."
     chainless: str = ""
 
+    @property
+    def chains(self) -> tuple[DelayChain, DelayChain]:
+        """The delay chains of both directions.
+
+        Raises:
+            FieldError: a law has none.
+        """
+        if self.sc is None or self.ca is None:
+            raise FieldError("kind", f"a design needs a chain of ages on both links, but {self.chainless or 'a law states none'}")
+        return self.sc, self.ca
+
 
 def solve_tracking(problem: TrackingProblem, progress: Progress | None = None) -> Design:
     """Return the design that a problem asks for, by the method that it names: "direct", or "ccl" as printed.
@@ -144,7 +155,7 @@ class Designed:
         Raises:
             FieldError: names the field.
         """
-        model, sc, ca = task.model, task.sc, task.ca
+        model = task.model
         p, several = model.C.shape[0], len(model.nodes.names) > 1
         if self.output_weights and len(self.output_weights) != p:
             raise FieldError("output_weights", f"{len(self.output_weights)} entries, but the plant has {p} outputs")
@@ -152,12 +163,8 @@ class Designed:
             raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:
             read = self._read(task)
-            return _covering(task, SendAll(
-                gains=nested(read.gains), selection=read.selection, integral=read.integral,  # type: ignore[arg-type]
-                sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
-            ))  # fmt: skip
-        if sc is None or ca is None:
-            raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
+            return self._as_filed(task, read, read.gains, read.selection)
+        sc, ca = task.chains
         ages: tuple[int, ...] = ()
         if several and self.sojourns > 1:
             raise FieldError("sojourns", "needs one sensor node; with several nodes the gain depends on their ages")
@@ -166,7 +173,7 @@ class Designed:
 
             ages = tuple(chain.max_delay + 1 for chain in task.sc_nodes)
             sc = product_chain(task.sc_nodes, model.nodes.outputs, ages)
-        from design.tracking.design_file import solve_cached
+        from design.tracking.gain_cache import solve_cached
         from design.tracking.synthesis import TrackingProblem
 
         Q = np.array(self.output_weights)[:, None] * model.C if self.output_weights else None
@@ -207,19 +214,21 @@ class Designed:
             FieldError: names the field.
             DesignError: no gains meet the request.
         """
-        from design.tracking.design_file import problem_of, solve_cached
+        from design.tracking.design_file import problem_of
+        from design.tracking.gain_cache import solve_cached
 
-        sc, ca, model, read = task.sc, task.ca, task.model, self._read(task)
-        if sc is None or ca is None:
-            raise FieldError("kind", f"a design needs a chain of ages on both links, but {task.chainless or 'a law states none'}")
+        (sc, ca), model, read = task.chains, task.model, self._read(task)
         filed = problem_of(read)
         if read.document.get("robust"):
             what = self.unfit(task) or "its loop"
             raise FieldError("file", f"robust gains are for their own loop ({what}); design them with hil design --robust anew")
         design = solve_cached(replace(filed, A=model.A, B=model.B, C=model.C, sc=sc, ca=ca, initial=None))
+        return self._as_filed(task, read, _rows(design.gains, ca, read.row_sojourns), design.selection)
+
+    def _as_filed(self, task: DesignTask, read: DesignFile, gains: NDArray[np.float64], selection: str) -> SendAll:
         return _covering(task, SendAll(
-            gains=nested(_rows(design.gains, ca, read.row_sojourns)), selection=design.selection, integral=read.integral,  # type: ignore[arg-type]
-            sojourns=read.sojourns, samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
+            gains=nested(gains), selection=selection, integral=read.integral, sojourns=read.sojourns,  # type: ignore[arg-type]
+            samples=read.samples, row_sojourns=read.row_sojourns, integral_limit=self.integral_limit,
         ))  # fmt: skip
 
     def _read(self, task: DesignTask) -> DesignFile:
@@ -294,5 +303,4 @@ class LocalDesigned:
             task: the loop; its network is not looked at.
         """
         law = self.law(task.model)
-        A, B, C, D = (tuple(tuple(map(float, row)) for row in M) for M in (law.A, law.B, law.C, law.D))
-        return OutputFeedback(A=A, B=B, C=C, D=D)
+        return OutputFeedback(A=nested(law.A), B=nested(law.B), C=nested(law.C), D=nested(law.D))

@@ -1,14 +1,13 @@
-"""Designs as JSON files: what an experiment names, and what the cache keeps.
+"""Designs as JSON files, which an experiment names.
 
 A file holds gains, norms, the certificate, and the problem that they solve. Whether its gains are for a loop is decided by
-comparing that problem with the loop's, number by number. Of a design in the cache only the gains are taken, see `solve_cached`.
+comparing that problem with the loop's, number by number.
 """
 
 from __future__ import annotations
 
 import json
 import os
-import secrets
 import stat
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +16,11 @@ from typing import Any, Final
 import numpy as np
 
 from design.controllers import LoopModel
-from design.errors import DesignError, FieldError
+from design.errors import FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
 from design.tracking.problem import TrackingProblem, row_sojourns_of, with_every_row
-from design.tracking.synthesis import Design, certified, solve
+from design.tracking.synthesis import Design
 
 MAX_BYTES: Final = 20_000_000
 """The most that a design file or a cache entry may have; the largest shipped one has 60 kB."""
@@ -205,79 +204,6 @@ def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
     if chain.label.max() >= len(chain.label) or (np.diff(chain.label_delay, prepend=0) < 0).any():
         raise FieldError("design", f"{path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
     return chain.sojourns
-
-
-SOLVER_VERSION = 3
-"""Raise it whenever `design.tracking.synthesis.solve` may return other gains for the same problem."""
-
-
-def cache_directory() -> Path | None:
-    """$XDG_CACHE_HOME/hilrig/designs, or ~/.cache/hilrig/designs; None for a user without a home."""
-    root = os.environ.get("XDG_CACHE_HOME", "")
-    try:
-        return (Path(root) if os.path.isabs(root) else Path.home() / ".cache") / "hilrig" / "designs"
-    except RuntimeError:  # neither HOME nor an entry in passwd: a container's unknown user
-        return None
-
-
-def solve_cached(problem: TrackingProblem, *, directory: Path | None = None) -> Design:
-    """Solve a problem, or take its gains from the cache and certify them again.
-
-    The same problem is solved once per machine.
-
-    Only the gains are taken from the cache. Their certificate is computed again, so that a damaged or forged entry can at
-    worst cost the time of solving.
-
-    Args:
-        problem: what is asked.
-        directory: where entries lie; default `cache_directory()`. A cache that cannot be read or written is no error.
-
-    Raises:
-        NotStable, Infeasible: as `design.tracking.synthesis.solve`.
-    """
-    directory = directory or cache_directory()
-    if directory is None:
-        return solve(problem)
-    entry = directory / f"{problem.digest()}-{SOLVER_VERSION}.json"
-    found = kept_design(entry, problem)
-    if found is not None:
-        return found
-    design = solve(problem)
-    document = {
-        "gains": design.gains.tolist(),
-        "starts": [v if np.isfinite(v) else None for v in design.starts],
-        "evaluations": design.evaluations,
-    }
-    try:
-        keep_entry(entry, json.dumps(document))
-    except OSError:
-        pass
-    return design
-
-
-def kept_design(entry: Path, problem: TrackingProblem) -> Design | None:
-    """Return the design of an entry, certified again; None for whatever is none of this problem."""
-    try:
-        stored = read_json(entry)
-        gains = np.array(stored["gains"], dtype=np.float64)
-        starts = tuple(np.inf if v is None else float(v) for v in stored["starts"])
-        with np.errstate(over="ignore", invalid="ignore"):  # gains that were damaged make a loop that is not stable
-            return certified(problem, gains, starts=starts, evaluations=int(stored["evaluations"]))
-    except (ValueError, KeyError, TypeError, OverflowError, np.linalg.LinAlgError, DesignError):
-        return None
-
-
-def keep_entry(entry: Path, text: str) -> None:
-    """Put an entry in its place in one step, through no link of anybody's, readable for its user alone."""
-    entry.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    part = entry.with_suffix(f".{secrets.token_hex(6)}.part")
-    try:
-        with open(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "w") as file:
-            file.write(text)
-        part.replace(entry)
-    except BaseException:
-        part.unlink(missing_ok=True)
-        raise
 
 
 ROUNDING: Final = 1e-9

@@ -25,7 +25,7 @@ from design.controllers import (
     packet_samples,
     sojourns_distinguished,
 )
-from design.controllers.gain_rows_many import sojourn_ranges
+from design.controllers.gain_rows import sojourn_ranges
 from hil.errors import HilError
 from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor

@@ -20,7 +20,8 @@ from typing import Any
 import click
 import numpy as np
 
-from design.tracking.design_file import kept_design, load_design
+from design.tracking.design_file import load_design
+from design.tracking.gain_cache import design_of, read_entry
 from design.tracking.problem import TrackingProblem
 from hil.cli.can import _database, _decode
 from hil.cli.option_types import NumberList
@@ -232,6 +233,8 @@ PACKETS = [
     _table("sent_s [s],received_s [s]", lambda k: f"{k},{k}.{k % 7 + 1}"),
     _table("sent_s,rtt_s", lambda k: f"{k},0.0{k % 7 + 1}"),
 ]  # fmt: skip
+
+
 def units() -> list[bytes]:
     """Archives that describe a unit, packed in four ways; their library is none, and nothing loads it."""
 
@@ -292,6 +295,10 @@ def entry() -> bytes:
 
     found = solve(scalar())
     return json.dumps({"gains": found.gains.tolist(), "starts": list(found.starts), "evaluations": 3}).encode()
+
+
+def _cache_entry(path: Path) -> object:
+    return read_entry(path, lambda stored: design_of(stored, scalar()))
 
 
 @cache
@@ -359,7 +366,7 @@ def _table() -> dict[str, Boundary]:
         "link": text(60_000, *LINKS, read=_uri, refusals=(TransportError,)),
         "message": text(40_000, SHOWN, read=message_lines, refusals=()),
         "design": file(20_000, "d.json", lambda: [DESIGN.read_bytes()], load_design, CALLED),
-        "cache entry": file(20_000, "e.json", lambda: [entry()], lambda path: kept_design(path, scalar()), ()),
+        "cache entry": file(20_000, "e.json", lambda: [entry()], _cache_entry, ()),
         "sweep": file(40_000, "s", lambda: [sweep_file()], _sweep),
         "trace": file(80_000, "t.csv", lambda: [b"age\n0\n1\n2\n0\n", b"# x\n0,1\n3,2\n"], read_ages, CALLED),
         "signal table": file(80_000, "t.csv", lambda: TABLES, lambda path: read_signal_table(path, ("u", "y"))),

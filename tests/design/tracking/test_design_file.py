@@ -6,7 +6,8 @@ import os
 import numpy as np
 import pytest
 
-from design.tracking.design_file import cache_directory, design_text, load_design, solve_cached, to_document
+from design.tracking.design_file import design_text, load_design, to_document
+from design.tracking.gain_cache import cache_directory, solve_cached
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
 
@@ -89,7 +90,7 @@ def test_user_without_a_home_has_no_cache_and_gets_a_design(design, monkeypatch)
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setattr("design.tracking.design_file.Path.home", nowhere)
+    monkeypatch.setattr("design.tracking.gain_cache.Path.home", nowhere)
     assert np.array_equal(solve_cached(design.problem).gains, design.gains)
 
 
@@ -100,7 +101,7 @@ def test_cached_design_is_the_solved_one_and_is_not_solved_again(design, tmp_pat
     def refuse(*_, **__):
         raise AssertionError("solved although it lies in the cache")
 
-    monkeypatch.setattr("design.tracking.design_file.solve", refuse)
+    monkeypatch.setattr("design.tracking.gain_cache.solve", refuse)
     again = solve_cached(design.problem, directory=tmp_path)
     assert np.array_equal(again.gains, design.gains) and again.certificate == first.certificate
 

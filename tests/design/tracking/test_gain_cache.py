@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.requests.gain_cache import cached_gain, cached_history
+from design.tracking.gain_cache import cached_gain, cached_history
 
 GAIN = ScheduledGain(
     gain=np.array([[[[0.1, 1.0 / 3.0]], [[-2.0, 1e-17]]]]), starts_s=np.array([[0.0, 0.7]]), schedule="linear",
