@@ -18,12 +18,11 @@ import numpy as np
 from hil.api.arguments import checked_arguments
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment as read_experiment
-from hil.experiment.load import parse_plugin
+from hil.experiment import parse_plugin
 from hil.experiment.tables import Experiment
 from hil.files.toml_text import toml_value
-from hil.plugins import registry
 from hil.plugins.protocols import ReferencesFiles
-from hil.plugins.registry import group_of, kind_of_class
+from hil.plugins.registry import group_of, kind_of_class, object_kind
 from hil.plugins.user_plugins import own_fault
 from plants import LinearPlant, from_control
 from plants.errors import PlantError
@@ -44,8 +43,8 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
     """
     faults, changes, kinds = [], dict[str, Any](), dict(experiment.kinds)
     for path, made in objects.items():
-        group, cls = registry.group_of(path), type(made)
-        installed = registry.kind_of_class(group, cls) if dataclasses.is_dataclass(cls) else None
+        group, cls = group_of(path), type(made)
+        installed = kind_of_class(group, cls)
         fault = own_fault(group, made) if installed is None else None
         if isinstance(made, ReferencesFiles):
             try:
@@ -54,7 +53,7 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
                 fault = str(error)
         if fault is not None:
             faults.append(f"{path}: {cls.__module__}.{cls.__qualname__}: {fault}")
-        changes[path], kinds[path] = made, installed or registry.object_kind(cls)
+        changes[path], kinds[path] = made, installed or object_kind(cls)
     if faults:
         raise ExperimentError(experiment.name, faults)
     return msgspec.structs.replace(experiment, kinds=kinds, **changes) if objects else experiment
@@ -123,8 +122,7 @@ def object_of(path: str, value: Any) -> Any:
     if isinstance(table, Mapping):
         said = [f"{key}={_toml(each, path)}" for key, each in table.items() if key != "kind" and each is not None]
         return parse_plugin(group, str(table["kind"]), said)
-    installed = dataclasses.is_dataclass(type(table)) and kind_of_class(group, type(table)) is not None
-    fault = None if installed else own_fault(group, table)
+    fault = own_fault(group, table) if kind_of_class(group, type(table)) is None else None
     if fault is not None:
         raise HilError(f"{path}: {type(table).__module__}.{type(table).__qualname__}: {fault}")
     return table

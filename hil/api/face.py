@@ -256,9 +256,7 @@ def sweep(
     return sweep_parameters(experiments, where, runs=runs, first_seed=first_seed, workers=here(jobs))
 
 
-def _points(
-    axes: Mapping[str, Sequence[Any]] | None, ranges: Mapping[str, Sequence[Any]] | None, count: int | None
-) -> Points:
+def _points(axes: Mapping[str, Sequence[Any]] | None, ranges: Mapping[str, Sequence[Any]] | None, count: int | None) -> Points:
     """Return the points of a grid or of ranges.
 
     Raises:

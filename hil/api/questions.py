@@ -97,9 +97,7 @@ def _known(value: float, scale: float) -> float | None:
 
 
 @checked_arguments
-def design(
-    source: str, *, period: float | None = None, sojourns: int = 1, row_sojourns: int = 1, **options: Any
-) -> DesignResult:
+def design(source: str, *, period: float | None = None, sojourns: int = 1, row_sojourns: int = 1, **options: Any) -> DesignResult:
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
     Args:

@@ -98,7 +98,7 @@ def law(
 
 
 def _shares(fit: LawFit) -> list[float]:
-    from hil.experiment.load import parse_table
+    from hil.experiment import parse_table
     from transport.law_tests.analysis import analyse_law
 
     shares = analyse_law(parse_table("hil.laws", fit.spec, "law"), fit.period_s, fit.deadline_s).age_shares

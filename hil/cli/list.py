@@ -61,8 +61,7 @@ def command(group: str | None, kind: str | None) -> None:
 def _all() -> None:
     import tomllib
 
-    from hil.experiment import shipped
-    from hil.experiment.load import FIRST
+    from hil.experiment import FIRST, shipped
     from hil.plugins import registry
 
     tables = {name: tomllib.loads(path.read_text()) for name, path in shipped().items()}
@@ -76,7 +75,7 @@ def _all() -> None:
 
 
 def _show_all(experiments: dict[str, str], of: dict[str, str], plugins: dict[str, dict[str, str]]) -> None:
-    from hil.experiment.load import FIRST
+    from hil.experiment import FIRST
 
     print(f"to begin with: hil run {FIRST}; hil show {FIRST} prints its file\n")
     for plant in dict.fromkeys([of[FIRST], *of.values()]):
@@ -185,7 +184,7 @@ def _columns() -> int:
 @click.argument("experiment", type=EXPERIMENT)
 def show(experiment: str) -> None:
     """Print the file of a shipped EXPERIMENT: hil show dc-motor-hinf > mine.toml"""
-    from hil.experiment.load import near_shipped, shipped
+    from hil.experiment import near_shipped, shipped
 
     found = shipped()
     if experiment not in found:

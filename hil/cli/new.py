@@ -175,7 +175,7 @@ def _earned(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> li
         return check_link(lambda: (open_link(kind, "rig"), open_link(kind, "controller")))
     if group == "measures":
         return _earned_by_measure(kind, experiment)
-    from hil.experiment.load import parse_plugin
+    from hil.experiment import parse_plugin
 
     made = parse_plugin(f"hil.{group}", kind, sets)  # type: ignore[arg-type]  # click knows the words
     if group == "plants":

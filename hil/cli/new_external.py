@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from math import isqrt
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -112,8 +111,8 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
     from hil.cli.new_external_c import c_codec, c_tables
 
     values = _words(of, stem, "KEYFILE INTERFACE|-" if of.keyed else "INTERFACE|-") | {
-        "SHA256_H": ", ".join(f"0x{_root_bits(p, 2):08x}u" for p in _primes(8)),
-        "SHA256_K": ", ".join(f"0x{_root_bits(p, 3):08x}u" for p in _primes(64)),
+        "SHA256_H": ", ".join(f"0x{_root_bits(p, 2):08x}u" for p in PRIMES[:8]),
+        "SHA256_K": ", ".join(f"0x{_root_bits(p, 3):08x}u" for p in PRIMES),
         "CMAC_TOO": ", AES-128 and its CMAC" if of.keyed else "",
     }
     header, codec, database = c_codec(of)
@@ -191,29 +190,19 @@ def _placed(name: re.Match[str], values: dict[str, Any]) -> str:
     return name[0][: name[0].index("@")] + value if value else ""
 
 
-def _primes(count: int) -> list[int]:
-    found: list[int] = []
-    n = 2
-    while len(found) < count:
-        if all(n % prime for prime in found):
-            found.append(n)
-        n += 1
-    return found
+PRIMES: Final = tuple(n for n in range(2, 312) if all(n % divisor for divisor in range(2, n)))
+"""The first 64."""
 
 
 def _root_bits(prime: int, degree: int) -> int:
     """Return the first 32 bits behind the point of the root of a prime: the constants of SHA-256 (FIPS 180-4).
 
+    A double has 50 bits behind the point of these roots, and no root of `PRIMES` lies within its rounding of a border.
+
     >>> hex(_root_bits(2, 2)), hex(_root_bits(2, 3))
     ('0x6a09e667', '0x428a2f98')
     """
-    if degree == 2:
-        return isqrt(prime << 64) & 0xFFFFFFFF
-    low, high = 0, 8 << 32
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if middle**3 <= prime << 96 else (low, middle)
-    return low & 0xFFFFFFFF
+    return int(prime ** (1 / degree) % 1 * 2**32)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

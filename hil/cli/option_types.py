@@ -60,21 +60,20 @@ MOST = 200
 
 
 class NumberList(click.ParamType[tuple[float, ...]]):
-    """Numbers between commas; with ``whole`` also ranges.
+    """Numbers of at least 0 between commas; with ``whole`` also ranges.
 
     Such as ``0,1,6`` and ``0..8``.
 
     Args:
         whole: whole numbers only.
-        least: smallest number that is allowed.
-        above: whether ``least`` itself is refused.
+        above: whether 0 itself is refused.
         times: durations, in seconds or with a unit.
     """
 
     name = "LIST"
 
-    def __init__(self, *, whole: bool = False, least: float = 0.0, above: bool = False, times: bool = False) -> None:
-        self.whole, self.least, self.above = whole, least, above
+    def __init__(self, *, whole: bool = False, above: bool = False, times: bool = False) -> None:
+        self.whole, self.above = whole, above
         self._number = int if whole else in_seconds if times else float
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
@@ -93,8 +92,8 @@ class NumberList(click.ParamType[tuple[float, ...]]):
                 what = "whole number or range such as 0..8" if self.whole else "number"
                 self.fail(f"{part.strip()!r} is no {what}", param, ctx)
         for number in found:
-            if not math.isfinite(number) or number < self.least or (self.above and number == self.least):
-                self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} {self.least:g}", param, ctx)
+            if not math.isfinite(number) or number < 0 or (self.above and number == 0):
+                self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} 0", param, ctx)
         if not 1 <= len(found) <= MOST:
             self.fail(f"{len(found)} numbers, expected 1 to {MOST}", param, ctx)
         return tuple(found)

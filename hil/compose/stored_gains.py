@@ -19,8 +19,7 @@ import numpy as np
 from design.controllers import Controller
 from design.verdict import digest
 from hil.errors import ExperimentError, HilError
-from hil.experiment import Experiment
-from hil.experiment.load import parse_table
+from hil.experiment import Experiment, parse_table
 from hil.experiment.table import plain
 from hil.files.regular import read_regular
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController

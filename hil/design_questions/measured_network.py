@@ -18,7 +18,7 @@ from design.verdict import Verdict
 from hil.certify.send_all_loop import judge_gains
 from hil.design_questions.design_problem import TrackingTarget, digest_of_design, model_at
 from hil.errors import HilError
-from hil.experiment.load import parse_table
+from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
 from hil.rig.packet_ages import Receiver, ages_of, delays_of
 from transport.law_fit.region import AgeRegion, confidence_region

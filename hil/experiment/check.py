@@ -205,7 +205,7 @@ class Checker:
         if path in self._objects:
             made = self._objects[path]
             cls = type(made)
-            installed = registry.kind_of_class(group, cls) if dataclasses.is_dataclass(cls) else None
+            installed = registry.kind_of_class(group, cls)
             self.kinds[path] = installed or registry.object_kind(cls)
             if group == "hil.laws" and installed is None:
                 return made if self._sound(group, made, path, f"{cls.__module__}.{cls.__qualname__}") else None

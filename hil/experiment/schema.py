@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import msgspec
-from docstring_parser import ParseError
-from docstring_parser.google import parse
 
 from hil.experiment.nodes import Node
 from hil.experiment.rig_tables import Fault
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Seconds
 from hil.plugins import registry
+from hil.plugins.fields import described, meanings, parsed
 from transport.durations import PATTERN
 
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
@@ -104,15 +103,13 @@ def _or_file(field: dict[str, Any]) -> dict[str, Any]:
 
 def _explain(definition: dict[str, Any]) -> None:
     """Give every key what the docstring of its class says of it, so that an editor can show it."""
-    try:
-        doc = parse(definition.get("description", ""))
-    except ParseError:  # a user's plug-in, in a style of its own
+    doc = parsed(definition.get("description", ""))
+    if doc is None:
         return
-    definition["description"] = "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
-    for param in doc.params:
-        for name in param.arg_name.split(", "):
-            key = name if name in definition["properties"] else KEYS_OF_FAULT.get(name, name)
-            definition["properties"].get(key, {})["description"] = " ".join((param.description or "").split())
+    definition["description"] = described(doc)
+    for name, meaning in meanings(doc).items():
+        key = name if name in definition["properties"] else KEYS_OF_FAULT.get(name, name)
+        definition["properties"].get(key, {})["description"] = meaning
 
 
 def _hook(kind: type) -> dict[str, Any]:

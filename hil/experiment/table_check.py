@@ -6,7 +6,6 @@ A field takes tables whatever its annotation wraps them in: `X | None`, lists, d
 from __future__ import annotations
 
 import collections.abc
-import dataclasses
 import json
 import math
 import re
@@ -19,17 +18,13 @@ import msgspec
 
 from hil.errors import HilError, nearest
 from hil.experiment.tables import HIDDEN, Experiment, Links, Network, Seconds, Table
+from hil.plugins.fields import is_table, keys_of
 from hil.plugins.protocols import FieldFault
 
 _UNIONS: Final = (typing.Union, types.UnionType)
 _LISTS: Final = (list, tuple, set, frozenset, collections.abc.Sequence, collections.abc.Collection, collections.abc.Set)
 _DICTS: Final = (dict, collections.abc.Mapping, collections.abc.MutableMapping)
 IN_NETWORK = {"law": "network.sc.law", **{key: f"network.{key}" for key in Network.__struct_encode_fields__}}
-
-
-def is_table(hint: Any) -> bool:
-    """Return whether a type is a class that a table of a file fills: a dataclass or a `msgspec.Struct`."""
-    return isinstance(hint, type) and (dataclasses.is_dataclass(hint) or issubclass(hint, msgspec.Struct))
 
 
 def choices(hint: Any) -> list[Any]:
@@ -55,9 +50,10 @@ def holds_tables(hint: Any) -> bool:
 def table_for(hint: Any, raw: Mapping[str, Any]) -> type | None:
     """Return the class that a table of these keys fills: of several, the one that knows most of them."""
     classes = [each for each in choices(hint) if is_table(each) and _tagged(each, raw)]
-    if not classes or (frame_of(hint, raw) is not None and not any(set(raw) & keys_of(cls) for cls in classes)):
+    keys = {cls: {each.key for each in keys_of(cls)} for cls in classes}
+    if not classes or (frame_of(hint, raw) is not None and not any(raw.keys() & known for known in keys.values())):
         return None
-    found: type = max(classes, key=lambda cls: (len(set(raw) & keys_of(cls)), not keys_of(cls) - set(raw)))
+    found: type = max(classes, key=lambda cls: (len(raw.keys() & keys[cls]), not keys[cls] - raw.keys()))
     return found
 
 
@@ -70,13 +66,6 @@ def tag_of(cls: type) -> tuple[str, str | int] | None:
 def _tagged(cls: type, raw: Mapping[str, Any]) -> bool:
     tag = tag_of(cls)
     return tag is None or raw.get(tag[0]) == tag[1]
-
-
-def keys_of(cls: Any) -> set[str]:
-    """Return the keys of a table."""
-    if issubclass(cls, msgspec.Struct):
-        return set(cls.__struct_encode_fields__)
-    return {f.name for f in dataclasses.fields(cls) if f.init}
 
 
 def frame_of(hint: Any, value: Mapping[str, Any] | list[Any]) -> tuple[Any, list[Any]] | None:
@@ -213,22 +202,15 @@ class TableCheck:
         """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
         tag = tag_of(cls)
         hints = typing.get_type_hints(cls, include_extras=issubclass(cls, msgspec.Struct))
-        if issubclass(cls, msgspec.Struct):
-            required = {f.encode_name for f in msgspec.structs.fields(cls) if f.required}
-            known = list(cls.__struct_encode_fields__)
-            fields = dict(zip(known, cls.__struct_fields__))
-        else:
-            fs = [f for f in dataclasses.fields(cls) if f.init]  # type: ignore[arg-type]
-            required = {f.name for f in fs if f.default is dataclasses.MISSING and f.default_factory is dataclasses.MISSING}
-            known = [f.name for f in fs]
-            fields = dict(zip(known, known))
+        fields = {each.key: each.name for each in keys_of(cls)}
+        required = [each.key for each in keys_of(cls) if each.default is None]
         before, values, broken = len(self.faults), dict(given), set(given)
         for key, value in raw.items():
             at = joined(path, key)
             if tag == (key, value):
                 continue
-            if key not in known:
-                names = [name for name in known if cls is not Experiment or name not in HIDDEN]
+            if key not in fields:
+                names = [name for name in fields if cls is not Experiment or name not in HIDDEN]
                 inner = [IN_NETWORK[key]] if cls in (Experiment, Links, Network) and key in IN_NETWORK else []
                 there = f"; there are {', '.join(names)}" if names else "; it has none"
                 self.faults.append(f"{at}: unknown field{nearest(inner[0] if inner else key, inner or names) or there}")
@@ -239,8 +221,8 @@ class TableCheck:
                 values[fields[key]] = converted
             else:
                 broken.add(key)
-        for key in known:
-            if key in required and fields[key] not in values and key not in broken:
+        for key in required:
+            if fields[key] not in values and key not in broken:
                 self.faults.append(f"{joined(path, key)}: missing")
         if issubclass(cls, Table):
             said = {fault.partition(": ")[0] for fault in self.faults[before:]}  # what is wrong is not also missing

@@ -7,13 +7,17 @@ import inspect
 import re
 import types
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import msgspec
-from docstring_parser import ParseError
-from docstring_parser.google import parse
 
 from hil.plugins import registry
+
+if TYPE_CHECKING:
+    from docstring_parser import Docstring
 
 _WORDS: typing.Final[dict[object, str]] = {
     bool: "true or false", int: "whole number", float: "number", str: "text", typing.Any: "any value",
@@ -22,6 +26,40 @@ _PLURALS: typing.Final = {
     "whole number": "whole numbers", "number": "numbers", "text": "texts", "table": "tables", "matrix": "matrices",
     "any value": "any values",
 }  # fmt: skip
+
+
+class Key(typing.NamedTuple):
+    """One key of a table, as a program sees it.
+
+    Args:
+        name: of the class's field.
+        key: in a file.
+        default: makes what stands there where a file says nothing; None: it must say something.
+    """
+
+    name: str
+    key: str
+    default: Callable[[], object] | None
+
+
+def is_table(hint: object) -> TypeGuard[type]:
+    """Return whether a type is a class that a table of a file fills: a dataclass or a `msgspec.Struct`."""
+    return isinstance(hint, type) and (dataclasses.is_dataclass(hint) or issubclass(hint, msgspec.Struct))
+
+
+@cache
+def keys_of(cls: Any) -> tuple[Key, ...]:
+    """Return the keys of a class that a table fills."""
+    if issubclass(cls, msgspec.Struct):
+        return tuple(Key(f.name, f.encode_name, _maker(f, msgspec.NODEFAULT)) for f in msgspec.structs.fields(cls))
+    return tuple(Key(f.name, f.name, _maker(f, dataclasses.MISSING)) for f in dataclasses.fields(cls) if f.init)
+
+
+def _maker(field: Any, missing: object) -> Callable[[], object] | None:
+    if field.default is not missing:
+        return lambda: field.default
+    made: Callable[[], object] | None = None if field.default_factory is missing else field.default_factory
+    return made
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -51,26 +89,16 @@ def fields_of(cls: object) -> tuple[Field, ...]:
     >>> [(f.name, f.type) for f in fields_of(ConstantAge)]
     [('age', 'whole number')]
     """
-    meanings = _meanings(cls)
+    said: dict[str, str] = {}
+    for base in reversed(inspect.getmro(cls)) if isinstance(cls, type) else (cls,):
+        doc = parsed(base.__doc__ or "")
+        said |= {} if doc is None else meanings(doc)
     hints = typing.get_type_hints(cls)
     found = [] if isinstance(cls, type) else [("uri", "")]
-    if isinstance(cls, type) and issubclass(cls, msgspec.Struct):
-        for f in msgspec.structs.fields(cls):
-            default = "" if f.required else _default(f.default_factory() if f.default is msgspec.NODEFAULT else f.default)
-            found.append((f.name, default))
-    elif dataclasses.is_dataclass(cls):
-        for g in dataclasses.fields(cls):
-            if not g.init:
-                continue
-            if g.default is not dataclasses.MISSING:
-                found.append((g.name, _default(g.default)))
-            elif g.default_factory is not dataclasses.MISSING:
-                found.append((g.name, _default(g.default_factory())))
-            else:
-                found.append((g.name, ""))
+    if is_table(cls):
+        found = [(each.name, "" if each.default is None else _default(each.default())) for each in keys_of(cls)]
     return tuple(
-        Field(name=name, type=_type(hints.get(name)), default=default, meaning=meanings.get(name, ""))
-        for name, default in found
+        Field(name=name, type=_type(hints.get(name)), default=default, meaning=said.get(name, "")) for name, default in found
     )
 
 
@@ -87,7 +115,7 @@ def tables_of(cls: object) -> dict[str, type]:
     found = {}
     for name, hint in typing.get_type_hints(cls).items():
         classes = [each for each in (hint, *typing.get_args(hint)) if isinstance(each, type)]
-        table = next((c for c in classes if dataclasses.is_dataclass(c) or issubclass(c, msgspec.Struct)), None)
+        table = next(filter(is_table, classes), None)
         if table is not None and typing.get_origin(hint) is not typing.ClassVar:
             found[f"{name}.N" if typing.get_origin(hint) in (tuple, list) else name] = table
     return found
@@ -100,24 +128,29 @@ def about(group: registry.Group, name: str) -> str:
         HilError: if there is no such plug-in.
     """
     text = inspect.getdoc(registry.load(group, name)) or ""
+    doc = parsed(text)
+    return text if doc is None else described(doc)
+
+
+def parsed(text: str) -> Docstring | None:
+    """Return a docstring in its parts; None for one in another style, such as of a user's plug-in."""
+    from docstring_parser import ParseError  # which no run needs
+    from docstring_parser.google import parse
+
     try:
-        doc = parse(text)
-    except ParseError:  # a user's plug-in, in a style of its own
-        return text
+        return parse(text)
+    except ParseError:
+        return None
+
+
+def described(doc: Docstring) -> str:
+    """Return what a docstring says, without its arguments."""
     return "\n\n".join(filter(None, (doc.short_description, doc.long_description)))
 
 
-def _meanings(cls: object) -> dict[str, str]:
-    found: dict[str, str] = {}
-    for base in reversed(inspect.getmro(cls)) if isinstance(cls, type) else (cls,):
-        try:
-            doc = parse(base.__doc__ or "")
-        except ParseError:
-            continue
-        for param in doc.params:
-            for name in param.arg_name.split(", "):
-                found[name] = " ".join((param.description or "").split())
-    return found
+def meanings(doc: Docstring) -> dict[str, str]:
+    """Return what a docstring says of each argument, as one line."""
+    return {name: " ".join((param.description or "").split()) for param in doc.params for name in param.arg_name.split(", ")}
 
 
 def _type(hint: object) -> str:

@@ -5,6 +5,7 @@ A kind with a colon is no entry point but a class of the user's own file, see :m
 
 from __future__ import annotations
 
+from dataclasses import is_dataclass
 from functools import cache
 from typing import Final, Literal
 
@@ -126,6 +127,8 @@ def object_kind(cls: type) -> str:
 
 
 def kind_of_class(group: Group, cls: type) -> str | None:
-    """Return the entry point of a class, None if it has none."""
+    """Return the entry point of a dataclass, None if it has none, or is no dataclass: its table could not make it again."""
+    if not is_dataclass(cls):
+        return None
     fits = (name for name, point in _of(group).items() if point.value.partition(":")[2] == cls.__qualname__)
     return next((name for name in fits if load(group, name) is cls), None)

@@ -49,12 +49,8 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
     Raises:
         AssertionError: it raised, with its error and the line of its author.
     """
-    try:
+    with in_own_words(f"{what}: "):
         return function(*arguments)
-    except (AssertionError, KeyboardInterrupt):
-        raise
-    except BaseException as error:  # whatever a user's code raises, SystemExit too
-        raise AssertionError(f"{what}: {words(error)}") from error
 
 
 def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
@@ -86,8 +82,6 @@ def words(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}{where}"
 
 
-__all__ = ["in_own_words", "own_fault", "words"]
-
 PLANT = {
     "inputs": "what is commanded, a tuple of plants.Signal",
     "outputs": "what is measured",
@@ -97,52 +91,43 @@ PLANT = {
 }
 
 
-def own_fault(group: Group, made: object) -> str | None:
+def own_fault(group: Group, made: Any) -> str | None:
     """Return why an object is no plant, controller or network law that a rig can run; None if it is one, or is something else.
+
+    How a controller answers is seen once its loop is known, see `hil.compose.loop.check_own`.
 
     Args:
         group: what it has to be.
         made: of a class of the user's own.
     """
-    checks: dict[Group, Callable[[Any], None]] = {
-        "hil.plants": _check_plant, "hil.controllers": _check_controller, "hil.laws": _check_law,
-    }  # fmt: skip
-    if group not in checks:
-        return None
-    name = {"hil.plants": "plant", "hil.controllers": "controller", "hil.laws": "law"}[group]
+    what = type(made).__qualname__
     try:
         with in_own_words():
-            checks[group](made)
+            if group == "hil.plants":
+                needs(made, f"{what}, a plant,", PLANT)
+                check_plant(made)
+            elif group == "hil.controllers" and not isinstance(made, Controller | Designer):
+                needs(made, f"{what}, a controller,", {"start": "a method that returns the running controller"})
+            elif group == "hil.laws":
+                from hil.plugins.checks import check_law  # with the emulated network, which no other reading of a file needs
+
+                check_law(made)
     except AssertionError as fault:
-        return f"check_{name}: {str(fault).partition(chr(10))[0]}"  # pytest adds lines of its own
+        return f"check_{group[4:-1]}: {str(fault).partition(chr(10))[0]}"  # pytest adds lines of its own
     return None
 
 
 @contextmanager
-def in_own_words() -> Iterator[None]:
-    """Report whatever a user's code raises, BaseException and SystemExit too, as one AssertionError in its author's words."""
+def in_own_words(call: str = "") -> Iterator[None]:
+    """Report whatever a user's code raises, BaseException and SystemExit too, as one AssertionError in its author's words.
+
+    Args:
+        call: what the words begin with.
+    """
     try:
         yield
     except (AssertionError, KeyboardInterrupt):
         raise
-    except PlantError as error:
-        raise AssertionError(str(error)) from error
     except BaseException as error:
-        raise AssertionError(words(error)) from error
-
-
-def _check_plant(made: Any) -> None:
-    needs(made, f"{type(made).__qualname__}, a plant,", PLANT)
-    check_plant(made)
-
-
-def _check_controller(made: Any) -> None:
-    """See that it is one; how it answers is seen once its loop is known, see `hil.compose.loop.check_own`."""
-    if not isinstance(made, Controller | Designer):
-        needs(made, f"{type(made).__qualname__}, a controller,", {"start": "a method that returns the running controller"})
-
-
-def _check_law(made: Any) -> None:
-    from hil.plugins.checks import check_law  # with the emulated network, which no other reading of a file needs
-
-    check_law(made)
+        said = str(error) if isinstance(error, PlantError) else words(error)
+        raise AssertionError(f"{call}{said}") from error

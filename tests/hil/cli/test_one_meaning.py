@@ -14,7 +14,7 @@ import pytest
 
 import hil
 from hil.cli import COMMANDS, command_of
-from hil.experiment.load import FIRST
+from hil.experiment import FIRST
 from tests.hil.cli.conftest import Hil
 
 

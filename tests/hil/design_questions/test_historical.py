@@ -16,8 +16,7 @@ from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
-from hil.experiment import load_experiment
-from hil.experiment.load import shipped
+from hil.experiment import load_experiment, shipped
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate

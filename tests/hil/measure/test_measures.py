@@ -12,8 +12,7 @@ import pytest
 
 from design.monte_carlo.parallel_runs import Workers
 from hil.errors import HilError
-from hil.experiment import load as loading
-from hil.experiment import load_experiment
+from hil.experiment import experiment_from_resolved, load_experiment
 from hil.experiment.tables import Report
 from hil.log.read.run import read_run
 from hil.measure import view as viewing
@@ -130,7 +129,7 @@ def test_outputs_that_follow_nothing_are_measured_by_no_one() -> None:
 def test_a_page_parses_its_experiment_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_session(load_experiment("dc-motor-hinf", ["duration=2"]), path=tmp_path / "a.mcap")
     parsed: list[str] = []
-    known = loading.experiment_from_resolved
+    known = experiment_from_resolved
 
     def counting(resolved: Mapping[str, Any], text: str, source: str) -> Any:
         parsed.append(source)
