@@ -1,6 +1,6 @@
 """The DBC of some sensor nodes and a controller: one message per identifier, every value by its name.
 
-`transport/hilrig.dbc` is the DBC of one node whose values have no names. The layout is that of `transport.wire.layout`.
+`transport/hilrig.dbc` is the DBC of one node whose values have no names. The layout is that of `transport.wire`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,7 @@ from itertools import count
 from typing import Final, NamedTuple
 
 from transport.errors import FieldError
-from transport.wire.fields import SELECTIONS
-from transport.wire.layout import CONTROL, SENSOR, control_length, sensor_length
+from transport.wire import CONTROL, SELECTIONS, SENSOR, control_length, sensor_length
 
 LONGEST_NAME: Final = 32
 """Characters of a name that other tools take."""

@@ -30,7 +30,7 @@ from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of
 from transport.packets import SELECTIONS
-from transport.wire.layout import MAX_VALUES
+from transport.wire import MAX_VALUES
 
 Language = Literal["python", "c"]
 LinkKind = Literal["can", "zenoh"]

@@ -11,7 +11,7 @@ from hil.cli.new_external import in_comment
 from hil.errors import HilError
 from hil.rig.session_link import rig_dbc
 from transport.packets import SELECTIONS
-from transport.wire.layout import control_length, sensor_length
+from transport.wire import control_length, sensor_length
 
 if TYPE_CHECKING:
     from hil.cli.new_external import ExternalController

@@ -13,7 +13,7 @@ from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.can_frame import BASE_MOST, EXTENDED_MOST
 from transport.errors import FieldError
 from transport.links.can_identifiers import LARGEST
-from transport.wire.fields import FD_LENGTHS
+from transport.wire import FD_LENGTHS
 
 CAN_FIELDS: Final = ("bitrate", "dbitrate", "buffer", "control", "bit_error_rate", "traffic", "traffic_file", "recorded")
 MOST_TRAFFIC: Final = 2000

@@ -20,7 +20,7 @@ from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
 from transport.law_tests.statistics import law_p_value, mode_counts, transition_counts
 from transport.laws.delay_states import mode_shares, mode_transitions
 from transport.laws.protocols import ChainLaw, NetworkLaw
-from transport.wire.layout import sensor_length
+from transport.wire import sensor_length
 
 Draws: TypeAlias = npt.NDArray[np.void]
 

@@ -18,8 +18,7 @@ from transport.can_bus_model.bit_rates import BitRates
 from transport.can_bus_model.can_frame import CanFrame
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, said
 from transport.links.traits import CanFraming, LinkTraits
-from transport.wire.fields import frame_length
-from transport.wire.layout import control_length, sensor_length
+from transport.wire import control_length, frame_length, sensor_length
 
 if TYPE_CHECKING:
     from transport.can_analysis import PeriodicMessage

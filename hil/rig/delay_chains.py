@@ -24,7 +24,7 @@ from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
-from transport.wire.fields import MAX_ROWS
+from transport.wire import MAX_ROWS
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

@@ -15,7 +15,7 @@ from hil.experiment.table import Seconds
 from hil.files.regular import open_regular
 from transport.can_bus_model.can_frame import CanFrame
 from transport.errors import FieldError
-from transport.wire.fields import frame_length
+from transport.wire import frame_length
 
 if TYPE_CHECKING:
     import csv

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 
 from transport.can_bus_model.can_frame import CanFrame
 from transport.errors import FieldError
-from transport.wire.fields import FD_LENGTHS
+from transport.wire import FD_LENGTHS
 
 ACK_TO_INTERMISSION: Final = "0" + "1" + "1111111" + "111"
 """ACK slot as the receivers fill it, ACK delimiter, end of frame, intermission: 12 bits at the nominal rate."""

@@ -7,7 +7,7 @@ from typing import Final
 from msgspec import Struct
 
 from transport.errors import FieldError
-from transport.wire.fields import FD_LENGTHS
+from transport.wire import FD_LENGTHS
 
 BASE_MOST: Final = 0x7FF
 EXTENDED_MOST: Final = 0x1FFF_FFFF

@@ -28,7 +28,7 @@ from msgspec.structs import replace
 from transport.links.certificates import cryptography_needed
 from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
-from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
+from transport.wire import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import PASSIVE, WARNING, State
 from transport.links.link import BusStatus
-from transport.wire.fields import frame_length
+from transport.wire import frame_length
 
 FRAME: Final = Struct("<dHIBB")
 """Time stamp, frames lost before (see `transport.links.mesh_peer.HEAD`); identifier with flags, length, FD flags; then data."""

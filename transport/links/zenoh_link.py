@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 QUEUE_LIMIT: Final = 256
 """Packets that wait for `receive`; what comes on top is dropped and counted."""
 LARGEST: Final = 4096
-"""Bytes of a packet (`transport.wire.layout`); a longer payload is counted as malformed."""
+"""Bytes of a packet (`transport.wire`); a longer payload is counted as malformed."""
 
 ONE_THREAD: Final = (
     "(app: (worker_threads: 1), " + ", ".join(f"{part}: (handover: app)" for part in ("acc", "net", "tx", "rx")) + ")"

@@ -23,7 +23,7 @@ from transport.errors import FieldError
 from transport.medium.independent import Impairment
 from transport.medium.medium import Delivery
 from transport.medium.scheduled import Behind
-from transport.wire.fields import frame_length
+from transport.wire import frame_length
 
 
 def value_frames(identifier: int, values: Sequence[float], *, fd: bool) -> list[CanFrame]:

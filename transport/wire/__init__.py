@@ -1,1 +1,171 @@
-"""The bytes of packets, one file per version. Use `transport.packets`."""
+"""What travels: the fields of sensor and control packets, their layout and their lengths. `transport.packets` reads and writes.
+
+====== ====== ============================================== ===================================================
+offset type   sensor packet                                  control packet (send-all)
+====== ====== ============================================== ===================================================
+0      u16    CRC of every byte from offset 2                CRC of every byte from offset 2
+2      u8     0x31 (version 3, kind 1)                       0x32 (version 3, kind 2)
+3      u8     bit 7 EMPTY, bit 6 MORE, bits 0-5 outputs      bit 7 TAGGED, bits 0-6 selection code
+4      u32    seq: slot k                                    seq: slot k that is answered
+8      u64    nonce of session and slot                      echo: digest of the frames that are answered
+16     i64    sample_ns: nominal time of the newest sample   sample_ns: of the newest sample that was used
+24     u8     node: number of the sensor node                i64 control_ns: when the rows were computed
+25     u8     samples, newest first
+26     u8     bit 7 TAGGED, bits 0-6 references
+27     u8     nodes: sensor nodes of the rig
+28     u32    counter of the frames of this sender
+32     f32[]  outputs x samples values, sample after sample; i16 tau in samples, -1 for none
+34            then one f32 per reference, of slot k          u8 number of rows, then u8 inputs per row
+36                                                           u32 counter of the frames of this sender
+40                                                           f32[] rows, row after row
+====== ====== ============================================== ===================================================
+
+The CRC is CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, "123456789" gives 0x29B1), padding included. Both counters grow
+by one with each frame. They begin with 1 at the hello, and again at slot 0.
+
+Where TAGGED is set, 8 bytes follow the last value: the first ones of a message authentication code over every byte from
+offset 2 to the last value. Who has no key reads over them. The motor's sensor packet has 48 bytes, its control packet 48, with
+a tag 48 and 64: each one CAN FD frame. Larger ones travel in several frames, up to 4096 bytes.
+
+An EMPTY packet has no sample, and its outputs and samples are 0; it carries the reference all the same.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from struct import Struct
+from typing import Final, NamedTuple
+
+MORE: Final = 1
+"""Sensor flag: further frames of the same slot follow."""
+EMPTY: Final = 2
+"""Sensor flag: nothing arrived in this slot, the packet carries no measurement."""
+
+SELECTIONS: Final = ("constant", "generated", "applied", "previous", "both")
+"""How the actuator picks a row; the wire code is the index."""
+
+MAX_OUTPUTS: Final = 63
+MAX_ROWS: Final = 255
+MAX_INPUTS: Final = 255
+MAX_VALUES: Final = 1000
+"""Values in one packet, references included: what 64 CAN FD frames hold."""
+TAU_LIMIT: Final = 32767
+"""Larger ages are sent as this one."""
+
+FD_LENGTHS: Final = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""The payload lengths that a CAN FD frame can have."""
+_LENGTHS: Final = tuple(next(length for length in FD_LENGTHS if length >= size) for size in range(65))
+
+CRC_START: Final = 0xFFFF
+TAG_BYTES: Final = 8
+SENSOR: Final = 0x31
+CONTROL: Final = 0x32
+"""Byte 2 of a packet: version 3, and its kind."""
+TAGGED: Final = 0x80
+"""The flag that a tag follows: in byte 26 of a sensor packet, in byte 3 of a control packet."""
+SENSOR_BYTES: Final = 32
+CONTROL_BYTES: Final = 40
+"""Before the values."""
+
+
+class SensorPacket(NamedTuple):
+    """One measurement on its way to the controller.
+
+    Attributes:
+        seq: slot k in which the frame is sent (u32, wraps).
+        flags: sum of ``MORE`` and ``EMPTY``.
+        sample_ns: nominal session time of the newest sample, ns; the samples before it are one period older each.
+        y: measurements, newest sample first, float32 on the wire; empty if and only if ``EMPTY`` is set.
+        node: number of the sensor node that measured, from 0.
+        samples: samples that y holds, each of ``len(y) / samples`` outputs.
+        reference: reference of all outputs in slot k, float32 on the wire.
+        nodes: number of sensor nodes of the rig.
+        nonce: of session and slot (u64), 0 in virtual time.
+        counter: of the frames that its sender has sent (u32); it begins anew with slot 0.
+        tag: truncated message authentication code, 8 bytes, empty where the packet is not authenticated.
+    """
+
+    seq: int
+    flags: int
+    sample_ns: int
+    y: tuple[float, ...]
+    node: int = 0
+    samples: int = 1
+    reference: tuple[float, ...] = ()
+    nodes: int = 1
+    nonce: int = 0
+    counter: int = 0
+    tag: bytes = b""
+
+
+class ControlPacket(NamedTuple):
+    """One row of inputs for every delay the actuator may find: *send all, apply one*.
+
+    Attributes:
+        seq: slot k that is answered (u32, wraps).
+        sample_ns: nominal session time of the newest sample used, ns.
+        control_ns: session time at which the rows were computed, ns.
+        tau: measured sensor-to-controller delay in samples, -1 while there is no sample; saturates at ``TAU_LIMIT``.
+        selection: index into ``SELECTIONS``.
+        rows: inputs, shape (rows, m), float32 on the wire.
+        echo: digest of the frames that are answered (u64), see `transport.wire.tags.echo`; 0 in virtual time.
+        counter, tag: as in `SensorPacket`.
+    """
+
+    seq: int
+    sample_ns: int
+    control_ns: int
+    tau: int
+    selection: int
+    rows: tuple[tuple[float, ...], ...]
+    echo: int = 0
+    counter: int = 0
+    tag: bytes = b""
+
+
+def frame_length(size: int) -> int:
+    """Shortest length of a CAN FD frame, or multiple of 8 above 64, that holds ``size`` bytes.
+
+    >>> [frame_length(n) for n in (0, 8, 9, 20, 44, 64, 65)]
+    [0, 8, 12, 20, 48, 64, 72]
+    """
+    return _LENGTHS[size] if size <= 64 else -(-size // 8) * 8
+
+
+class Layout(NamedTuple):
+    """One packet shape: writer and reader without CRC, and the length on the wire."""
+
+    write: Struct
+    read: Struct
+    size: int
+
+
+@lru_cache(maxsize=2048)  # bounded: shapes may come from the wire
+def layout(kind: int, values: int, tagged: bool) -> Layout:
+    """Return the layout of the packets of a kind, `SENSOR` or `CONTROL`, with so many values and with a tag or without."""
+    if kind == SENSOR:
+        head, write, read = SENSOR_BYTES, "<BBIQqBBBBI", "<4xIQqB3xI"
+    else:
+        head, write, read = CONTROL_BYTES, "<BBIQqqhBBI", "<4xIQqqh2xI"
+    used = head + 4 * values + TAG_BYTES * tagged
+    size = frame_length(used)
+    body = f"{values}f{'8s' * tagged}{size - used}x"
+    return Layout(Struct(write + body), Struct(read + body), size)
+
+
+def sensor_length(values: int, tagged: bool = False) -> int:
+    """Bytes of a sensor packet that holds so many values, references included.
+
+    >>> sensor_length(1 + 1), sensor_length(3 + 4), sensor_length(3 + 4, tagged=True)
+    (48, 64, 72)
+    """
+    return layout(SENSOR, values, tagged).size
+
+
+def control_length(values: int, tagged: bool = False) -> int:
+    """Bytes of a control packet that holds so many values.
+
+    >>> control_length(2), control_length(9)
+    (48, 80)
+    """
+    return layout(CONTROL, values, tagged).size

@@ -12,10 +12,8 @@ from hashlib import sha256
 from struct import Struct
 from typing import Final, NamedTuple
 
-from transport.wire.fields import CRC_START, frame_length
-from transport.wire.layout import CONTROL, SENSOR, TAG_BYTES
+from transport.wire import CONTROL, CONTROL_BYTES, CRC_START, SENSOR, SENSOR_BYTES, TAG_BYTES, TAGGED, frame_length
 
-_TAGGED: Final = 0x80
 _HEAD: Final = Struct("<IQ")
 _COUNTER: Final = Struct("<I")
 _COUNTS: Final = {SENSOR: 28, CONTROL: 36}
@@ -43,10 +41,10 @@ class Tagged(NamedTuple):
 
 def _used(data: bytes) -> tuple[int, int]:
     """Return the bytes up to the last value, and where the flag TAGGED stands; (0, 0) for what is no packet."""
-    if len(data) >= 32 and data[2] == SENSOR:
-        return 32 + 4 * ((data[3] & 0x3F) * data[25] + (data[26] & 0x7F)), 26
-    if len(data) >= 40 and data[2] == CONTROL:
-        return 40 + 4 * data[34] * data[35], 3
+    if len(data) >= SENSOR_BYTES and data[2] == SENSOR:
+        return SENSOR_BYTES + 4 * ((data[3] & 0x3F) * data[25] + (data[26] & 0x7F)), 26
+    if len(data) >= CONTROL_BYTES and data[2] == CONTROL:
+        return CONTROL_BYTES + 4 * data[34] * data[35], 3
     return 0, 0
 
 
@@ -64,7 +62,7 @@ def echo(frames: Iterable[bytes]) -> int:
     """
     digest = sha256()
     for data in frames:
-        if data[26] & _TAGGED:
+        if data[26] & TAGGED:
             data = data[:26] + bytes((data[26] & 0x7F,)) + data[27:]
         digest.update(data[2 : 32 + 4 * ((data[3] & 0x3F) * data[25] + data[26])])
     return int.from_bytes(digest.digest()[:8], "little")
@@ -78,11 +76,11 @@ def with_tag(data: bytes, code: Callable[[bytes], bytes]) -> bytes | None:
         code: the message authentication code of some bytes, `TAG_BYTES` bytes at least.
     """
     used, flag = _used(data)
-    if not used or used > len(data) or data[flag] & _TAGGED:
+    if not used or used > len(data) or data[flag] & TAGGED:
         return None
     wrong = crc_hqx(data[2:], CRC_START) ^ (data[0] | data[1] << 8)
     body = bytearray(data[2:used])
-    body[flag - 2] |= _TAGGED
+    body[flag - 2] |= TAGGED
     body += code(bytes(body))[:TAG_BYTES]
     body += bytes(frame_length(2 + len(body)) - 2 - len(body))
     return (crc_hqx(body, CRC_START) ^ wrong).to_bytes(2, "little") + bytes(body)
@@ -95,7 +93,7 @@ def tag_of(data: bytes) -> Tagged | None:
         data: one received packet, any length and content.
     """
     used, flag = _used(data)
-    if not used or not data[flag] & _TAGGED or len(data) < used + TAG_BYTES:
+    if not used or not data[flag] & TAGGED or len(data) < used + TAG_BYTES:
         return None
     seq, nonce = _HEAD.unpack_from(data, 4)
     (counter,) = _COUNTER.unpack_from(data, _COUNTS[data[2]])
