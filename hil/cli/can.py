@@ -108,7 +108,7 @@ def _of_traffic(
     from hil.design_questions.bus_analysis import analyse_traffic
     from hil.rig.traffic_file import read_traffic
     from hil.runtime.streams import rng_for
-    from transport.can_bus_model.bit_rates import BitRates
+    from transport.can_bus_model import BitRates
     from transport.errors import FieldError
     from transport.links.hil_channel import rate
 

@@ -12,7 +12,7 @@ from hil.errors import HilError
 from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.node import CanNode, Waiting
 from transport.can_bus_model.traffic import Traffic

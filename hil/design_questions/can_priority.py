@@ -12,7 +12,7 @@ from hil.experiment import Experiment
 from hil.rig.can_bus import can_bus_of
 from hil.rig.named_files import with_traffic_files
 from hil.rig.normal_form import rig_of
-from transport.can_bus_model.can_frame import BASE_MOST
+from transport.can_bus_model import BASE_MOST
 
 ROOM: Final = 16
 """Identifiers that are kept for the frames of each packet."""

@@ -9,8 +9,7 @@ import typing
 from typing import Any, Final, Literal
 
 from hil.experiment.table import Seconds, Table, not_negative
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.can_frame import BASE_MOST, EXTENDED_MOST
+from transport.can_bus_model import BASE_MOST, EXTENDED_MOST, BitRates
 from transport.errors import FieldError
 from transport.links.can_identifiers import LARGEST
 from transport.wire import FD_LENGTHS

@@ -21,7 +21,7 @@ from hil.rig.node_channels import recorded_chain
 from hil.rig.packet_ages import Receiver, received, why_no_ages
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import frame_length
 from transport.laws.protocols import RecordedLaw
 

@@ -14,8 +14,7 @@ from design.controllers import row_count
 from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.sensors import Sensor, SharedMedium, first_identifiers
 from hil.rig.spec import RigSpec
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import BitRates, CanFrame
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, said
 from transport.links.traits import CanFraming, LinkTraits
 from transport.wire import control_length, frame_length, sensor_length

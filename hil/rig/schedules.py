@@ -17,7 +17,7 @@ from transport.medium.medium import SampleClock
 from transport.medium.scheduled import Arbitration
 
 if TYPE_CHECKING:
-    from transport.can_bus_model.planned_faults import BusFault
+    from transport.can_bus_model.disturbances import BusFault
 
 
 class FaultSchedule(Struct, frozen=True, kw_only=True):
@@ -62,7 +62,7 @@ def bus_faults(e: Experiment, on_bus: Sequence[str], controller: str) -> list[Bu
         on_bus: names of the nodes on the bus, by number.
         controller: name of the one that sends the control packets.
     """
-    from transport.can_bus_model.planned_faults import BusFault  # loaded where there is a bus
+    from transport.can_bus_model.disturbances import BusFault  # loaded where there is a bus
 
     found = []
     for fault in e.fault:

@@ -19,7 +19,7 @@ from transport.links.opening import is_foreign
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
 
 if TYPE_CHECKING:
-    from transport.can_bus_model.planned_faults import BusFault
+    from transport.can_bus_model.disturbances import BusFault
 
 
 class SessionLink(Struct, frozen=True, kw_only=True):

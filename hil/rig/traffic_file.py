@@ -13,7 +13,7 @@ from hil.errors import HilError
 from hil.experiment.nodes import TrafficTable
 from hil.experiment.table import Seconds
 from hil.files.regular import open_regular
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import CanFrame
 from transport.errors import FieldError
 from transport.wire import frame_length
 

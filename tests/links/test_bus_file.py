@@ -15,8 +15,7 @@ import can
 import pytest
 
 from tests.waiting import LIMIT_S, ended, until
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import BitRates, CanFrame
 from transport.links.bus_file import HELD_S, BusFile
 from transport.links.can_bus import bus_directory
 from transport.links.shared_bus import Ended, SharedBus

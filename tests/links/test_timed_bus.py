@@ -14,9 +14,8 @@ import can
 import pytest
 
 from tests.waiting import until
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length
-from transport.can_bus_model.can_frame import CanFrame
 from transport.links.can_bus import HilBus
 from transport.links.link import TransportError
 from transport.links.opening import open_link

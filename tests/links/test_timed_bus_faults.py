@@ -12,9 +12,9 @@ import pytest
 from tests.links.test_timed_bus import bus, message, received
 from tests.waiting import LIMIT_S, until
 from transport import TransportError
+from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bits import wire_bits
-from transport.can_bus_model.can_frame import CanFrame
-from transport.can_bus_model.planned_faults import BusFault
+from transport.can_bus_model.disturbances import BusFault
 from transport.links.can_datagram import changed, destroyed, location, status
 from transport.links.link import BusStatus
 

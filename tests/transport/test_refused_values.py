@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from transport.can_analysis import ErrorBursts, PeriodicMessage
-from transport.can_bus_model.bits import longest_frame
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import CanFrame
+from transport.can_bus_model.bits import frame_bounds
 from transport.can_bus_model.traffic import Periodic
 from transport.errors import FieldError
 from transport.law_fit.packet_record import LEAST, PacketRecord
@@ -53,11 +53,10 @@ def law(*rows: object) -> PacketLaw:
         (traffic, {"period_ns": 0}, "period_ns"),
         (traffic, {"offset_ns": -1}, "offset_ns"),
         (traffic, {"jitter_ns": -1}, "offset_ns"),
-        (longest_frame, {"length": 9}, "length"),
-        (longest_frame, {"length": -1}, "length"),
-        (longest_frame, {"length": 9, "fd": True}, "length"),
-        (longest_frame, {"length": 8, "bitrate_switch": True}, "fd"),
-        (longest_frame, {"length": 8, "fd": True, "remote": True}, "fd"),
+        (frame_bounds, {"length": 9}, "length"),
+        (frame_bounds, {"length": -1}, "length"),
+        (frame_bounds, {"length": 9, "fd": True}, "length"),
+        (frame_bounds, {"length": 8, "bitrate_switch": True}, "fd"),
         (record, {"n": LEAST - 1, "late": LEAST - 1}, "packets"),
         (record, {"late": LEAST + 1}, "latency_s"),
         (record, {"until": LEAST + 1}, "latency_s"),
@@ -87,9 +86,8 @@ def test_a_value_out_of_range_is_refused_with_its_field(make: Make, values: dict
         (message, {"period_ns": 1, "jitter_ns": 0}),
         (ErrorBursts, {"burst": 0, "interval_ns": 1}),
         (traffic, {"offset_ns": 0, "jitter_ns": 0}),
-        (longest_frame, {"length": 0}),
-        (longest_frame, {"length": 8, "remote": True}),
-        (longest_frame, {"length": 64, "fd": True, "bitrate_switch": True}),
+        (frame_bounds, {"length": 0}),
+        (frame_bounds, {"length": 64, "fd": True, "bitrate_switch": True}),
         (record, {"until": LEAST}),
         (record, {"sent": (3, 0.1)}),
         (MarkovAge, {"matrix": HALVES, "ages": (0, 1)}),

@@ -16,7 +16,7 @@ import pytest
 from tests.links.test_timed_bus_faults import BUS_OFF, RESTARTED, error_frames
 from tests.links.test_vcan_faults import bus as own_vcan
 from tests.waiting import LIMIT_S, ended, until
-from transport.can_bus_model.planned_faults import BusFault
+from transport.can_bus_model.disturbances import BusFault
 from transport.links.can_bus import HilBus
 
 pytestmark = pytest.mark.vcan

@@ -1,7 +1,7 @@
 """Worst-case response times of the messages on a CAN bus, and the load that they make.
 
 Jitter, blocking, deadlines beyond the period and errors count. Everything is a whole number of units of
-`transport.can_bus_model.bit_rates`; nothing is rounded.
+`transport.can_bus_model`; nothing is rounded.
 
 Reference: Davis, Burns, Bril, Lukkien, Controller Area Network (CAN) schedulability analysis: refuted, revisited and revised,
 Real-Time Systems 35 (2007), sections 3 and 4; errors: section 5.
@@ -15,9 +15,8 @@ from fractions import Fraction
 from itertools import pairwise
 from typing import Final
 
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import INTERMISSION, FrameLength, longest_frame
-from transport.can_bus_model.can_frame import CanFrame, arbitration_key
+from transport.can_bus_model import BitRates, CanFrame, FrameLength, arbitration_key
+from transport.can_bus_model.bits import INTERMISSION, frame_bounds
 from transport.errors import FieldError
 
 
@@ -66,9 +65,7 @@ class PeriodicMessage:
 
     def frame_length(self) -> FrameLength:
         """Return the length of its longest frame, with intermission."""
-        if self.bits is not None:
-            return self.bits
-        return longest_frame(self.length, extended=self.extended, fd=self.fd, bitrate_switch=self.bitrate_switch)
+        return self.bits or frame_bounds(self.length, extended=self.extended, fd=self.fd, bitrate_switch=self.bitrate_switch)[1]
 
     @property
     def due_in_ns(self) -> int:

@@ -23,8 +23,8 @@ from math import lcm
 from typing import Final
 
 from transport.can_analysis import PeriodicMessage
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import INTERMISSION, FrameLength, shortest_frame
+from transport.can_bus_model import BitRates, FrameLength
+from transport.can_bus_model.bits import INTERMISSION, frame_bounds
 from transport.errors import FieldError
 
 MOST_FRAMES: Final = 40_000
@@ -61,7 +61,7 @@ class TimedMessage:
     def least(self) -> FrameLength:
         """Return the length of its shortest frame."""
         own = self.message
-        return self.shortest or shortest_frame(own.length, extended=own.extended, fd=own.fd, bitrate_switch=own.bitrate_switch)
+        return self.shortest or frame_bounds(own.length, extended=own.extended, fd=own.fd, bitrate_switch=own.bitrate_switch)[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

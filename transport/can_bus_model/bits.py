@@ -18,7 +18,7 @@ import re
 from functools import cache, lru_cache
 from typing import Final, NamedTuple
 
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import CanFrame, FrameLength
 from transport.errors import FieldError
 from transport.wire import FD_LENGTHS
 
@@ -49,18 +49,6 @@ class WireBits(NamedTuple):
     def ack_slot(self) -> int:
         """Position of the ACK slot."""
         return len(self.bits) - len(ACK_TO_INTERMISSION)
-
-
-class FrameLength(NamedTuple):
-    """Bits of a frame with its intermission.
-
-    Attributes:
-        nominal: bits at the nominal rate.
-        data: bits at the data rate.
-    """
-
-    nominal: int
-    data: int = 0
 
 
 def frame_length(frame: CanFrame) -> FrameLength:
@@ -151,20 +139,20 @@ def _remainders(width: int, polynomial: int) -> tuple[int, ...]:
     return tuple(found)
 
 
-def longest_frame(
-    length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False, remote: bool = False
-) -> FrameLength:
-    r"""Return a bound of the length of a frame with its intermission: of n stuffed bits at most :math:`(n - 1)/4` more.
+def frame_bounds(
+    length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False
+) -> tuple[FrameLength, FrameLength]:  # fmt: skip
+    r"""Return the shortest and the longest that a frame can be, with its intermission.
 
-    Without bit-rate switch this is the table of the Linux kernel, 55 + 10 s and 80 + 10 s bits for s bytes of classic CAN. With
-    it the header and the data are bounded each for itself.
+    Of n stuffed bits there are at most :math:`(n - 1)/4` more, and none at least. Without bit-rate switch the longest is that of
+    the table of the Linux kernel, 55 + 10 s and 80 + 10 s bits for s bytes of classic CAN. With it the header and the data are
+    bounded each for itself. A remote frame is as long as one without data.
 
     Args:
         length: bytes of data.
         extended: identifier of 29 bits.
         fd: CAN FD.
         bitrate_switch: with the data bit rate; CAN FD only.
-        remote: a remote frame; its length counts nothing.
 
     Raises:
         ValueError: there is no frame of that length.
@@ -172,46 +160,24 @@ def longest_frame(
     Reference: linux/can/length.h; Davis, Burns, Bril, Lukkien, Controller Area Network (CAN) schedulability analysis: refuted,
     revisited and revised, Real-Time Systems 35 (2007), equations (1) and (2).
 
-    >>> [sum(longest_frame(8, extended=e)) for e in (False, True)], [sum(longest_frame(64, extended=e, fd=True)) for e in (0, 1)]
-    ([135, 160], [712, 736])
+    >>> [sum(frame_bounds(8 if not fd else 64, extended=e, fd=fd)[1]) for fd in (False, True) for e in (False, True)]
+    [135, 160, 712, 736]
+    >>> frame_bounds(8)[0], frame_bounds(64, fd=True, bitrate_switch=True)[0]
+    (FrameLength(nominal=111, data=0), FrameLength(nominal=29, data=550))
     """
     allowed = FD_LENGTHS if fd else range(9)
     if length not in allowed:
         raise FieldError("length", f"{length} bytes, expected {'one of ' + ', '.join(map(str, allowed)) if fd else '0 to 8'}")
-    if (bitrate_switch and not fd) or (remote and fd):
-        raise FieldError("fd", "a bit-rate switch needs CAN FD, and CAN FD has no remote frame")
-    bits = 0 if remote else 8 * length
-    if not fd:
-        body = (39 if extended else 19) + bits + 15
-        return FrameLength(body + (body - 1) // 4 + 13)
-    crc_field = 28 if length <= 16 else 33
-    body = (41 if extended else 22) + bits
-    if not bitrate_switch:
-        return FrameLength(body + (body - 1) // 4 + crc_field + 12)
-    head, rest = 33 if extended else 14, 5 + bits  # FDF, res and BRS are 1, 0, 1: stuff bits stand before FDF and behind BRS
-    return FrameLength(head + (head - 1) // 4 + 3 + 12, rest + rest // 4 + crc_field)
-
-
-def shortest_frame(length: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False) -> FrameLength:
-    """Return the length of a frame with its intermission and without dynamic stuff bits.
-
-    Args:
-        length: bytes of data.
-        extended: identifier of 29 bits.
-        fd: CAN FD.
-        bitrate_switch: with the data bit rate; CAN FD only.
-
-    Raises:
-        ValueError: there is no frame of that length.
-
-    >>> shortest_frame(8), shortest_frame(64, fd=True, bitrate_switch=True)
-    (FrameLength(nominal=111, data=0), FrameLength(nominal=29, data=550))
-    """
-    longest = longest_frame(length, extended=extended, fd=fd, bitrate_switch=bitrate_switch)
+    if bitrate_switch and not fd:
+        raise FieldError("fd", "a bit-rate switch needs CAN FD")
     bits = 8 * length
     if not fd:
-        return FrameLength((39 if extended else 19) + bits + 15 + 13)
+        body = (39 if extended else 19) + bits + 15
+        return FrameLength(body + 13), FrameLength(body + (body - 1) // 4 + 13)
     crc_field = 28 if length <= 16 else 33
     if not bitrate_switch:
-        return FrameLength((41 if extended else 22) + bits + crc_field + 12)
-    return FrameLength((33 if extended else 14) + 3 + 12, min(5 + bits + crc_field, longest.data))
+        body = (41 if extended else 22) + bits
+        return FrameLength(body + crc_field + 12), FrameLength(body + (body - 1) // 4 + crc_field + 12)
+    head, rest = 33 if extended else 14, 5 + bits  # FDF, res and BRS are 1, 0, 1: stuff bits stand before FDF and behind BRS
+    most = FrameLength(head + (head - 1) // 4 + 3 + 12, rest + rest // 4 + crc_field)
+    return FrameLength(head + 3 + 12, rest + crc_field), most

@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import INTERMISSION, FrameLength, wire_bits
+from transport.can_bus_model import BitRates
+from transport.can_bus_model.bits import INTERMISSION, wire_bits
 from transport.can_bus_model.disturbances import Noise, destroyed_bits
 from transport.can_bus_model.node import (
     BUS_OFF,
@@ -191,7 +191,8 @@ class CanBus:
             heads[i].attempts += 1
         idle = start + self.rates.duration(length)
         if error is not None:
-            idle = start + self._broken(sent, length, error, senders, answered=not unanswered)
+            active = any(not self.nodes[i].errors.passive for i in senders)
+            idle = start + self.rates.duration(destroyed_bits(sent.frame, error, dominant=active, answered=not unanswered))
         all_of_them = tuple((i, heads[i]) for i in senders)
         end = idle - INTERMISSION * self.rates.bit
         self._now.append((Transmission(senders[0], sent, start, end, idle, error, all_of_them[1:]), all_of_them))
@@ -203,12 +204,6 @@ class CanBus:
             node.rates != rates and not node.errors.passive and i not in self._off
             for i, node in enumerate(self.nodes) if node.rates is not None or rates is not None
         )  # fmt: skip
-
-    def _broken(self, sent: Waiting, length: FrameLength, error: int, senders: Sequence[int], *, answered: bool) -> int:
-        """Return how long a destroyed frame holds the bus, with error flags, delimiter and intermission, in units."""
-        active = any(not self.nodes[i].errors.passive for i in senders)
-        bits = destroyed_bits(sent, length, error, dominant=active, answered=answered)
-        return bits.nominal * self.rates.bit + bits.data * self.rates.data_bit
 
     def _send_failed(self, i: int, at: int, *, unanswered: bool = False) -> None:
         node = self.nodes[i]

@@ -1,16 +1,22 @@
-"""Disturbances on the wire: which bit of a frame is seen as the other one by all nodes, and what that costs."""
+"""What goes wrong on a bus: bits that all nodes see as the other one, what that costs, and faults on a time line.
+
+A fault disturbs bits for a while, at a rate or in chosen frames, or takes nodes off the bus.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from typing import Final, Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
-from transport.can_bus_model.bits import ACK_TO_INTERMISSION, INTERMISSION, FrameLength, WireBits, wire_bits
-from transport.can_bus_model.can_frame import CanFrame
-from transport.can_bus_model.node import Waiting
+from transport.can_bus_model import BitRates, CanFrame, FrameLength
+from transport.can_bus_model.bits import INTERMISSION, wire_bits
 from transport.errors import FieldError
+
+if TYPE_CHECKING:
+    from transport.can_bus_model.bus import CanBus
 
 _DELIMITER: Final = 8
 
@@ -92,21 +98,116 @@ def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool = True) -> 
     return 6 if run >= 6 else 12 - run
 
 
-def destroyed_bits(sent: Waiting, length: FrameLength, bit: int, *, dominant: bool, answered: bool) -> FrameLength:
+def destroyed_bits(frame: CanFrame, bit: int, *, dominant: bool, answered: bool) -> FrameLength:
     """Return how many bits a destroyed frame holds the bus, with error flags, delimiter and intermission.
 
     Args:
-        sent: the frame.
-        length: bits that it has.
+        frame: what was sent.
         bit: the disturbed one.
         dominant, answered: see `flag_bits`.
     """
-    if sent.length is None:
-        wire = wire_bits(sent.frame)
-    else:  # no content: no equal bits in a row, and the data bit rate up to the CRC delimiter
-        first = length.nominal - len(ACK_TO_INTERMISSION)
-        wire = WireBits(("01" * sum(length))[: sum(length)], (first, first + length.data))
+    wire = wire_bits(frame)
     first, end = wire.fast
     fast = min(max(bit + 1 - first, 0), end - first)
     flags = flag_bits(wire.bits, bit, dominant=dominant, answered=answered)
     return FrameLength(bit + 1 - fast + flags + _DELIMITER + INTERMISSION, fast)
+
+
+class BusFault(NamedTuple):
+    """A time for which something is wrong on a bus.
+
+    Attributes:
+        first_ns, end_ns: from when, until when.
+        rate: probability that a bit is disturbed, None where nothing is at random.
+        identifier: of the frames of which the bit in the middle is disturbed; None: of none.
+        off: numbers of the nodes that are off the bus.
+    """
+
+    first_ns: int
+    end_ns: int
+    rate: float | None = None
+    identifier: int | None = None
+    off: tuple[int, ...] = ()
+
+
+class PlannedOutages:
+    """Which nodes are off the bus when."""
+
+    def __init__(self) -> None:
+        self._faults: tuple[BusFault, ...] = ()
+        self._edges: list[int] = []  # instants at which a fault begins or ends, ns
+        self._off: set[int] = set()
+
+    def plan(self, faults: Sequence[BusFault], past_ns: int) -> None:
+        """Replace the time line; what is past stays as it was.
+
+        Args:
+            faults: with their nodes.
+            past_ns: up to where time has passed.
+        """
+        self._faults = tuple(fault for fault in faults if fault.off)
+        self._edges = sorted({ns for f in self._faults for ns in (f.first_ns, f.end_ns) if ns >= past_ns})
+
+    def next_edge(self, ns: int) -> int | None:
+        """Return the next instant up to this one at which a fault begins or ends, None if there is none; it comes once."""
+        return self._edges.pop(0) if self._edges and self._edges[0] <= ns else None
+
+    def switch(self, bus: CanBus, ns: int) -> None:
+        """Take nodes off the bus, or let them come back.
+
+        Args:
+            bus: in which time has passed up to this instant.
+            ns: an edge.
+        """
+        off = {i for fault in self._faults if fault.first_ns <= ns < fault.end_ns for i in fault.off}
+        for i in sorted(off - self._off):
+            bus.switch_off(i, BitRates.units(ns))
+        for i in sorted(self._off - off):
+            bus.switch_on(i, BitRates.units(ns))
+        self._off = off
+
+    def forget(self, node: int) -> None:
+        """Leave a node alone that has left the bus."""
+        self._off.discard(node)
+        self._faults = tuple(fault._replace(off=tuple(i for i in fault.off if i != node)) for fault in self._faults)
+
+    def memory(self) -> list[Any]:
+        """Return what it remembers, as plain values."""
+        return [self._faults, self._edges, sorted(self._off)]
+
+    def remember(self, memory: list[Any]) -> None:
+        """Take over what `memory` returned."""
+        faults, self._edges, off = memory
+        self._faults, self._off = tuple(BusFault._make([*each[:4], tuple(each[4])]) for each in faults), set(off)
+
+
+class PlannedErrors:
+    """Which bit of the next frame is disturbed, by the bus's own rate and by its faults; see `Noise`.
+
+    Args:
+        always: the bus's own disturbances; None: none.
+        rng: the stream of the faults; nothing else may draw from it.
+    """
+
+    def __init__(self, always: BitErrors | None, rng: np.random.Generator) -> None:
+        self._always, self._rng = always, rng
+        self._faults: list[tuple[int, int, BitErrors | None, int | None]] = []
+
+    def plan(self, faults: Sequence[BusFault]) -> None:
+        """Replace the time line."""
+        self._faults = [
+            (BitRates.units(first), BitRates.units(end), None if rate is None else BitErrors(rate, self._rng), identifier)
+            for first, end, rate, identifier, _ in faults
+            if rate is not None or identifier is not None
+        ]
+
+    def first(self, bits: int, start: int, frame: CanFrame) -> int | None:
+        """Return the first disturbed bit of a frame, None if there is none; it counts when the frame begins."""
+        found = [self._always.first(bits)] if self._always is not None else []
+        for begin, end, errors, identifier in self._faults:
+            if begin <= start < end:
+                if errors is not None:
+                    found.append(errors.first(bits))
+                elif identifier == frame.identifier:
+                    found.append(bits // 2)
+        return min((bit for bit in found if bit is not None), default=None)

@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal, NamedTuple
 
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import FrameLength, wire_bits
-from transport.can_bus_model.can_frame import CanFrame, arbitration_key
+from transport.can_bus_model import BitRates, CanFrame, FrameLength, arbitration_key
+from transport.can_bus_model.bits import wire_bits
 
 BufferKind = Literal["fifo", "priority", "overwritten"]
 """``fifo``: the oldest frame goes first, whatever its identifier. ``priority``: the one that wins over the others.

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import CanFrame
 from transport.errors import FieldError
 
 AHEAD: Final = 64
@@ -95,18 +95,11 @@ class Traffic:
     """
 
     def __init__(self, sources: Iterable[Iterator[Due]]) -> None:
-        self._sources = list(sources)
-        firsts = ((i, next(source, None)) for i, source in enumerate(self._sources))
-        self._next = [(due.at_ns, i, due) for i, due in firsts if due is not None]
-        heapq.heapify(self._next)
+        self._sources = heapq.merge(*sources, key=lambda due: due.at_ns)
+        self._next = next(self._sources, None)
 
     def until(self, ns: int) -> Iterator[Due]:
         """Yield what is queued up to an instant and at it."""
-        while self._next and self._next[0][0] <= ns:
-            _, i, due = self._next[0]
-            after = next(self._sources[i], None)
-            if after is None:
-                heapq.heappop(self._next)
-            else:
-                heapq.heapreplace(self._next, (after.at_ns, i, after))
+        while (due := self._next) is not None and due.at_ns <= ns:
+            self._next = next(self._sources, None)
             yield due

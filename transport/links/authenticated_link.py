@@ -32,7 +32,7 @@ from transport.wire import CONTROL, SENSOR, TAG_BYTES
 from transport.wire.tags import Tagged, tag_of, with_tag
 
 if TYPE_CHECKING:
-    from transport.can_bus_model.planned_faults import BusFault
+    from transport.can_bus_model.disturbances import BusFault
 
 HELLO: Final = 0xFFFFFFFF
 SILENCE_S: Final = 1.0

@@ -14,8 +14,8 @@ from __future__ import annotations
 from struct import Struct
 from typing import Final, NamedTuple
 
+from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bits import wire_bits
-from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import PASSIVE, WARNING, State
 from transport.links.link import BusStatus
 from transport.wire import frame_length

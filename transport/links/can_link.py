@@ -30,8 +30,8 @@ from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role,
 from transport.packets import decode, frame_length, node_of, packet_size
 
 if TYPE_CHECKING:
+    from transport.can_bus_model.disturbances import BusFault
     from transport.can_bus_model.node import State
-    from transport.can_bus_model.planned_faults import BusFault
 
 _FAULTS: Final = (TransportError, OSError, ValueError)
 _GONE: Final = (ENODEV, ENXIO, EBADF)  # the socket is bound to nothing any more

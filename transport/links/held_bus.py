@@ -15,11 +15,10 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model.disturbances import BusFault, PlannedErrors, PlannedOutages
 from transport.can_bus_model.node import CanNode, State, Waiting
-from transport.can_bus_model.planned_faults import BusFault, PlannedErrors, PlannedOutages
 from transport.links.link import TransportError
 
 PATIENCE_NS: Final = 100_000_000

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import Any, Final
 
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.errors import FieldError
 from transport.links.can_datagram import EXTENDED, ID_MASK
 from transport.links.hil_frames import HilFrames

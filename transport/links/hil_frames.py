@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic, monotonic_ns, time
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.can_bus_model.node import State
 from transport.links.can_datagram import (
     BITRATE_SWITCH,
@@ -28,7 +28,7 @@ from transport.links.link import LOOK_S, TransportError
 from transport.links.unix_mesh import Mesh
 
 if TYPE_CHECKING:
-    from transport.can_bus_model.planned_faults import BusFault
+    from transport.can_bus_model.disturbances import BusFault
     from transport.links.held_bus import StateChange
     from transport.links.timed_sender import TimedSender
 

@@ -15,8 +15,8 @@ from urllib.parse import parse_qsl
 from msgspec import Struct
 
 if TYPE_CHECKING:
+    from transport.can_bus_model.disturbances import BusFault
     from transport.can_bus_model.node import State
-    from transport.can_bus_model.planned_faults import BusFault
 
 Role = Literal["rig", "controller"]
 

@@ -19,10 +19,9 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Final, NamedTuple
 
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import BitRates, CanFrame
+from transport.can_bus_model.disturbances import BusFault
 from transport.can_bus_model.node import CanNode, State, Waiting
-from transport.can_bus_model.planned_faults import BusFault
 from transport.links.bus_file import BusFile
 from transport.links.held_bus import Ended, HeldBus, StateChange
 from transport.links.link import TransportError

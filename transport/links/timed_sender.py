@@ -11,10 +11,9 @@ from threading import Condition, Thread
 from time import monotonic, monotonic_ns
 from typing import Final
 
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import BitRates, CanFrame
+from transport.can_bus_model.disturbances import BusFault
 from transport.can_bus_model.node import State
-from transport.can_bus_model.planned_faults import BusFault
 from transport.links.held_bus import Ended, StateChange
 from transport.links.shared_bus import Seen, SharedBus
 

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from struct import pack
 from typing import Any
 
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model.disturbances import BusFault, PlannedOutages
 from transport.can_bus_model.node import Waiting
-from transport.can_bus_model.planned_faults import BusFault, PlannedOutages
 from transport.can_bus_model.traffic import Traffic
 from transport.draws import REPLACED
 from transport.errors import FieldError

@@ -10,11 +10,10 @@ from hil.rig.loop import Loop
 from hil.rig.schedules import bus_faults
 from hil.rig.traffic_file import due_of
 from hil.runtime.streams import rng_for
+from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
-from transport.can_bus_model.can_frame import CanFrame
-from transport.can_bus_model.disturbances import BitErrors
+from transport.can_bus_model.disturbances import BitErrors, PlannedErrors
 from transport.can_bus_model.node import CanNode
-from transport.can_bus_model.planned_faults import PlannedErrors
 from transport.can_bus_model.traffic import Due, Traffic
 from transport.medium.independent import Impairment
 from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames

@@ -15,7 +15,7 @@ from hil.log.write.sinks import Sink, record_to, records_to
 from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.draws import Draw
 from transport.medium.medium import Delivery
 from transport.packets import ControlPacket, node_of

@@ -10,10 +10,9 @@ import pytest
 from tests.transport.can_analysis.sae import SAE
 from transport.can_analysis import PeriodicMessage, response_times
 from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage, response_ranges
-from transport.can_bus_model.bit_rates import BitRates
-from transport.can_bus_model.bits import FrameLength, frame_length, longest_frame, shortest_frame
+from transport.can_bus_model import BitRates, CanFrame, FrameLength
+from transport.can_bus_model.bits import frame_bounds, frame_length
 from transport.can_bus_model.bus import CanBus, CanNode
-from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.traffic import Periodic, Traffic
 from transport.errors import FieldError
@@ -141,8 +140,7 @@ def test_the_shortest_and_the_longest_frame_hold_every_frame_between_them() -> N
         identifier = int(rng.integers(1 << (29 if extended else 11)))
         frame = CanFrame(identifier=identifier, data=rng.bytes(length), extended=extended, fd=fd, bitrate_switch=switch)
         exact = frame_length(frame)
-        least = shortest_frame(length, extended=extended, fd=fd, bitrate_switch=switch)
-        most = longest_frame(length, extended=extended, fd=fd, bitrate_switch=switch)
+        least, most = frame_bounds(length, extended=extended, fd=fd, bitrate_switch=switch)
         assert least.nominal <= exact.nominal <= most.nominal
         assert least.data <= exact.data <= most.data
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.transport.can_analysis.sae import BOUNDS_250_MS, BOUNDS_MS, SAE
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates
 from transport.errors import FieldError
 
 MS = 1_000_000

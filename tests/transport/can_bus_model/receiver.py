@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from transport.can_bus_model.can_frame import CanFrame
+from transport.can_bus_model import CanFrame
 
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 GRAY = ("000", "001", "011", "010", "110", "111", "101", "100")

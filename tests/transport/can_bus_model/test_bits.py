@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from tests.transport.can_bus_model.receiver import LENGTHS, read
-from transport.can_bus_model.bits import frame_length, longest_frame, wire_bits
-from transport.can_bus_model.can_frame import CanFrame, arbitration_key
+from transport.can_bus_model import CanFrame, arbitration_key
+from transport.can_bus_model.bits import frame_bounds, frame_length, wire_bits
 from transport.errors import FieldError
 
 CAN_UTILS = Path(os.environ.get("CAN_UTILS", "can-utils"))  # its source, GPL or BSD: a peer to test against, not a part of this
@@ -82,15 +82,13 @@ def test_no_frame_is_longer_than_the_bound_and_the_bound_of_classic_frames_is_re
     rng = random.Random(7)
     for _ in range(3000):
         frame = random_frame(rng)
-        most = longest_frame(
-            0 if frame.remote else len(frame.data), extended=frame.extended, fd=frame.fd, bitrate_switch=frame.bitrate_switch,
-            remote=frame.remote,
-        )  # fmt: skip
+        size = 0 if frame.remote else len(frame.data)
+        _, most = frame_bounds(size, extended=frame.extended, fd=frame.fd, bitrate_switch=frame.bitrate_switch)
         length = frame_length(frame)
         assert length.nominal <= most.nominal and length.data <= most.data
     for size in range(9):
-        assert [sum(longest_frame(size, extended=e)) for e in (False, True)] == [55 + 10 * size, 80 + 10 * size]
-    assert sum(longest_frame(64, fd=True)) == 712 and sum(longest_frame(64, fd=True, extended=True)) == 736
+        assert [sum(frame_bounds(size, extended=e)[1]) for e in (False, True)] == [55 + 10 * size, 80 + 10 * size]
+    assert sum(frame_bounds(64, fd=True)[1]) == 712 and sum(frame_bounds(64, fd=True, extended=True)[1]) == 736
 
 
 def test_the_lower_bits_win_as_on_the_wire() -> None:

@@ -11,10 +11,9 @@ import pytest
 
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE
 from transport.can_analysis import PeriodicMessage, bus_load, response_times
-from transport.can_bus_model.bit_rates import BitRates
+from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length, wire_bits
 from transport.can_bus_model.bus import CanBus, Transmission
-from transport.can_bus_model.can_frame import CanFrame
 from transport.can_bus_model.disturbances import BitErrors
 from transport.can_bus_model.node import CanNode, Waiting
 

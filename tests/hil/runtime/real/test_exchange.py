@@ -256,7 +256,7 @@ def test_a_bus_that_has_faults_ahead_learns_them_in_session_time_long_before_slo
     from hil.rig.session_link import no_link
     from hil.runtime.real import rig_process
     from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
-    from transport.can_bus_model.planned_faults import BusFault
+    from transport.can_bus_model.disturbances import BusFault
 
     loop = compose(load_experiment("dc-motor-hinf"), certify=False)
     read, write = os.pipe()
