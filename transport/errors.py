@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 class FieldError(ValueError):
     """A value that does not fit, with the field that holds it; its text is ``field: message``.
@@ -17,3 +19,14 @@ class FieldError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.field}: {self.message}"
+
+
+def nearest(name: str, known: Iterable[str]) -> str | None:
+    """Return the known name that one comes near to, None if none does.
+
+    >>> nearest("cann", ["can", "zenoh"]), nearest("x", ["can"])
+    ('can', None)
+    """
+    from difflib import get_close_matches  # who makes no mistake needs none
+
+    return next(iter(get_close_matches(name, [*known], n=1)), None)

@@ -149,7 +149,7 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
     from hil.design_questions.measured_network import measured
     from hil.log.recordings.read import read_recording
     from hil.log.recordings.recording import BACK, THERE, packet_records
-    from transport.law_fit.law_fit import fit_law
+    from transport.law_fit import fit_law
 
     records, notes = packet_records(read_recording([path]))
     if THERE not in records or BACK not in records:

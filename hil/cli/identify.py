@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from design.identification.jump_rates import JumpRate
     from design.identification.output_error import AxisFit
     from hil.measure.identification_records import Axis, AxisRecord
-    from transport.law_fit.law_fit import LawFit
+    from transport.law_fit import LawFit
 
 
 NONE = 1
@@ -68,7 +68,7 @@ def law(
     from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording
     from hil.log.recordings.recording import packet_records
-    from transport.law_fit.law_fit import fit_law
+    from transport.law_fit import fit_law
 
     with Working(f"packets of {files[0]}"):
         recording = read_recording(files, can_id=can_id, one_clock=one_clock)

@@ -21,7 +21,7 @@ from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
 from hil.rig.loop import Loop
 from hil.rig.sensors import SharedMedium
 from transport.errors import FieldError
-from transport.law_fit.law_fit import fit_law
+from transport.law_fit import fit_law
 from transport.law_fit.packet_record import PacketRecord
 
 LEAST_SLOTS: Final = 1000

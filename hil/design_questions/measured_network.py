@@ -26,7 +26,7 @@ from transport.laws.protocols import AgeChain, ChainLaw, NetworkLaw, PacketAges,
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
-    from transport.law_fit.law_fit import LawFit
+    from transport.law_fit import LawFit
 
 OLDEST_DISTINGUISHED = 3
 """Ages that gains tell apart, at most, where a measured latency may last longer."""

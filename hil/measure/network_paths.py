@@ -17,7 +17,7 @@ from hil.log.topics import CA, SC
 from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
-from transport.law_tests.statistics import law_p_value, mode_counts, transition_counts
+from transport.law_tests import law_p_value, mode_counts, transition_counts
 from transport.laws.delay_states import mode_shares, mode_transitions
 from transport.laws.protocols import ChainLaw, NetworkLaw
 from transport.wire import sensor_length

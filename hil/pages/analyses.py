@@ -14,7 +14,7 @@ from design.passivity.synthesis import ceiling_n_per_m
 from hil.log.recordings.law_text import WORDS, independence_said
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html.page import Page
-from transport.law_fit.law_fit import LawFit
+from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
 from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals

@@ -37,7 +37,7 @@ from design.controllers import (
 from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
 from transport.draws import Draw
-from transport.law_tests.statistics import law_p_value
+from transport.law_tests import law_p_value
 from transport.laws.delay_states import delay_states
 from transport.laws.protocols import (
     AgeLaw,

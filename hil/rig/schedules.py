@@ -12,8 +12,8 @@ from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.nodes import ClockTable
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
+from transport.medium import SampleClock
 from transport.medium.faulted import FaultInterval
-from transport.medium.medium import SampleClock
 from transport.medium.scheduled import Arbitration
 
 if TYPE_CHECKING:

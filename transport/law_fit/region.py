@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.law_fit.law_fit import LawFit
+from transport.law_fit import LawFit
 from transport.law_fit.packet_record import delays_in_slots
 from transport.law_fit.proportions import Interval, clopper_pearson, wilson
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from transport.draws import DELIVERED, NO_MODE, OVERFLOW
 from transport.laws.delay_states import delay_states, measured_ages, mode_bursts, mode_shares
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
-from transport.laws.packet_chain import arrival_ages
+from transport.laws.packet_chain import arrival_ages, slots_late
 from transport.laws.protocols import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row
 from transport.medium.independent import impair
@@ -77,7 +77,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
         latencies = latency(law.latency)
         loss, mean_latency_s = law.loss_probability, latencies.mean_s
         if law.discard_older is not None and not isinstance(latencies, LatencyTrace):
-            comes = arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, SLOT_TOLERANCE)
+            comes = arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s)
             loss = 1.0 - (1.0 - loss) * float(comes.sum())
         if law.reordering and not isinstance(latencies, LatencyTrace) and not _may_overflow(law, latencies, period_s, deadline_s):
             shares, unused = packet_age_shares(law, period_s, deadline_s), math.nan
@@ -149,8 +149,7 @@ def _may_overflow(law: ChannelLaw, latencies: QuantileTable, period_s: float, de
     A bounded latency bounds the packets in flight. Otherwise their number is a sum of independent ones of mean m <= (1 +
     duplication)(1 + mean latency / T), and Chernoff's bound says Pr(number >= q) <= exp(q - m - q log(q/m)), q > m.
     """
-    slots = max(0, math.ceil((latencies.values_s[-1] - deadline_s) / period_s - SLOT_TOLERANCE))
-    if (slots + 1) * (1 + (law.duplication > 0.0)) <= law.queue:
+    if (slots_late(latencies.values_s[-1], period_s, deadline_s) + 1) * (1 + (law.duplication > 0.0)) <= law.queue:
         return False
     m, q = (1.0 + law.duplication) * (1.0 + latencies.mean_s / period_s), law.queue - 1
     return q <= m or q - m - q * math.log(q / m) > math.log(NEGLIGIBLE)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.durations import UNITS, in_seconds
-from transport.errors import FieldError
+from transport.errors import FieldError, nearest
 from transport.laws.stochastic_matrix import checked_row
 from transport.laws.trace import read_column
 
@@ -212,10 +212,8 @@ def _positive(path: str, value: object) -> float:
 def _known(spec: Mapping[str, Any], names: Sequence[str], path: str) -> None:
     for key in spec:
         if key not in names:
-            from difflib import get_close_matches  # who makes no mistake needs none
-
-            near = get_close_matches(str(key), names, n=1)
-            raise FieldError(f"{path}.{key}", f"unknown; expected {', '.join(names)}" + (f" ({near[0]}?)" if near else ""))
+            near = nearest(str(key), names)
+            raise FieldError(f"{path}.{key}", f"unknown; expected {', '.join(names)}" + (f" ({near}?)" if near else ""))
 
 
 def _from_table(rows: object, path: str) -> QuantileTable:
@@ -241,10 +239,8 @@ def _from_scipy(spec: Mapping[str, Any], path: str) -> QuantileTable:
     family = getattr(stats, name, None) if isinstance(name, str) else None
     if not isinstance(family, (stats.rv_continuous, stats.rv_discrete)):
         laws = [n for n, law in vars(stats).items() if isinstance(law, (stats.rv_continuous, stats.rv_discrete))]
-        from difflib import get_close_matches  # who makes no mistake needs none
-
-        near = get_close_matches(str(name), laws, n=1)
-        raise FieldError(f"{path}.dist", f"scipy.stats has no law {name!r}" + (f"; did you mean {near[0]!r}?" if near else ""))
+        near = nearest(str(name), laws)
+        raise FieldError(f"{path}.dist", f"scipy.stats has no law {name!r}" + (f"; did you mean {near!r}?" if near else ""))
     shapes = [shape.strip() for shape in (family.shapes or "").split(",") if shape.strip()]
     _known(spec, ["dist", *shapes, "loc", "scale"], path)
     arguments: dict[str, float] = {}

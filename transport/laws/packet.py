@@ -168,11 +168,11 @@ class PacketLaw:
 
     def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain | str:
         """Return the chain of the ages of the newest packet, or in words why there is none; see `packet_chain`."""
-        return packet_chain(self, latency(self.latency), period_s, deadline_s, SLOT_TOLERANCE, reach)
+        return packet_chain(self, latency(self.latency), period_s, deadline_s, reach)
 
     def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
         """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
-        return first_arrivals(self, latency(self.latency), period_s, deadline_s, SLOT_TOLERANCE)
+        return first_arrivals(self, latency(self.latency), period_s, deadline_s)
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain of the channel's modes: (1, 1), or (2, 2) good and bad."""

@@ -6,12 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import prod
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws.latency import Latency, LatencyTrace
+from transport.laws.protocols import SLOT_TOLERANCE
+
+if TYPE_CHECKING:
+    from transport.laws.packet import PacketLaw
 
 MOST_STATES = 512
 
@@ -48,25 +52,9 @@ class PacketChain:
         return self.first
 
 
-class Packets(Protocol):
-    """What of a packet law decides the ages, see `transport.laws.packet.PacketLaw`."""
-
-    @property
-    def duplication(self) -> float: ...
-    @property
-    def reordering(self) -> bool: ...
-    @property
-    def queue(self) -> int: ...
-    @property
-    def discard_older(self) -> int | None: ...
-    def channel_losses(self) -> Sequence[float]: ...
-    def transition_matrix(self) -> NDArray[np.float64]: ...
-    def stationary(self) -> NDArray[np.float64]: ...
-
-
 def arrival_ages(
-    latencies: Latency, duplication: float, discard_older: int | None, period_s: float, deadline_s: float, tolerance: float
-) -> NDArray[np.float64]:
+    latencies: Latency, duplication: float, discard_older: int | None, period_s: float, deadline_s: float
+) -> NDArray[np.float64]:  # fmt: skip
     """Return Pr(a packet that the channel does not lose comes first at age i), (J + 1,); what misses to 1 never comes.
 
     Args:
@@ -74,49 +62,48 @@ def arrival_ages(
         duplication: probability of a copy.
         discard_older: what the receiver discards, see `transport.laws.packet.PacketLaw`.
         period_s, deadline_s: length of a slot, and when it closes, s.
-        tolerance: of a latency that ends with a slot, in slots.
     """
-    longest = 0 if isinstance(latencies, LatencyTrace) else _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
+    longest = 0 if isinstance(latencies, LatencyTrace) else slots_late(latencies.values_s[-1], period_s, deadline_s)
     bound = longest if discard_older is None else min(longest, discard_older)
-    due = deadline_s + (np.arange(bound + 1, dtype=np.float64) + tolerance) * period_s
+    due = deadline_s + (np.arange(bound + 1, dtype=np.float64) + SLOT_TOLERANCE) * period_s
     late = 1.0 - latencies.cdf(np.asarray(due, dtype=np.float64))
     missed = (1.0 - duplication) * late + duplication * late**2
     return np.maximum(-np.diff(missed, prepend=1.0), 0.0)
 
 
 def first_arrivals(
-    law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float
+    law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float
 ) -> NDArray[np.float64] | str:
     """Return what `arrival_ages` says of a law whose packets come independently of each other, or wait; or in words why not.
 
     Args:
         law: the packet law.
-        latencies, period_s, deadline_s, tolerance: see `packet_chain`.
+        latencies, period_s, deadline_s: see `packet_chain`.
     """
     if isinstance(latencies, LatencyTrace):
         return "its latencies are a recorded trace"
     if not law.reordering and law.duplication > 0.0:
         return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
-    longest, bound = _reach(law, latencies, period_s, deadline_s, tolerance)
+    longest, bound = _reach(law, latencies, period_s, deadline_s)
     if bound > MOST_STATES:
         return f"latencies reach {bound} slots, at most {MOST_STATES}{_bounds(law, longest)}"
     if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
         return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
-    return arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s, tolerance)
+    return arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s)
 
 
-def _reach(law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float) -> tuple[int, int]:
+def _reach(law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float) -> tuple[int, int]:
     """Slots that the longest latency takes, and those after which no packet comes any more."""
-    longest = _slots(latencies.values_s[-1], period_s, deadline_s, tolerance)
+    longest = slots_late(latencies.values_s[-1], period_s, deadline_s)
     return longest, longest if law.discard_older is None else min(longest, law.discard_older)
 
 
-def _bounds(law: Packets, longest: int) -> str:
+def _bounds(law: PacketLaw, longest: int) -> str:
     return "" if law.discard_older is not None and law.discard_older < longest else "; discard_older = J bounds it"
 
 
 def packet_chain(
-    law: Packets, latencies: Latency, period_s: float, deadline_s: float, tolerance: float, reach: int = 0
+    law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float, reach: int = 0
 ) -> PacketChain | str:
     """Return the chain of the ages, or in words why there is none.
 
@@ -141,30 +128,30 @@ def packet_chain(
         law: the packet law.
         latencies: its latencies.
         period_s, deadline_s: length of a slot, and when it closes, s.
-        tolerance: of a latency that ends with a slot, in slots.
         reach: ages up to this one are distinguished, whatever the longest latency.
     """
     if isinstance(latencies, LatencyTrace):
         return "its latencies are a recorded trace"
-    longest, bound = _reach(law, latencies, period_s, deadline_s, tolerance)
+    longest, bound = _reach(law, latencies, period_s, deadline_s)
     modes = len(law.channel_losses())
     windows = modes ** min(bound, 20)
     states = max(bound, reach) + 2 if modes == 1 else (3 + max(0, reach - bound)) * windows
     if states > MOST_STATES:
         said = f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}"
         return said + _bounds(law, longest)
-    arrives = first_arrivals(law, latencies, period_s, deadline_s, tolerance)
+    arrives = first_arrivals(law, latencies, period_s, deadline_s)
     if isinstance(arrives, str):
         return arrives
     cut = latencies.cut if law.discard_older is None or law.discard_older >= longest else 0.0
     return _explored(law, arrives, max(bound, reach) + 1, bound, cut)
 
 
-def _slots(latency_s: float, period_s: float, deadline_s: float, tolerance: float) -> int:
-    return max(0, math.ceil(min((latency_s - deadline_s) / period_s - tolerance, 2.0**53)))  # a quotient may be infinite
+def slots_late(latency_s: float, period_s: float, deadline_s: float) -> int:
+    """Return after how many slots a packet with this latency comes: the smallest j >= 0 with L <= deadline + j T."""
+    return max(0, math.ceil(min((latency_s - deadline_s) / period_s - SLOT_TOLERANCE, 2.0**53)))  # a quotient may be infinite
 
 
-def _explored(law: Packets, arrives: NDArray[np.float64], oldest: int, bound: int, cut: float) -> PacketChain:
+def _explored(law: PacketLaw, arrives: NDArray[np.float64], oldest: int, bound: int, cut: float) -> PacketChain:
     """Chain over the states that come up from slot 0 on."""
     losses, channel = list(law.channel_losses()), law.transition_matrix()
     ages = _waiting if not law.reordering else _overtaking

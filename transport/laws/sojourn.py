@@ -216,15 +216,6 @@ def _bisector(law: Sojourn) -> Callable[[float], int]:
     return lambda u: bisect_right(reached, u) + 1
 
 
-def probabilities(law: Sojourn) -> NDArray[np.float64]:
-    """Return Pr(h = n), n = 1 .. support, (support,); sums to 1 up to the tail of 1e-12.
-
-    >>> probabilities(Uniform(low=1, high=2)).tolist()
-    [0.5, 0.5]
-    """
-    return -np.diff(law.survival(np.arange(law.support + 1)))
-
-
 def hazards(law: Sojourn, longest: int | None = None) -> NDArray[np.float64]:
     """Return Pr(h = n | h >= n) = 1 - S(n)/S(n-1), n = 1 .. longest (default: support), (longest,); 1 where S(n-1) is
     0.

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 from warnings import catch_warnings, simplefilter
 
+from transport.errors import nearest
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
 from transport.links.hil_channel import join_channel
@@ -96,13 +97,11 @@ def _join_hil(channel: str, *, quiet: bool, **options: Any) -> HilFrames:
 
 def _check_name(uri: str, interface: str) -> None:
     """Refuse an interface that python-can does not know."""
-    from difflib import get_close_matches
-
     from transport.links.python_can import INTERFACES
 
     if interface not in INTERFACES:
-        near = get_close_matches(interface, INTERFACES, n=1)
-        hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(sorted(INTERFACES))}"
+        near = nearest(interface, INTERFACES)
+        hint = f"did you mean {near!r}?" if near else f"there are {', '.join(sorted(INTERFACES))}"
         raise TransportError(f"link {uri!r}: python-can has no interface {interface!r}, {hint}")
 
 
@@ -125,11 +124,9 @@ def _check_options(uri: str, interface: str, options: dict[str, str]) -> None:
         known = [*known, *_BIT_RATES] if interface in _SWALLOWING else []
     for option in options:
         if option in _RESERVED or (known and option not in known):
-            from difflib import get_close_matches
-
-            near = get_close_matches(option, [*OPTIONS, *known], n=1)
+            near = nearest(option, [*OPTIONS, *known])
             expected = f"expected {', '.join(OPTIONS)} or what python-can's {interface} takes"
-            hint = f"did you mean {near[0]!r}?" if near else expected
+            hint = f"did you mean {near!r}?" if near else expected
             raise TransportError(f"link {uri!r}: no option is called {option!r}, {hint}")
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Final, get_args
 from urllib.parse import urlencode
 
+from transport.errors import nearest
 from transport.installed import Point, points
 from transport.links.can_identifiers import BASE
 from transport.links.link import FORMS, Link, Role, TransportError, key_file, split_uri
@@ -41,10 +42,8 @@ def find_link(uri: str) -> Point:
     if not colon or not scheme:
         raise TransportError(f"link {uri!r}: no scheme, expected one of {', '.join(sorted(found))}, as in can:hil:rig0")
     if scheme not in found:
-        from difflib import get_close_matches
-
-        near = get_close_matches(scheme, found, n=1)
-        hint = f"did you mean '{near[0]}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
+        near = nearest(scheme, found)
+        hint = f"did you mean '{near}:{rest}'?" if near else f"expected one of {', '.join(sorted(found))}"
         raise TransportError(f"link {uri!r}: no link is called {scheme!r}, {hint}")
     if scheme in FORMS:
         key_file(uri)

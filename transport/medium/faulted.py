@@ -7,8 +7,8 @@ from math import nan
 from typing import Final, Literal, NamedTuple
 
 from transport.draws import CORRUPTED, CUT, DELIVERED, DISORDERED, DUPLICATED, NO_MODE, OFF_BUS, REPEATED, Draw
+from transport.medium import Delivery, Medium
 from transport.medium.independent import Arrivals
-from transport.medium.medium import Delivery, Medium
 
 FaultKind = Literal["cut", "corrupt", "freeze", "bus-off"]
 
@@ -101,7 +101,7 @@ class FaultyPath:
 
 
 class FaultedMedium:
-    """A medium with faults on its time line; see `transport.medium.medium.Medium`.
+    """A medium with faults on its time line; see `transport.medium.Medium`.
 
     The medium behind it draws what it would draw without them: modes and latencies stay those of the run without faults.
 

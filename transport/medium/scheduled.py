@@ -12,8 +12,8 @@ import numpy as np
 from transport.draws import LOST, NO_MODE, REPLACED, SUPERSEDED, Draw
 from transport.errors import FieldError
 from transport.laws.stochastic_matrix import cumulative
+from transport.medium import Delivery
 from transport.medium.independent import Impairment
-from transport.medium.medium import Delivery
 
 
 class Turns(Protocol):
@@ -75,7 +75,7 @@ class RandomTurns:
 
 
 class ScheduledMedium:
-    """Nodes with channels of their own, some of which take turns; see `transport.medium.medium.Medium`.
+    """Nodes with channels of their own, some of which take turns; see `transport.medium.Medium`.
 
     What a node sends in its turn travels through the node's own channel; what it offers out of turn is not sent.
 
@@ -207,7 +207,7 @@ class Behind:
 
 
 class ArbitratedBus:
-    """Nodes that share a bus with arbitration; see `transport.medium.medium.Medium`.
+    """Nodes that share a bus with arbitration; see `transport.medium.Medium`.
 
     A bus on which the lowest identifier wins: a frame that loses waits, and a newer sample of its node takes its place.
 

@@ -19,8 +19,8 @@ from transport.can_bus_model.node import Waiting
 from transport.can_bus_model.traffic import Traffic
 from transport.draws import REPLACED
 from transport.errors import FieldError
+from transport.medium import Delivery
 from transport.medium.independent import Impairment
-from transport.medium.medium import Delivery
 from transport.medium.scheduled import Behind
 from transport.wire import frame_length
 
@@ -134,19 +134,26 @@ class BusInSlots:
         return [(packet.tick, packet.content) for packet in found]
 
 
-class TimedBusUplink:
-    """Sensor nodes on a CAN bus that takes time; see `transport.medium.medium.Medium`.
+class TimedBusWay:
+    """Nodes on a CAN bus that takes time; see `transport.medium.Medium`.
+
+    What a sensor node sends is queued when the slot begins and counts up to its deadline, what the controller sends is queued at
+    the deadline and counts up to the end of the slot.
 
     Args:
-        bus: shared with the way back where both are on one bus.
+        bus: shared by sensor nodes and controller where both are on one bus.
         channels: the emulated network of each node behind the bus.
         frames: for each node what makes the frames of a packet.
+        first: number of the first of them among the senders of the bus.
+        back: whether they send what the controller sends.
     """
 
     def __init__(
-        self, bus: BusInSlots, channels: Sequence[Impairment], frames: Sequence[Callable[[object], Sequence[CanFrame]]]
+        self, bus: BusInSlots, channels: Sequence[Impairment], frames: Sequence[Callable[[object], Sequence[CanFrame]]],
+        *, first: int = 0, back: bool = False,
     ) -> None:  # fmt: skip
-        self._bus, self._frames = bus, tuple(frames)
+        self._bus, self._frames, self._first = bus, tuple(frames), first
+        self._queued_ns, self._due_ns = (bus.deadline_ns, bus.period_ns) if back else (0, bus.deadline_ns)
         self._behind = [Behind(channel) for channel in channels]
         self._next = 0
 
@@ -155,48 +162,21 @@ class TimedBusUplink:
         return True
 
     def offer(self, node: int, k: int, packet: object) -> None:
-        """Queue a packet at the beginning of slot k, see `Medium.offer`.
+        """Queue a packet of slot k, see `Medium.offer`.
 
         Raises:
             ValueError: slot k has been collected.
         """
         if k < self._next:
             raise FieldError("k", f"slot {k} is offered a packet after it was collected")
-        replaced = self._bus.send(node, k, k * self._bus.period_ns, packet, self._frames[node](packet))
+        at_ns = k * self._bus.period_ns + self._queued_ns
+        replaced = self._bus.send(self._first + node, k, at_ns, packet, self._frames[node](packet))
         self._behind[node].book(k, replaced, REPLACED)
 
     def collect(self, k: int) -> list[Delivery]:
-        """Return what each node's packets have become by the deadline of slot k, see `Medium.collect`."""
+        """Return what each node's packets have become when what is sent in slot k counts no more, see `Medium.collect`."""
         self._next = k + 1
-        self._bus.until(k * self._bus.period_ns + self._bus.deadline_ns)
+        self._bus.until(k * self._bus.period_ns + self._due_ns)
         for node, behind in enumerate(self._behind):
-            behind.carry(k, self._bus.came(node))
+            behind.carry(k, self._bus.came(self._first + node))
         return [behind.collect(k) for behind in self._behind]
-
-
-class TimedBusDownlink:
-    """The way to the actuator over a CAN bus that takes time; see `transport.medium.independent.Impairment`.
-
-    Args:
-        bus: shared with the sensor nodes.
-        sender: number of the controller among the senders of the bus.
-        channel: the emulated network behind the bus.
-        frames: makes the frames of a packet.
-    """
-
-    def __init__(
-        self, bus: BusInSlots, sender: int, channel: Impairment, frames: Callable[[object], Sequence[CanFrame]]
-    ) -> None:  # fmt: skip
-        self._bus, self._sender, self._frames = bus, sender, frames
-        self._behind = Behind(channel)
-
-    def offer(self, k: int, packet: object) -> None:
-        """Queue a packet at the deadline of slot k, see `Impairment.offer`."""
-        at = k * self._bus.period_ns + self._bus.deadline_ns
-        self._behind.book(k, self._bus.send(self._sender, k, at, packet, self._frames(packet)), REPLACED)
-
-    def collect(self, k: int) -> Delivery:
-        """Return what has come by the end of slot k, see `Impairment.collect`."""
-        self._bus.until((k + 1) * self._bus.period_ns)
-        self._behind.carry(k, self._bus.came(self._sender))
-        return self._behind.collect(k)

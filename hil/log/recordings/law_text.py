@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.files.toml_text import toml_lines
-from transport.law_fit.law_fit import LawFit
+from transport.law_fit import LawFit
 from transport.law_fit.proportions import LAGS, REJECT
 from transport.law_fit.region import arrivals
 

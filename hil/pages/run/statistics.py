@@ -15,7 +15,7 @@ from hil.measure.network_paths import NetworkPath, expected_frequencies, expecte
 from hil.measure.summary import POINTS
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
 from hil.pages.html.numbers import text_of
-from transport.law_tests.statistics import is_testable
+from transport.law_tests import is_testable
 from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
 

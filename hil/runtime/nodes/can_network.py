@@ -15,8 +15,9 @@ from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.disturbances import BitErrors, PlannedErrors
 from transport.can_bus_model.node import CanNode
 from transport.can_bus_model.traffic import Due, Traffic
+from transport.medium import OneWay
 from transport.medium.independent import Impairment
-from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames
+from transport.medium.timed_bus import BusInSlots, TimedBusWay, value_frames
 from transport.packets import ControlPacket
 
 Seen = Callable[[Transmission, CanNode], None]
@@ -72,13 +73,13 @@ class CanNetwork:
         self._errors.plan(faults)
         self._slots.plan(faults)
 
-    def uplink(self, channels: Sequence[Impairment]) -> TimedBusUplink:
+    def uplink(self, channels: Sequence[Impairment]) -> TimedBusWay:
         """Return the medium of the sensor nodes on the bus.
 
         Args:
             channels: behind the bus, of each node on it by number.
         """
-        return TimedBusUplink(self._slots, channels, [self._sensor_frames(packet.first) for packet in self._own[: len(channels)]])
+        return TimedBusWay(self._slots, channels, [self._sensor_frames(packet.first) for packet in self._own[: len(channels)]])
 
     def downlink(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator: over the bus, or past it.
@@ -88,7 +89,8 @@ class CanNetwork:
         """
         if not self.carries_control:
             return channel
-        return TimedBusDownlink(self._slots, len(self._own) - 1, channel, self._control_frames)
+        way = TimedBusWay(self._slots, [channel], [self._control_frames], first=len(self._own) - 1, back=True)
+        return OneWay(way)
 
     def _sensor_frames(self, first: int) -> Callable[[object], list[CanFrame]]:
         def frames(packet: object) -> list[CanFrame]:

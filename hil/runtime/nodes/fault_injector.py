@@ -9,9 +9,9 @@ from hil.rig.loop import Loop
 from hil.rig.schedules import fault_text
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import rng_for
+from transport.medium import IndependentChannels, Medium, OneWay
 from transport.medium.faulted import FaultedMedium, FaultyPath
 from transport.medium.independent import Impairment
-from transport.medium.medium import IndependentChannels, Medium, OneWay
 from transport.packets import packet_size
 
 

@@ -17,7 +17,7 @@ from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected
 from transport.can_bus_model import BitRates
 from transport.draws import Draw
-from transport.medium.medium import Delivery
+from transport.medium import Delivery
 from transport.packets import ControlPacket, node_of
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN, Result, Steps, at_once
 from plants.parts.protocols import PlantRun
 from transport.draws import Draw
-from transport.law_tests.statistics import law_p_value
+from transport.law_tests import law_p_value
 from transport.laws.protocols import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
 
 Array = NDArray[np.float64]

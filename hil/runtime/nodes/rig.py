@@ -29,8 +29,8 @@ from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import begun, rng_for
+from transport.medium import ChangingMedium, Delivery, IndependentChannels, OneWay
 from transport.medium.independent import impair
-from transport.medium.medium import ChangingMedium, Delivery, IndependentChannels, OneWay
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 if TYPE_CHECKING:

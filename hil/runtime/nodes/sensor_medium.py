@@ -9,8 +9,8 @@ from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor, SharedMedium
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
+from transport.medium import Delivery, IndependentChannels, Medium, SampleClock, SplitMedium
 from transport.medium.independent import Impairment, impair
-from transport.medium.medium import Delivery, IndependentChannels, Medium, SampleClock, SplitMedium
 from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium, Turns
 
 if TYPE_CHECKING:

@@ -16,8 +16,8 @@ from hil.measure.network_paths import expected_frequencies, expected_transitions
 from hil.plugins.checks import check_law
 from hil.runtime.virtual import simulate
 from tests.hil.test_prediction import predicted_of, squared_errors
+from transport.law_tests import is_testable
 from transport.law_tests.analysis import analyse_law
-from transport.law_tests.statistics import is_testable
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import DiscreteWeibull, Table

@@ -22,7 +22,7 @@ from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.transport.medium.test_arbitration import bus, received
-from transport.medium.medium import SampleClock
+from transport.medium import SampleClock
 
 ONE = "controller={kind='historical', gains=[[[[0.0, 0.0, -2.0, 0.0]]]]}"
 NAMES = ("first", "second", "third", "fourth")

@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
+from transport.law_fit import fit_law
 from transport.law_fit.age_models import fit_ages
-from transport.law_fit.law_fit import fit_law
 from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
 from transport.law_fit.packet_record import PacketRecord
 from transport.law_fit.profile_intervals import angles_of, critical, minimum, profile_intervals, values_of

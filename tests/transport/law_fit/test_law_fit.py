@@ -12,7 +12,7 @@ from scipy import stats
 
 from tests.transport.law_fit.synthetic_laws import DEADLINE, LAWS, T, record_of
 from transport.errors import FieldError
-from transport.law_fit.law_fit import LawFit, fit_law
+from transport.law_fit import LawFit, fit_law
 from transport.law_fit.packet_record import LEAST, PacketRecord, ages_of
 from transport.law_fit.proportions import REJECT, fitness
 

@@ -16,7 +16,7 @@ from scipy import stats
 
 from hil.measure.network_paths import network_metrics
 from transport.draws import DUPLICATED, LOST, SENT, Draw
-from transport.law_tests.statistics import chi_square_tail, is_testable, law_p_value, mode_counts, transition_counts
+from transport.law_tests import chi_square_tail, is_testable, law_p_value, mode_counts, transition_counts
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from transport.draws import LOST
-from transport.medium.medium import Medium
+from transport.medium import Medium
 
 
 def lost_and_came(shared: Medium, slots: int) -> tuple[int, int]:

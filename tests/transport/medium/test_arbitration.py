@@ -10,8 +10,8 @@ import pytest
 from tests.transport.medium.losses import lost_and_came
 from transport.draws import DELIVERED, REPLACED
 from transport.laws.age import ConstantAge
+from transport.medium import SampleClock, SplitMedium
 from transport.medium.independent import impair
-from transport.medium.medium import SampleClock, SplitMedium
 from transport.medium.scheduled import ArbitratedBus, RoundRobin, ScheduledMedium
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from transport.draws import DELIVERED
 from transport.laws.age import ConstantAge
+from transport.medium import ChangingMedium, IndependentChannels, OneWay
 from transport.medium.independent import AgeImpairment, impair
-from transport.medium.medium import ChangingMedium, IndependentChannels, OneWay
 
 FAR = 1_000_000
 

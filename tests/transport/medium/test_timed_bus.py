@@ -13,8 +13,9 @@ from transport.can_bus_model.node import CanNode
 from transport.can_bus_model.traffic import Due, Periodic, Traffic
 from transport.draws import DELIVERED, REPLACED, SUPERSEDED
 from transport.laws.age import ConstantAge
+from transport.medium import OneWay
 from transport.medium.independent import Impairment, impair
-from transport.medium.timed_bus import BusInSlots, TimedBusDownlink, TimedBusUplink, value_frames
+from transport.medium.timed_bus import BusInSlots, TimedBusWay, value_frames
 
 T, D = 10_000_000, 4_000_000
 RATES = BitRates(125_000)
@@ -37,8 +38,8 @@ def busy(first_ns: int, until_ns: int, identifier: int = 0x10) -> list[Due]:
     return [Due(at, 3, frame) for at in range(first_ns, until_ns, length)]
 
 
-def uplink(bus: BusInSlots) -> TimedBusUplink:
-    return TimedBusUplink(bus, [channel()], [lambda packet: value_frames(0x100, packet, fd=False)])  # type: ignore[arg-type]
+def uplink(bus: BusInSlots) -> TimedBusWay:
+    return TimedBusWay(bus, [channel()], [lambda packet: value_frames(0x100, packet, fd=False)])  # type: ignore[arg-type]
 
 
 def test_a_packet_counts_in_its_slot_if_its_last_frame_is_complete_by_the_deadline() -> None:
@@ -87,7 +88,8 @@ def test_a_fifo_sends_every_packet_though_newer_ones_wait() -> None:
 def test_both_directions_are_on_one_bus_and_delay_each_other() -> None:
     bus = bus_of([])
     up = uplink(bus)
-    down = TimedBusDownlink(bus, 1, channel(), lambda packet: value_frames(0x140, [0.0] * 150, fd=False))
+    way = TimedBusWay(bus, [channel()], [lambda packet: value_frames(0x140, [0.0] * 150, fd=False)], first=1, back=True)
+    down = OneWay(way)
     up.offer(0, 0, (1.0,))
     up.collect(0)
     down.offer(0, "answer")  # 75 frames of a millisecond each

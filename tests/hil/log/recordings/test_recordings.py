@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.log.recordings.read import read_recording, shipped_recordings
 from hil.log.recordings.recording import packet_records
 from tests.waiting import LIMIT_S
-from transport.law_fit.law_fit import fit_law
+from transport.law_fit import fit_law
 
 DATA = Path(__file__).parents[3] / "data"
 N = 400
