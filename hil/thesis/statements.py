@@ -8,6 +8,7 @@ A chapter's room computes numbers under names; a table of statements refers to t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from string import Formatter
@@ -23,13 +24,26 @@ Number = float | str
 """A number, or the name of one."""
 
 
+class _Numbers(Formatter):
+    """Looks numbers up by name, and writes them into words; one that a computation did not find (None) is NaN."""
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Values) -> Any:
+        value, first = super().get_field(field_name, args, kwargs)
+        return math.nan if value is None else value, first
+
+
 def named(values: Values, name: Number) -> Any:
-    """Return the value of a name such as ``"J[1]"`` or ``"fit.inertia"``; a number is itself.
+    """Return the value of a name such as ``"J[1]"`` or ``"fit.inertia"``, NaN for None; a number is itself.
 
     Raises:
         KeyError, AttributeError, IndexError: there is none.
     """
-    return Formatter().get_field(name, (), values)[0] if isinstance(name, str) else name
+    return _Numbers().get_field(name, (), values)[0] if isinstance(name, str) else name
+
+
+def number_of(value: float | None) -> float:
+    """Return a number to compute with, NaN where there is none."""
+    return math.nan if value is None else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +85,14 @@ def judge(statements: Sequence[Statement], values: Values) -> tuple[Row, ...]:
 
 
 def _row(said: Statement, values: Values) -> Row:
+    def words(text: str) -> str:
+        return _Numbers().vformat(text, (), values)
+
     checks, witness, beside = (
-        tuple(c.judged(c.what.format_map(values), named(values, c.name), values) for c in claims)
+        tuple(c.judged(words(c.what), named(values, c.name), values) for c in claims)
         for claims in (said.claims, said.witness, said.beside)
     )
-    computed, basis = said.computed.format_map(values), said.basis.format_map(values)
+    computed, basis = words(said.computed), words(said.basis)
     computed = computed or ", ".join(dict.fromkeys(str(check) for check in (*checks, *witness)))
     return Row(
         item=said.item, printed=said.printed, computed=computed, checks=checks, witness=witness, beside=beside, basis=basis,

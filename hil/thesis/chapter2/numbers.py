@@ -16,10 +16,10 @@ from design.semi_markov_loop.second_moments import second_moment_decay, second_m
 from design.semi_markov_loop.stability import analyse
 from design.semi_markov_loop.system import JumpSystem
 from hil.thesis.chapter import Chapter, ReportProgress, Stage
-from hil.thesis.chapter2.feasibility import FEASIBILITY, FORMS, SECTIONS, feasibility, number_of, verdict_of
+from hil.thesis.chapter2.feasibility import FEASIBILITY, FORMS, SECTIONS, feasibility, verdict_of
 from hil.thesis.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
 from hil.thesis.chapter2.in_the_loop import IN_THE_LOOP, MARKOV, in_the_loop, markov
-from hil.thesis.statements import Statement, above, below, equal, exactly, says
+from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says
 
 THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")
 
@@ -45,7 +45,7 @@ def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
             analyse(three, None, box, method="pwc", nodes=((0.0,),) * 3).verdict,
         ],
         "growth": [
-            *(number_of(analyse(system, None, law, method="exact").spectral_radius) for system, law, _ in cases),
+            *(analyse(system, None, law, method="exact").spectral_radius for system, law, _ in cases),
             -number_of(analyse(three, None, worst, method="exact").decay_rate),
         ],
     }  # fmt: skip

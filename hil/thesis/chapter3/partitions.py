@@ -24,7 +24,7 @@ from design.semi_markov_loop.delayed_hinf import analyse_delayed
 from hil.pages.html.figures import Figure, Series
 from hil.thesis.chapter import Plot, ReportProgress
 from hil.thesis.noisy_runs import delayed_runs
-from hil.thesis.statements import Statement, above, below, exactly, says
+from hil.thesis.statements import Statement, above, below, exactly, number_of, says
 
 Array = npt.NDArray[np.float64]
 BOUNDS = (5.0, 1.5)
@@ -178,11 +178,11 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
     levels: dict[str, list[float]] = {"delays": [], "slopes": []}
     for n, delay_s in enumerate(DELAYS_S):
         report_progress(f"delays up to {delay_s:g} s", n, len(DELAYS_S) + len(SLOPES))
-        levels["delays"].append(_gamma(analyse_delayed(replace(system, delay_max_s=delay_s), printed, process).gamma))
+        levels["delays"].append(number_of(analyse_delayed(replace(system, delay_max_s=delay_s), printed, process).gamma))
     for n, slope in enumerate(SLOPES):
         report_progress(f"slope {slope:g}", len(DELAYS_S) + n, len(DELAYS_S) + len(SLOPES))
         steady = replace(system, delay_slopes=np.full(system.modes, slope))
-        levels["slopes"].append(_gamma(analyse_delayed(steady, printed, process).gamma))
+        levels["slopes"].append(number_of(analyse_delayed(steady, printed, process).gamma))
     curve = Series(label="printed gains", x=np.array(DELAYS_S), y=np.array(levels["delays"]))
     figure = Figure(
         title="certified gamma", series=(curve,), x_label="largest delay", x_unit="s", y_label="gamma", sync=None
@@ -198,10 +198,6 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
 
 def _gains(matrices: Mapping[str, Array]) -> list[Array]:
     return [matrices[f"U[{i}]"] @ np.linalg.inv(matrices[f"X[{i}]"]) for i in range(3)]
-
-
-def _gamma(found: float | None) -> float:
-    return math.nan if found is None else found
 
 
 # fmt: off

@@ -52,9 +52,9 @@ def sensor_fault(report_progress: ReportProgress) -> dict[str, Any]:
     growth = worst_growth(system, ours.gain, process)
     return {
         "A": float(np.abs(system.a[1] - system.a[0]).max()), "B": float(np.abs(system.b[1] - system.b[0]).max()),
-        "lost": float(np.abs(system.shown(1) - system.shown(0)).max()), "ours": ours, "gamma": ours.gamma or math.nan,
+        "lost": float(np.abs(system.shown(1) - system.shown(0)).max()), "ours": ours,
         "unaware": unaware.gamma if unaware.gamma is not None else math.inf, "unaware_word": unaware.verdict,
-        "loop": "none" if verdict is None else verdict.state, "growth": math.nan if growth is None else growth[0],
+        "loop": "none" if verdict is None else verdict.state, "growth": growth and growth[0],
     }  # fmt: skip
 
 
@@ -69,14 +69,14 @@ SENSOR_FAULT = (
             below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
             says(f"{EXPERIMENT} at T = 1 ms", "loop", "certified"),
         ),
-        computed="gamma {gamma:.4f}, E|x|^2 grows at {growth:.3g}/s at most; the loop at T = 1 ms: {loop}",
+        computed="gamma {ours.gamma:.4f}, E|x|^2 grows at {growth:.3g}/s at most; the loop at T = 1 ms: {loop}",
         basis=f"the VTOL of Section 4.4 with sound actuators; in mode 2 the sensor of the pitch angle shows 0; gain norm <= "
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
     Statement(
         "Remark 4.1: gains that know of the sensor fault attenuate better under it than gains that do not", "-",
-        (below("gamma over that of gains for sound sensors", "gamma", "unaware"),),
-        computed="gamma {gamma:.4f} against {unaware:.4f} ({unaware_word})", basis="the same gain bound, rates and fault",
+        (below("gamma over that of gains for sound sensors", "ours.gamma", "unaware"),),
+        computed="gamma {ours.gamma:.4f} against {unaware:.4f} ({unaware_word})", basis="the same gain bound, rates and fault",
     ),
 )
 
@@ -97,8 +97,7 @@ def other_faults(report_progress: ReportProgress) -> dict[str, Any]:
     known = fault_tolerant_feedback(system, process, gain_bound=GAIN_BOUND)
     return {
         "same": max(_change(rough.a), _change(rough.b), _change(rough.c)), "E": _change(rough.e), "rough": ours,
-        "gamma": ours.gamma or math.nan, "calm": calm.gamma or math.nan, "growth": math.nan if growth is None else growth[0],
-        "over": over, "over_gamma": over.gamma or math.nan, "known": known.gamma or math.nan,
+        "calm": calm, "growth": growth and growth[0], "over": over, "known": known,
     }  # fmt: skip
 
 
@@ -114,16 +113,16 @@ OTHER_FAULTS = (
             exactly("largest change of A, B and C", "same", 0.0, 1e-12), above("largest change of E", "E", 0),
             says("(4.14), (4.23)", "rough.verdict", "certified"),
             below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
-            above("gamma over that without the fault", "gamma", "calm"),
+            above("gamma over that without the fault", "rough.gamma", "calm.gamma"),
         ),
-        computed="gamma {gamma:.5f}, without the fault {calm:.5f}; E|x|^2 grows at {growth:.3g}/s at most",
+        computed="gamma {rough.gamma:.5f}, without the fault {calm.gamma:.5f}; E|x|^2 grows at {growth:.3g}/s at most",
         basis=f"the VTOL of Section 4.4 with sound actuators; in mode 2 E is {LARGER:g} times as large; gain norm <= "
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
     Statement(
         "4.2: a Markov process may take the place of the detection in the design", "could be implemented",
         (says("its gains over the semi-Markov detection, (4.14), (4.23)", "over.verdict", "certified"),),
-        computed="{over.verdict}: gamma {over_gamma:.4g}, of gains that know the rates {known:.4g}",
+        computed="{over.verdict}: gamma {over.gamma:.4g}, of gains that know the rates {known.gamma:.4g}",
         basis=f"constant rates of r with the same mean sojourns; gain norm <= {GAIN_BOUND:g}. Both gains are descents to near "
         "their minima, so the difference is no claim",
     ),

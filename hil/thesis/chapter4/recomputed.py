@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.noisy_runs import fault_runs
-from hil.thesis.statements import ERRORS, Statement, above, below, exactly, says
+from hil.thesis.statements import ERRORS, Statement, above, below, exactly, number_of, says
 
 Array = npt.NDArray[np.float64]
 GAMMA, RUNS = 1.5, 100
@@ -53,7 +52,7 @@ def recomputed(report_progress: ReportProgress) -> dict[str, Any]:
         values["parts"].append(parts)
         values["off"].append([_largest(gains[0][:, :, 0] - chapter4_gain()), _largest(gains[1] - chapter4_partitioned_gain())])
         least = _sections(bound, None)
-        values["levels"].append([_gamma(least[0]), max(map(_gamma, least[1]))])
+        values["levels"].append([number_of(least[0].gamma), max(number_of(part.gamma) for part in least[1])])
         values["share"].append(values["levels"][-1][0] / values["levels"][-1][1])
         ratios = [_ratios(known_fault(gain)) for gain in gains]
         less = ratios[1] / ratios[0] - 1.0
@@ -66,10 +65,6 @@ def _sections(bound: float, gamma: float | None) -> tuple[JumpCertificate, list[
     system, process = chapter4_system(), chapter4_process(failure_restarts_detection_clock=False)
     single = printed_section(system, process, ONE, ONE, 0, None, gain_bound=bound, gamma=gamma)
     return single, [printed_section(system, process, ETA, DETECTION, m, None, gain_bound=bound, gamma=gamma) for m in (0, 1)]
-
-
-def _gamma(certificate: JumpCertificate) -> float:
-    return math.nan if certificate.gamma is None else certificate.gamma
 
 
 def _stacked(sections: list[JumpCertificate]) -> Array:

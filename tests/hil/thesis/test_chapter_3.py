@@ -33,7 +33,7 @@ def test_the_printed_conditions_fail_as_printed_hold_with_one_rate_and_do_not_bo
     assert_every_number_decides(rows)
     assert values["peak"] == pytest.approx(100.0, rel=1e-6) and values["accepted"].verdict == "certified"
     assert 100.0 <= values["corrected"] < 101.0
-    assert values["gamma"] == [each.gamma for each in values["consistent"]] and max(values["gamma"]) < 0.93
+    assert max(each.gamma for each in values["consistent"]) < 0.93
     assert all(why.startswith("dual matrices prove") for why in values["why"])
 
 
