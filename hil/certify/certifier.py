@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, Verdict
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
-from hil.rig.first_packets import waiting_chance
+from hil.rig.loop_chains import waiting_chance
 from hil.rig.spec import Port, motion_of
 
 if TYPE_CHECKING:

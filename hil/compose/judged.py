@@ -20,9 +20,8 @@ from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
-from hil.rig.first_packets import never_received, waited_for
 from hil.rig.loop import Loop, digest_of
-from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains
+from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
 

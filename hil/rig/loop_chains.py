@@ -1,4 +1,7 @@
-"""The delay chains of the loop that is judged: those that designs take, and beside them what only a judge can compute with."""
+"""The delay chains of the loop that is judged: those that designs take, and beside them what only a judge can compute with.
+
+And what of the loop's packets never comes, and how long it waits for the first packet of a node.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +11,13 @@ from math import gcd
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers import (
     AgedFeedback,
     Controller,
     GainTable,
+    HistoryGains,
     LinearFeedback,
     LoopModel,
     ages_distinguished,
@@ -172,19 +177,16 @@ def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:
 
     Such modes, as of a cycle that begins, add a factor to the second moments and nothing to their growth.
     """
-    lead = max(_lead(chain) for chain in (sc, ca))
+    lead = max(0 if chain.begins is None else lasting(chain)[1] for chain in (sc, ca))
     return _later(sc, lead), _later(ca, lead)
 
 
-def _lead(chain: DelayChain) -> int:
-    """Number of slots after which no mode is left that only modes before it lead to."""
-    follows, alive, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
-    while chain.begins is not None:
-        after = alive & follows[alive].any(axis=0)
-        if np.array_equal(after, alive):
-            break
-        alive, slots = after, slots + 1
-    return slots
+def lasting(chain: DelayChain) -> tuple[NDArray[np.bool_], int]:
+    """Return the modes of a chain but those of its first slots, (N,), to which none leads back; and how many slots those are."""
+    follows, lasts, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
+    while not np.array_equal(after := lasts & follows[lasts].any(axis=0), lasts):
+        lasts, slots = after, slots + 1
+    return lasts, slots
 
 
 def _later(chain: DelayChain, slots: int) -> DelayChain:
@@ -195,3 +197,54 @@ def _later(chain: DelayChain, slots: int) -> DelayChain:
     for _ in range(slots):
         reached = follows[reached].any(axis=0)
     return within_reach(chain, reached.astype(np.float64))
+
+
+def never_received(sc: DelayChain | None, ca: DelayChain | None, rig: RigSpec) -> str:
+    """Return what of a loop's packets never comes where it is waited for, and why; empty: of each kind some come."""
+    if sc is not None:
+        held = sc.held_outputs(len(rig.outputs))[lasting(sc)[0]]
+        for n, sensor in enumerate(rig.sensors):
+            if held[:, list(sensor.outputs)].all():
+                shared = any(n in medium.nodes for medium in rig.media)
+                cause = "on its medium others send in every slot" if shared else "none is in time under its law"
+                return f"no sample of {sensor.path} ever comes to the controller: {cause}"
+    if ca is not None and ca.holds[lasting(ca)[0]].all():
+        return "no command ever comes to the actuator: none is in time under the law of network.ca"
+    return ""
+
+
+def waited_for(controller: Controller, rig: RigSpec) -> tuple[int, ...]:
+    """Return the nodes, by number, without whose first packet a controller of several nodes answers zeros.
+
+    Of one node alone, no sample and a sample of zeros are the same to what is linear. Gains over historical data wait for none:
+    what has not arrived is zero.
+
+    Args:
+        controller: what runs.
+        rig: its laws' files read.
+    """
+    if len(rig.sensors) == 1 or isinstance(controller, HistoryGains):
+        return ()
+    by_nodes = len(ages_distinguished(controller)) > 1
+    silent = rig.nodes.silent if by_nodes else [s.name for s in rig.sensors if s.trigger.kind != "every-slot"]
+    return tuple(n for n, sensor in enumerate(rig.sensors) if sensor.name not in silent)
+
+
+def waiting_chance(sc: DelayChain, waited: Sequence[int], outputs: Sequence[Sequence[int]]) -> tuple[float, int]:
+    r"""Return c and the node that is waited for longest: none of its packets has come by slot k with a probability like c^k.
+
+    c is the spectral radius of the chain within the modes in which the node's sample is held: without a first packet it is in
+    these but for the first slots.
+
+    Args:
+        sc: the chain of the ages of all nodes.
+        waited: nodes that are waited for, by number.
+        outputs: of each node, the outputs that it measures.
+    """
+    chances, held = {-1: 0.0}, sc.held_outputs(sum(map(len, outputs)))
+    for node in waited:
+        inside = np.flatnonzero(held[:, list(outputs[node])].all(axis=1))
+        if len(inside):
+            chances[node] = float(np.abs(np.linalg.eigvals(sc.bounds[1][np.ix_(inside, inside)])).max())
+    longest = max(chances, key=lambda node: chances[node])
+    return chances[longest], longest
