@@ -4,7 +4,7 @@
     python -m tests.process_replay --update    # record the logs anew: a wanted change, seen in review
 
 A log is a session of two seconds in real time over `can:hil`. Only the answers are compared, question by question, so neither
-machine nor load matters (`hil.session.replay.process`).
+machine nor load matters (`hil.session.replay.over_link`).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from hil.log.read.run import read_run
-from hil.session.replay.process import Asked, ask_process
+from hil.session.replay.over_link import Asked, ask_process
 from tests.forked_program import forked
 
 DATA: Final = Path(__file__).with_name("data")

@@ -95,7 +95,7 @@ def command(
 
 
 def _ask(run: Run, file: Path, uri: str) -> None:
-    from hil.session.replay.process import ask_process
+    from hil.session.replay.over_link import ask_process
 
     with Working(f"sensor packets to {uri}"):
         done = ask_process(run, uri, str(file))
@@ -199,7 +199,7 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
 
 
 def _onto(run: Run, uri: str, speed: float) -> None:
-    from hil.session.replay.replay import onto
+    from hil.session.replay.over_link import onto
 
     with Working(f"onto {uri}") as watch:
         done = onto(run, uri, speed, watch.counted)

@@ -14,7 +14,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
 from hil.session import run_session
-from hil.session.replay.process import ask_process
+from hil.session.replay.over_link import ask_process
 from tests.process_replay import DATA, PROGRAMS, answering, asked
 from tests.warm_hil import hil_command
 

@@ -1,14 +1,11 @@
-"""What a log can be asked afterwards: was it so, what would another controller have done, put it on a bus again."""
+"""What a log can be asked afterwards: was it so, what would another controller have done."""
 
 from __future__ import annotations
 
-import heapq
 import math
 from array import array
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain
-from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -21,24 +18,18 @@ from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.table import UnavailablePlugin
 from hil.log.append_column import AppendColumn, pieces, whole
-from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
-from hil.log.topics import APPLIED, FRAME_TOPICS, SENSOR, TIMING, channels_of
-from hil.measure.summary import percentiles
+from hil.log.topics import APPLIED, SENSOR, TIMING, channels_of
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
-from hil.rig.normal_form import rig_of
-from hil.rig.session_link import link_of
 from hil.runtime.changes import take
 from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
-from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.session.replay.compare import BATCH, Comparison, near_frames
 from hil.session.replay.recorded import RecordedAnswers, Woken, changes_of, composed, frames, recorded_wire, refuse_changed
-from transport.links.opening import open_link
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 
 REMEMBERED = 4096
@@ -282,46 +273,3 @@ class _Recent:
 
 def _with_controller(experiment: Experiment, controller: Controller | Designer, kind: str) -> Experiment:
     return replace(experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Playback:
-    """How a playback kept its own time: error of each frame against its recorded instant, us."""
-
-    frames: int
-    error_us: dict[str, float | None]
-
-
-def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
-    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
-    count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
-    ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]
-    schedule = heapq.merge(*ways, key=itemgetter(0))
-    begin = next(schedule, None)
-    if begin is None:
-        raise HilError("the log has no frames to play")
-    errors = AppendColumn(np.float64)
-    if run.resolved.get("network", {}).get("nodes"):  # each on its own CAN identifiers
-        uri = link_of(rig_of(experiment_of(run, "the log")), uri).uri
-    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
-        links = {"rig": rig, "controller": controller}
-        clock = RealClock(monotonic_ns() + 100_000_000)
-        found: list[float] = []
-        for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
-            at = round((t_ns - begin[0]) / speed)
-            clock.wait_until(at)
-            found.append((clock.now() - at) / 1e3)
-            links[role].send(data)
-            while links["controller" if role == "rig" else "rig"].receive(0) is not None:
-                pass  # our own other end receives what we play; keep its queue short
-            if i % 50 == 0:
-                progress(i, count)
-            if len(found) == BATCH:
-                errors.extend(np.array(found))
-                found.clear()
-    errors.extend(np.array(found))
-    return Playback(frames=count, error_us=percentiles(errors.array()))
-
-
-def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:
-    return ((t_ns, role, data) for t_ns, data in measured_frames(run, topic))

@@ -1,26 +1,33 @@
-"""A controller's process beside what it said once: the recorded questions over a real link, its answers beside the recorded ones.
+"""A log over a real link: a controller's process beside what it said once, and all recorded frames put on a bus again.
 
-The idea is openpilot's process replay: what a process reads and publishes is data, so a change of it shows as a difference of
-data. The rig's frames are those of the log, bit for bit; what the answers may differ in stands in `MAY_DIFFER`. A slot waits for
-its answer, so nothing depends on how fast the process or the machine is.
+A process is asked the recorded questions, and its answers stand beside the recorded ones. The idea is openpilot's process replay:
+what a process reads and publishes is data, so a change of it shows as a difference of data. The rig's frames are those of the
+log, bit for bit; what the answers may differ in stands in `MAY_DIFFER`. A slot waits for its answer, so nothing depends on how
+fast the process or the machine is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import heapq
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import chain, groupby
 from operator import itemgetter
 from typing import Final
 
+import numpy as np
+
 from hil.errors import HilError
+from hil.log.append_column import AppendColumn
+from hil.log.read.measured_frames import measured_frames
 from hil.log.run import Run
-from hil.log.topics import CONTROL, SENSOR
+from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
+from hil.measure.summary import percentiles
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.wire import Wire, before
 from hil.runtime.real.exchange import Handshake
-from hil.runtime.time.clock import monotonic_ns
+from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.session.replay.compare import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of
@@ -89,8 +96,7 @@ def ask_process(
     wire = recorded_wire(run)
     if not recorded:
         raise HilError(f"{source}: holds no answers to compare with")
-    if run.resolved.get("nodes"):  # each on its own CAN identifiers
-        uri = link_of(rig_of(experiment_of(run, source)), uri).uri
+    uri = _with_nodes(run, uri, source)
     compared = different = 0
     found: list[Difference] = []
     with open_link(uri, "rig") as link:
@@ -144,3 +150,52 @@ def differences(k: int, recorded: ControlPacket, now: ControlPacket | None) -> I
         a, b = getattr(recorded, field), getattr(now, field)
         if field not in MAY_DIFFER and not near_values(a, b):
             yield Difference(slot=k, field=field, recorded=str(a), now=str(b))
+
+
+def _with_nodes(run: Run, uri: str, source: str) -> str:
+    """Return a link on which each node of the run has its own CAN identifiers, where the run had more than one."""
+    if not run.resolved.get("network", {}).get("nodes"):
+        return uri
+    return link_of(rig_of(experiment_of(run, source)), uri).uri
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Playback:
+    """How a playback kept its own time: error of each frame against its recorded instant, us."""
+
+    frames: int
+    error_us: dict[str, float | None]
+
+
+def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
+    """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
+    count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
+    ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]
+    schedule = heapq.merge(*ways, key=itemgetter(0))
+    begin = next(schedule, None)
+    if begin is None:
+        raise HilError("the log has no frames to play")
+    errors = AppendColumn(np.float64)
+    uri = _with_nodes(run, uri, "the log")
+    with open_link(uri, "rig") as rig, open_link(uri, "controller") as controller:
+        links = {"rig": rig, "controller": controller}
+        clock = RealClock(monotonic_ns() + 100_000_000)
+        found: list[float] = []
+        for i, (t_ns, role, data) in enumerate(chain([begin], schedule)):
+            at = round((t_ns - begin[0]) / speed)
+            clock.wait_until(at)
+            found.append((clock.now() - at) / 1e3)
+            links[role].send(data)
+            while links["controller" if role == "rig" else "rig"].receive(0) is not None:
+                pass  # our own other end receives what we play; keep its queue short
+            if i % 50 == 0:
+                progress(i, count)
+            if len(found) == BATCH:
+                errors.extend(np.array(found))
+                found.clear()
+    errors.extend(np.array(found))
+    return Playback(frames=count, error_us=percentiles(errors.array()))
+
+
+def _of_role(run: Run, topic: str, role: str) -> Iterator[tuple[int, str, bytes]]:
+    return ((t_ns, role, data) for t_ns, data in measured_frames(run, topic))
