@@ -11,6 +11,7 @@ from operator import itemgetter
 from typing import Protocol
 
 from hil.experiment.nodes import TriggerTable
+from transport.medium import SampleClock
 
 
 class Trigger(Protocol):
@@ -23,14 +24,6 @@ class Trigger(Protocol):
             k: slot.
             y: what the node has just measured, in the outputs' units.
         """
-        ...
-
-
-class Clock(Protocol):
-    """Says in which slots a sensor node has something to send."""
-
-    def due(self, k: int) -> bool:
-        """Return whether it has; called in order, in every slot."""
         ...
 
 
@@ -47,7 +40,7 @@ class SensorNode:
     """
 
     def __init__(
-        self, outputs: Sequence[int], buffer: int, trigger: Trigger | None = None, clock: Clock | None = None
+        self, outputs: Sequence[int], buffer: int, trigger: Trigger | None = None, clock: SampleClock | None = None
     ) -> None:  # fmt: skip
         self._own, self._samples = _picker(tuple(outputs)), buffer
         self._sends = None if trigger is None else trigger.sends

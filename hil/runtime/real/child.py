@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
-from typing import IO, Final, Protocol
+from typing import IO, Final
 
 from hil.plugins.first_instants import collect_garbage_again
 from hil.runtime.time.clock import monotonic_ns
@@ -40,22 +40,6 @@ def python_module(module: str, *arguments: str) -> list[str]:
 
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
 LAST_LOOK_S = 0.05
-
-
-class Endable(Protocol):
-    """As much of a process as it takes to end it."""
-
-    def terminate(self) -> None:
-        """Ask it to end."""
-        ...
-
-    def wait(self, timeout_s: float) -> bool:
-        """Return whether it has ended within ``timeout_s``."""
-        ...
-
-    def kill(self) -> None:
-        """End it for certain."""
-        ...
 
 
 class Child:
@@ -188,7 +172,7 @@ def _has_fileno(stream: object) -> bool:
     return True
 
 
-def end_all(children: Sequence[Endable], now_ns: Callable[[], int] = monotonic_ns) -> None:
+def end_all(children: Sequence[Child], now_ns: Callable[[], int] = monotonic_ns) -> None:
     """End processes: SIGTERM to all, `GRACE_S` for all of them together, SIGKILL to what is left.
 
     Args:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 from msgspec import Struct
 
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
+from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import OnFrame
 from hil.runtime.time.clock import monotonic_ns
@@ -68,18 +68,6 @@ MOST_FRAMES = 256
 """Frames that a slot takes at most: what the queue of a link holds. The rest waits for the next slot."""
 
 Now = Callable[[], int]
-
-
-class Listener(Protocol):
-    """Who judges the frames that come back: the rig."""
-
-    def passed_over(self, frames: int) -> None:
-        """Count frames that the link did not hand on: foreign, malformed, refused."""
-        ...
-
-    def on_late_frame(self, data: bytes) -> None:
-        """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
-        ...
 
 
 class HandshakeResult(Struct, frozen=True, kw_only=True):
@@ -188,7 +176,7 @@ class LinkExchange:
 
     Args:
         link: the rig's end.
-        listener: takes what comes too late.
+        rig: judges the frames that come back, and takes what comes too late.
         deadline_ns: how long the answer may take, ns.
         stopped: whether the run was ended from outside.
         now: session time, ns.
@@ -196,11 +184,11 @@ class LinkExchange:
     """
 
     def __init__(
-        self, link: Link, listener: Listener, deadline_ns: int, stopped: Callable[[], bool], now: Now,
+        self, link: Link, rig: Rig, deadline_ns: int, stopped: Callable[[], bool], now: Now,
         happened: Callable[[int], None] = lambda ns: None,
     ) -> None:  # fmt: skip
         self._happened = happened
-        self._link, self._listener, self._deadline_ns, self._stopped, self._now = link, listener, deadline_ns, stopped, now
+        self._link, self._rig, self._deadline_ns, self._stopped, self._now = link, rig, deadline_ns, stopped, now
         self._sent_ns = 0
         self._passed = _passed(link)
         self.round_trip_us = math.nan
@@ -227,7 +215,7 @@ class LinkExchange:
             frames += 1
             self._happened(now - t_ns)
             if now > deadline:
-                self._listener.on_late_frame(data)
+                self._rig.on_late_frame(data)
             elif on_frame(data):
                 self.round_trip_us = (now - self._sent_ns) / 1e3
                 break
@@ -235,7 +223,7 @@ class LinkExchange:
             self._happened(now - t_ns)
         passed = _passed(self._link)
         if passed > self._passed:
-            self._listener.passed_over(passed - self._passed)
+            self._rig.passed_over(passed - self._passed)
             self._passed = passed
         self.waited_ns = now - begin
 
