@@ -1,6 +1,7 @@
 """The controllers of Section 2.5 in the emulated loop: shipped experiments, sampled, packet by packet, with the same seeds.
 
-And what the chapter improves on: gains of the Markov process that has the place of the semi-Markov one (Sections 2.5, 8.1).
+And what the chapter improves on: gains of the Markov process that has the place of the semi-Markov one, with constant rates and
+the same mean sojourns (Sections 1.1, 2.5, 4.2, 8.1).
 """
 
 from __future__ import annotations
@@ -13,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.as_printed.examples import chapter2_process, chapter2_system
+from design.processes.rates import constant_rate
+from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback
 from design.semi_markov_loop.second_moments import second_moment_decay
 from hil.compose.loop import compose
@@ -20,7 +23,6 @@ from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
 from hil.thesis.chapter import ReportProgress
-from hil.thesis.markov_approximation import markov_approximation, mean_sojourns
 from hil.thesis.statements import Statement, above
 
 CONTROLLERS: Final = {"published": "smjls-robust-published", "reference": "smjls-robust-reference", "ours": "smjls-robust"}
@@ -102,6 +104,28 @@ IN_THE_LOOP = (
         basis=BASIS,
     ),
 )  # fmt: skip
+
+
+POINTS = 100_000
+"""Of the sojourn's distribution, over which it is averaged."""
+
+
+def mean_sojourns(process: SemiMarkov) -> list[float]:
+    """Return the mean sojourn of every mode, s."""
+    shares = (np.arange(POINTS) + 0.5) / POINTS
+    return [float(process.sojourn(mode, -np.log1p(-shares)).mean()) for mode in range(process.modes)]
+
+
+def markov_approximation(process: SemiMarkov) -> SemiMarkov:
+    """Return the Markov process of two modes with the mean sojourns of another.
+
+    Raises:
+        ValueError: it has not two modes, between which a rate alone does not say where a jump leads.
+    """
+    if process.modes != 2:
+        raise ValueError(f"process: {process.modes} modes, expected 2")
+    out, back = (constant_rate(1.0 / mean) for mean in mean_sojourns(process))
+    return SemiMarkov(rates=((None, out), (back, None)))
 
 
 BOUNDS = (5.0, 10.0, 30.0)

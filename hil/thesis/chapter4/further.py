@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.examples import chapter4_process, chapter4_system
+from design.as_printed.examples import chapter4_system
 from design.errors import Infeasible
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
@@ -20,7 +20,8 @@ from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.thesis.chapter import ReportProgress
-from hil.thesis.markov_approximation import markov_approximation
+from hil.thesis.chapter2.in_the_loop import markov_approximation
+from hil.thesis.chapter4.simulations import faults
 from hil.thesis.statements import Statement, above, below, exactly, says
 from plants.vtol_fault import FaultyVTOL
 
@@ -83,7 +84,7 @@ SENSOR_FAULT = (
 
 def other_faults(report_progress: ReportProgress) -> dict[str, Any]:
     """Gains for disturbances that a fault makes larger, and gains for a detection whose rates are taken as constant."""
-    system, process = chapter4_system(), chapter4_process(failure_restarts_detection_clock=False)
+    system, process = chapter4_system(), faults()
     assert system.e is not None and system.c is not None
     rough = replace(system, b=np.stack([system.b[0]] * 2), e=np.stack([system.e[0], LARGER * system.e[0]]))
     ours = fault_tolerant_feedback(rough, process, gain_bound=GAIN_BOUND)
@@ -131,7 +132,7 @@ OTHER_FAULTS = (
 
 def constraints(report_progress: ReportProgress) -> dict[str, Any]:
     """Levels of gains by both conditions, and gains for a general Gamma."""
-    system, process = chapter4_system(), chapter4_process(failure_restarts_detection_clock=False)
+    system, process = chapter4_system(), faults()
     plain = fault_tolerant_feedback(system, process, gain_bound=GAIN_BOUND)
     assert plain.gain is not None
     gamma = plain.gamma or math.nan

@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from design.as_printed.examples import chapter2_process, chapter3_process
-from hil.thesis.chapter2.in_the_loop import MARKOV, markov
+from hil.thesis.chapter2.in_the_loop import MARKOV, markov, markov_approximation, mean_sojourns
 from hil.thesis.chapter3.partitions import FURTHER
 from hil.thesis.chapter3.partitions import further as delays
 from hil.thesis.chapter4.further import OTHER_FAULTS, other_faults
-from hil.thesis.chapter4.recomputed import RECOMPUTED, recomputed
+from hil.thesis.chapter4.numbers import RECOMPUTED, recomputed
 from hil.thesis.chapter7.further import INTEGRAL, integral_action
-from hil.thesis.markov_approximation import markov_approximation, mean_sojourns
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hil.pages.html.figures import Figure
-from hil.thesis.chapter4 import numbers as chapter4
+from hil.thesis.chapter4 import simulations as chapter4
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -148,9 +148,9 @@ DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
 @pytest.fixture
 def fewer_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     """40 runs of the example of Chapter 4."""
-    simulate = chapter4._simulate
+    simulate = chapter4.simulate
     monkeypatch.setattr(chapter4, "RUNS", 40)
-    monkeypatch.setattr(chapter4, "_simulate", lambda gain, runs=40, **more: simulate(gain, runs, **more))
+    monkeypatch.setattr(chapter4, "simulate", lambda gain, runs=40, **more: simulate(gain, runs, **more))
 
 
 @pytest.mark.usefixtures("fewer_runs")
