@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from design.controllers import GainTable, LoopModel, integral_limit
 from design.errors import DesignError, NotStable
 from design.jump_linear.mjls import STABILITY_MARGIN
-from design.verdict import State, Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model, table_of
+from design.verdict import Verdict
+from hil.certify.certifier import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
 from hil.certify.saturating_loop import ends_from_anywhere, escapes
@@ -223,7 +223,7 @@ def _undecided(verdict: Verdict, what: str) -> Verdict:
     )  # fmt: skip
 
 
-def departure_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def departure_check(loop: CertificationProblem) -> Check:
     """Return whether a plant departs from its motion by no more than it says, step by step under random inputs."""
     plant, model, pushed = loop.plant, loop.motion, pushed_by(loop, np.zeros(loop.motion.B.shape[1]))
     if pushed is None:

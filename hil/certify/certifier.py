@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import Controller, GainTable, LoopModel
-from design.verdict import Kind, Verdict
+from design.verdict import Kind, State, Verdict
 from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 from hil.rig.loop_chains import waiting_chance
 from hil.rig.spec import Port, motion_of
@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 
 T = TypeVar("T")
+Check = tuple[State, str] | tuple[None, tuple[str, ...]]
+"""What a comparison of a part with what it states says: a state and its reason, or None and what was found equal, in phrases."""
+
 UNTIL_ALL_CAME: Final = "growth per slot of the second moments until a packet of every node has come"
 WAITS_TOO_LONG: Final = 1e-6
 """How far from 1 a growth must lie to decide."""

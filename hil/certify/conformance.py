@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 from design.controllers import LoopModel
 from design.verdict import State, Verdict
 from hil.certify.bounded_departures import departure_check
-from hil.certify.certifier import CertificationProblem
+from hil.certify.certifier import CertificationProblem, Check
 from hil.certify.motion_test import (
     ALIKE,
     SEED,
     SLOTS,
     Departure,
+    by_size,
     departure,
     drive,
     foretold,
@@ -38,9 +39,6 @@ SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 """Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
 SHORT = 60
 """Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
-
-Check = tuple[State, str] | tuple[None, tuple[str, ...]]
-"""A state and its reason, or None and what was found equal, a phrase each."""
 
 
 def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
@@ -146,11 +144,10 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
         amount = f"{found} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
         return f"inputs up to {size} move its {which} by {amount}, first in slot {each.slot} ({_percent(each.share)} at most)"
 
-    if found[0].share <= EQUAL:
-        return "undecided", f"non-linear: the plant moves as its model says under small inputs, but {described(worst)}"
-    if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
-        return "undecided", f"non-linear: the plant moves as its model says under large inputs, but {described(worst)}"
-    if found[0].share <= ALIKE:
+    shares = [each.share for each in found]
+    if non_linear := by_size(shares, "the plant moves as its model says under {} inputs", described(worst)):
+        return non_linear
+    if shares[0] <= ALIKE:
         return "undecided", f"the plant is near its model() under small inputs, but not equal to it: {described(worst)}"
     return "refused", f"{name}: {described(worst)}"
 

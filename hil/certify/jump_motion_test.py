@@ -14,8 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from design.verdict import State
-from hil.certify.certifier import CertificationProblem
+from hil.certify.certifier import CertificationProblem, Check
 from hil.certify.motion_test import SEED, Array, random_inputs
 from hil.plugins.protocols import JumpPlant, PlantRun
 from plants.parts.semi_markov import JumpModel, JumpRates
@@ -43,7 +42,7 @@ ENOUGH = 40.0
 NAME = "your plant does not move as its model() says"
 
 
-def jump_check(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def jump_check(loop: CertificationProblem) -> Check:
     """Return what a plant's motion says of its matrices and rates: a state and its reason, or None and what was found equal."""
     plant = cast(JumpPlant, loop.plant)
     system = loop.said.once("jump system", plant.jump_system)

@@ -16,6 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import LoopModel
+from design.verdict import State
 from hil.plugins.protocols import Plant
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
 
@@ -153,6 +154,21 @@ def departure(
                 found=float(moved[first, j] - rest[first, j]), foretold=float(expected[first, j]), slots=count - 1,
             )  # fmt: skip
     return worst
+
+
+def by_size(shares: Sequence[float], alike: str, difference: str) -> tuple[State, str] | None:
+    """Return that a part is no linear one where it is what it says under small or large signals alone; None for another one.
+
+    Args:
+        shares: largest difference for every size of the signals, increasing, as a share; one at least is no rounding.
+        alike: what it is where it is as it says, with a place for ``small`` or ``large``.
+        difference: where it is not.
+    """
+    if shares[0] <= EQUAL:
+        return "undecided", f"non-linear: {alike.format('small')}, but {difference}"
+    if shares[-1] < 0.1 * shares[0] and shares[-1] < ALIKE:
+        return "undecided", f"non-linear: {alike.format('large')}, but {difference}"
+    return None
 
 
 def free_motion(

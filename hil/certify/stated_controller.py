@@ -40,8 +40,8 @@ from hil.certify.answers_test import (
     question,
     share_memory,
 )
-from hil.certify.certifier import CertificationProblem, table_of
-from hil.certify.motion_test import ALIKE
+from hil.certify.certifier import CertificationProblem, Check, table_of
+from hil.certify.motion_test import by_size
 from hil.certify.send_all_loop import laws_of
 from hil.plugins.user_modules import is_ours
 from hil.rig.watched import EQUAL, handed, looks_back
@@ -56,7 +56,7 @@ SIZES = (1e-3, 1e3)
 NAME = "your controller does not answer as it says"
 
 
-def answers_of(loop: CertificationProblem) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def answers_of(loop: CertificationProblem) -> Check:
     """Return what a controller's answers say of what it states: a state and its reason, or None and what was found equal."""
     controller, model = loop.controller, loop.model
     stated = stated_by(loop)
@@ -161,11 +161,8 @@ def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]
 
 
 def _at_rest(asked: Question) -> Question:
-    """The same question with references of zero."""
-    return Question(
-        slots=asked.slots, ages=asked.ages, samples=asked.samples, reference=(0.0,) * len(asked.reference),
-        received=asked.received,
-    )  # fmt: skip
+    """The same question with references and modes of zero."""
+    return replace(asked, reference=(0.0,) * len(asked.reference), modes=False)
 
 
 def _departed(found: list[Answer]) -> tuple[State, str] | None:
@@ -178,19 +175,12 @@ def _departed(found: list[Answer]) -> tuple[State, str] | None:
         f"its table says {w.foretold:.4g}"
         if np.isfinite(w.share) else "its packet has other rows than it states, or they are not finite"
     )  # fmt: skip
-    if found[0].share <= EQUAL:
-        return "undecided", f"non-linear: the controller answers as its table says on small samples, but {difference}"
-    if found[-1].share < 0.1 * found[0].share and found[-1].share < ALIKE:
-        return "undecided", f"non-linear: the controller answers as its table says on large samples, but {difference}"
-    return "refused", f"{NAME}: {difference}"
+    non_linear = by_size([each.share for each in found], "the controller answers as its table says on {} samples", difference)
+    return non_linear or ("refused", f"{NAME}: {difference}")
 
 
-def _wall(
-    starts: tuple[Start, Start], asked: Question, loop: CertificationProblem
-) -> tuple[State, str] | tuple[None, tuple[str, ...]]:
+def _wall(starts: tuple[Start, Start], asked: Question, loop: CertificationProblem) -> Check:
     """A wall is no linear law: its forces themselves are compared."""
-    from hil.certify.answers_test import answers
-
     for size in (1e-4, 1e-2):
         own, expected = (answers(start(), asked, size, loop.model.nodes) for start in starts)
         scale = float(np.abs(expected).max()) + 1e-300
@@ -210,10 +200,7 @@ def scheduled_by(gain: ScheduledGain) -> Scheduled:
     """Return the controller that runs a schedule."""
     from design.requests.scheduled import Scheduled
 
-    def nested(array: np.ndarray) -> tuple:  # type: ignore[type-arg]
-        return tuple(nested(part) for part in array) if array.ndim > 1 else tuple(map(float, array))
-
-    return Scheduled(gain=nested(gain.gain), starts_s=nested(gain.starts_s), schedule=gain.schedule)
+    return Scheduled(gain=_nested(gain.gain), starts_s=_nested(gain.starts_s), schedule=gain.schedule)
 
 
 def mode_question(model: LoopModel, gain: ScheduledGain) -> Question:
