@@ -64,7 +64,7 @@ def _rig_of(e: Experiment) -> RigSpec:
     plant, network, links = e.plant, e.network, e.links
     absent = isinstance(plant, UnavailablePlugin)
     port = None if absent else port_of(plant)
-    faults, nodes = ([], []) if absent else (_size_faults(e) + _port_faults(e, port), node_faults(e))
+    faults, nodes = [] if absent else _size_faults(e) + _port_faults(e, port), node_faults(e)
     if nodes:
         raise ExperimentError(e.name, faults + nodes + fault_schedule_faults(e))
     names, period_s = ordered_names(e), float(e.period)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from msgspec import Struct
 
 from design.controllers import SensorNodes, Turns, packet_samples
-from hil.errors import ExperimentError, nearest
+from hil.errors import nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
 from hil.rig.schedules import bus_cycle
@@ -78,12 +78,9 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
     """Return the sensor nodes by number: the named ones, or the only one that `network.sc` stands for.
 
     Args:
-        e: checked.
+        e: checked, see `node_faults`.
         names: of the nodes, by number.
         framing: of the experiment's link.
-
-    Raises:
-        ExperimentError: a node measures what the plant does not put out.
     """
     kind = e.kinds.get("network.sc.law", "?")
     if not e.network.nodes:  # the short form; whoever reads the list need not know it
@@ -96,15 +93,6 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
         )  # fmt: skip
     index = {s.name: i for i, s in enumerate(e.plant.outputs)}
     nodes = [e.network.nodes[name] for name in names]
-    unknown = [
-        f"network.nodes.{name}.outputs[{i}]: the plant has no output {output!r}{nearest(output, index)} "
-        f"(there are: {', '.join(index)})"
-        for name, node in zip(names, nodes)
-        for i, output in enumerate(node.outputs)
-        if output not in index
-    ]
-    if unknown:
-        raise ExperimentError(e.name, unknown)
     return tuple(
         Sensor(
             name=name, path=f"network.nodes.{name}", outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from design.controllers import LoopModel
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
@@ -219,7 +218,7 @@ def test_a_request_says_which_of_its_fields_is_wrong() -> None:
     for field, value in (("gain_bound", -1.0), ("decay", float("nan")), ("sections", -1)):
         with pytest.raises(ValueError, match=f"{field}: "):
             RobustScheduled(**{field: value})
-    assert isinstance(composed("smjls-robust", "controller.sections=3").model, LoopModel)
+    assert RobustScheduled(sections=3).sections == 3
 
 
 @pytest.mark.parametrize(("delayed", "state"), [(0.9, "undecided"), (0.0, "certified")])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from tests.hil.thesis.judging import assert_every_number_decides
 MET = "{g11=[[1.0]], g12=[[0.01, 0.0]], g22=[[-0.001, 0.0], [0.0, -0.001]]}"
 
 
+@cache
 def loop(*sets: str, name: str = "vtol-fault") -> Any:
     return compose(load_experiment(name, sets))
 
