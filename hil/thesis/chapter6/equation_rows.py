@@ -6,6 +6,8 @@ Of the mixed wall (Section 6.2.2): its transition matrix, and the assumption tha
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import groupby, islice
 from typing import Any
 
 import numpy as np
@@ -167,7 +169,7 @@ def wall() -> dict[str, Any]:
     pattern, printed = square_rows(SIDE_M), np.array(LAMBDA)
     lengths, areas = boundaries(pattern, 3)
     leaving = 1.0 - np.diag(printed)
-    statistic, freedom = memory_statistic(slide(0.35, 20_000), 3)
+    statistic, freedom = memory_statistic(list(slide(0.35, 20_000)), 3)
     limit = float(chi2.isf(LEVEL, freedom))
     heading = next((a for a in np.linspace(0.05, 1.5, 300).tolist() if visits(a) == MODES_610), math.nan)
     stationary = areas / areas.sum()
@@ -181,18 +183,16 @@ def wall() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def slide(heading: float, samples: int, step_m: float = STEP_M) -> list[int]:
-    """Return the materials that a straight slide meets, one per sample."""
+def slide(heading: float, samples: int, step_m: float = STEP_M) -> Iterator[int]:
+    """Yield the materials that a straight slide meets, one per sample."""
     pattern = square_rows(SIDE_M)
     y, z = math.cos(heading) * step_m, math.sin(heading) * step_m
-    return [pattern.material_at(1.5 * SIDE_M + k * y, 0.1 * SIDE_M + k * z) for k in range(samples)]
+    return (pattern.material_at(1.5 * SIDE_M + k * y, 0.1 * SIDE_M + k * z) for k in range(samples))
 
 
 def visits(heading: float) -> tuple[int, ...]:
     """Return the first six different materials of a straight slide, in fine steps."""
-    path = slide(heading, 2000, 0.02 * SIDE_M)
-    changes = [m for i, m in enumerate(path) if i == 0 or path[i - 1] != m]
-    return tuple(changes[:6])
+    return tuple(material for material, _ in islice(groupby(slide(heading, 2000, 0.02 * SIDE_M)), 6))
 
 
 # fmt: off
