@@ -21,11 +21,11 @@ from hil.experiment import load_experiment as read_experiment
 from hil.experiment import parse_plugin
 from hil.experiment.tables import Experiment
 from hil.files.toml_text import toml_value
-from hil.plugins.protocols import ReferencesFiles
 from hil.plugins.registry import group_of, kind_of_class, object_kind
 from hil.plugins.user_plugins import own_fault
 from plants import LinearPlant, from_control
 from plants.errors import PlantError
+from plants.parts.protocols import ReferencesFiles
 
 
 def with_objects(experiment: Experiment, **objects: object) -> Experiment:

@@ -24,7 +24,7 @@ from hil.certify.certifier import CertificationProblem, Check, limited_to_model,
 from hil.certify.motion_test import SEED, SLOTS, random_inputs
 from hil.certify.region import ClosedLoop, inside
 from hil.certify.saturating_loop import ends_from_anywhere, escapes
-from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
+from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
 PARTS = 16

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, State, Verdict
-from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 from hil.rig.loop_chains import waiting_chance
 from hil.rig.spec import Port, motion_of
+from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

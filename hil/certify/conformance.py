@@ -32,8 +32,8 @@ from hil.certify.motion_test import (
     random_inputs,
 )
 from hil.certify.stated_controller import answers_of
-from hil.plugins.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 from hil.rig.watched import EQUAL, FreeMotion, OneStep
+from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 """Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""

@@ -13,7 +13,7 @@ from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.sensor_nodes import window_of
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided, why_no_history
-from hil.plugins.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.historical_data.lifted_loop import DelayedPlant

@@ -15,8 +15,8 @@ from design.controllers.contract import StatesConstraint
 from design.errors import DesignError, NotInstalled
 from design.verdict import Kind, Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
-from hil.plugins.protocols import JumpPlant
 from hil.rig.watched import JumpStep
+from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.controllers.scheduled_gain import ScheduledGain

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.certify.certifier import CertificationProblem, Check
 from hil.certify.motion_test import SEED, Array, random_inputs
-from hil.plugins.protocols import JumpPlant, PlantRun
+from plants.parts.protocols import JumpPlant, PlantRun
 from plants.parts.semi_markov import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from design.verdict import State
-from hil.plugins.protocols import Plant
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
+from plants.parts.protocols import Plant
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED
-from hil.plugins.protocols import HasOwnInputs, HasSensorNoise
 from hil.plugins.user_modules import is_ours
+from plants.parts.protocols import HasOwnInputs, HasSensorNoise
 
 Array = NDArray[np.float64]
 RISK = 0.01

@@ -15,7 +15,7 @@ from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, table_of
 from hil.certify.motion_test import SEED
 from hil.certify.region import ClosedLoop, not_judged
-from hil.plugins.protocols import HasOwnInputs
+from plants.parts.protocols import HasOwnInputs
 
 Array = NDArray[np.float64]
 ROUNDING = 1e-6

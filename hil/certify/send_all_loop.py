@@ -32,8 +32,8 @@ from design.verdict import Verdict
 from hil.certify.bounded_departures import Modes, ends_within
 from hil.certify.certifier import CertificationProblem, jumping, limited_to_model, table_of, undecided
 from hil.certify.region import ClosedLoop
-from hil.plugins.protocols import JumpPlant
 from hil.rig.delay_chains import gains_within
+from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate

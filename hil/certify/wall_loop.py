@@ -13,7 +13,7 @@ from design.controllers import packet_samples
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
-from hil.plugins.protocols import HasPassiveElements
+from plants.parts.protocols import HasPassiveElements
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

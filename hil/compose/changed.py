@@ -21,10 +21,10 @@ from hil.certify.certifier import UNTIL_ALL_CAME
 from hil.compose.loop import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
-from hil.plugins.protocols import GoesOn, JumpPlant, Plant
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE
 from hil.rig.normal_form import rig_of
+from plants.parts.protocols import GoesOn, JumpPlant, Plant
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
 """Tables to which a change adds an entry that begins in its slot."""

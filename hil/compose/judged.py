@@ -18,12 +18,12 @@ from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.plugins.protocols import JumpPlant, Plant
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
+from plants.parts.protocols import JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.jump_linear.fourth_moment import FourthMoments

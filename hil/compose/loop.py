@@ -31,7 +31,7 @@ from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
-from hil.plugins.protocols import Designer, FieldFault, GainsOnFile, GivesGains, JumpPlant, NamedController
+from hil.plugins.protocols import Designer, FieldFault, GainsOnFile, GivesGains, NamedController
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import words
@@ -42,6 +42,7 @@ from hil.rig.named_files import with_named_files
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from hil.rig.spec import RigSpec
 from plants.errors import PlantError
+from plants.parts.protocols import JumpPlant
 from transport.packets import MAX_OUTPUTS, MAX_ROWS
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from design.verdict import Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_gains
 from hil.errors import HilError, nearest
-from hil.plugins.protocols import Plant
+from plants.parts.protocols import Plant
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design

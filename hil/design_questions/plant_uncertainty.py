@@ -33,8 +33,8 @@ from design.verdict import State, Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.design_questions.design_problem import TrackingTarget, digest_of_design
 from hil.errors import HilError
-from hil.plugins.protocols import Plant
 from plants.errors import PlantError
+from plants.parts.protocols import Plant
 
 Array = NDArray[np.float64]
 FAMILY = "one quadratic family per mode, over the ends of the intervals and all plants between (semidefinite program)"

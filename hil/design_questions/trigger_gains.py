@@ -34,7 +34,7 @@ from design.tracking.synthesis import Design, Progress
 from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.plugins.protocols import JumpPlant
+from plants.parts.protocols import JumpPlant
 
 Array = NDArray[np.float64]
 SHARES: Final = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5)

@@ -21,11 +21,11 @@ from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
 from hil.files.regular import read_regular
 from hil.files.toml_text import parse_toml
 from hil.plugins import registry
-from hil.plugins.protocols import ReferencesFiles
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import in_own_words, own_fault
 from plants.errors import PlantError
+from plants.parts.protocols import ReferencesFiles
 from transport.laws.protocols import BoundedAge, load_files
 
 MAX_BYTES = 1_000_000

@@ -15,7 +15,7 @@ from hil.measure.measure import Quantity
 from hil.measure.network_paths import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names
-from hil.plugins.protocols import HasCost
+from plants.parts.protocols import HasCost
 
 
 class Cost:

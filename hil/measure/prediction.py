@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from design.controllers import GainTable, feedforward, integral_limit, integrates
 from hil.measure.signals import AFTER_S, signals_of, target_of
 from hil.measure.tracking import squared_unit
-from hil.plugins.protocols import BeyondModel, HasStateDelays, JumpPlant
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
 from hil.rig.spec import motion_of
+from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
 
 if TYPE_CHECKING:
     from design.networked_loop.prediction import Prediction

@@ -1,6 +1,7 @@
 """What the plug-ins of an experiment fulfil: the protocols by which the loop is composed, run and certified.
 
-Controllers have theirs in :mod:`design.controllers.contract`, network laws in :mod:`transport.laws.protocols`.
+Plants have theirs in :mod:`plants.parts.protocols`, controllers in :mod:`design.controllers.contract`, network laws in
+:mod:`transport.laws.protocols`.
 """
 
 from __future__ import annotations
@@ -8,47 +9,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from design.controllers import LoopModel, RunningController
-from plants.parts.protocols import (
-    BeyondModel,
-    Departure,
-    GoesOn,
-    HasCost,
-    HasDepartures,
-    HasOwnInputs,
-    HasPassiveElements,
-    HasSensorNoise,
-    HasStateDelays,
-    HasStateHistory,
-    JumpPlant,
-    MovesOtherwise,
-    Plant,
-    PlantRun,
-    ReferencesFiles,
-)
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
-
-__all__ = [
-    "BeyondModel",
-    "Departure",
-    "Designer",
-    "FieldFault",
-    "GoesOn",
-    "HasCost",
-    "HasDepartures",
-    "HasOwnInputs",
-    "HasPassiveElements",
-    "HasSensorNoise",
-    "HasStateDelays",
-    "HasStateHistory",
-    "JumpPlant",
-    "MovesOtherwise",
-    "NamedController",
-    "Plant",
-    "PlantRun",
-    "ReferencesFiles",
-]  # fmt: skip
 
 
 @runtime_checkable

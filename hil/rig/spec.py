@@ -13,11 +13,11 @@ from msgspec import Struct, structs
 
 from design.controllers import LoopModel, SensorNodes
 from hil.experiment.tables import Links
-from hil.plugins.protocols import JumpPlant, MovesOtherwise, Plant
 from hil.rig.packet_ages import Receiver
 from hil.rig.schedules import FaultSchedule
 from hil.rig.sensors import Sensor, SharedMedium
 from plants.parts.linear import Signal
+from plants.parts.protocols import JumpPlant, MovesOtherwise, Plant
 from transport.laws.protocols import NetworkLaw, prepare
 from transport.links.traits import CanFraming
 

@@ -14,8 +14,8 @@ from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
 from hil.pages.live.side import Side
-from hil.plugins.protocols import GoesOn, Plant
 from hil.rig.loop import Loop
+from plants.parts.protocols import GoesOn, Plant
 from transport.laws.protocols import ChainLaw, NetworkLaw
 
 

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.sinks import Sink
-from hil.plugins.protocols import GoesOn, Plant, PlantRun
 from hil.rig.can_bus import can_bus_of
 from hil.rig.loop import Loop
 from hil.rig.session_link import FirstIdentifiers
@@ -29,6 +28,7 @@ from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import begun, rng_for
+from plants.parts.protocols import GoesOn, Plant, PlantRun
 from transport.medium import ChangingMedium, Delivery, IndependentChannels, OneWay
 from transport.medium.independent import impair
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
