@@ -27,7 +27,7 @@ class LoadTorque:
     Args:
         torque_v: load in V (divide a torque in N m by the motor's N m per V); either sign; 0 for none.
         start_s: when it sets in, in s of session time, at least 0.
-        stop_s: when it ends, in s, after start_s; None for never.
+        stop_s: when it ends, in s, after start_s; by default never.
 
     Raises:
         ValueError: where a value is not finite or the times are not in order.

@@ -41,7 +41,7 @@ class Omni:
         initial_speed_rad_s: speed at time 0 in rad/s.
         hand: the hand; without one the joint is bare, and takes a torque and measures an angle.
         lever_m: tip per joint angle in m/rad: 1 reads the printed numbers as kg and N s/m at the tip, 0.135 as a joint.
-        force_limit_n: largest magnitude of the force at the tip in N; None for no limit (with a hand).
+        force_limit_n: largest magnitude of the force at the tip in N (with a hand); by default no limit.
         encoder_step_m: movement of the tip in m per count; 0 measures the position itself (with a hand).
         coulomb_n: dry friction at the tip in N, for a hand without a spring.
         zones: damping of the device from a place of its tip on, in rising order; before the first it is ``damping`` (with a

@@ -59,7 +59,7 @@ class SwitchedExample:
         uncertainty_form: "norm-bounded" for (2.25), "printed" for A_i(t), B_i(t) as printed.
         uncertainty_scale: factor on sigma and rho, at least 0; 1 is the example.
         uncertainty_period_s: time between samples in s, for "sampled".
-        sigma, rho: fixed values in [-1, 1] instead of drawn ones; None to draw.
+        sigma, rho: fixed values in [-1, 1] in place of drawn ones; drawn by default.
 
     Raises:
         ValueError: where a parameter is out of range.

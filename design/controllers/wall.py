@@ -106,7 +106,7 @@ class Wall:
     Args:
         materials: at least one; the published three by default.
         switching: ``energy`` or ``plain``.
-        force_limit_n: largest force in N, above 0; the stored energy grows only linearly beyond it. None for no limit.
+        force_limit_n: largest force in N, above 0; the stored energy grows only linearly beyond it. By default no limit.
         material: index of the one material that is touched, where neither pattern nor chain says which.
         pattern: which material lies where; the hand's place along the wall picks it.
         chain: nested tuple [i][j], probability of material j after i one sample later, instead of a pattern.

@@ -16,6 +16,7 @@ import re
 import shlex
 import socket
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -47,6 +48,11 @@ class Requirement(NamedTuple):
 REQUIREMENTS: Final = pytest.StashKey[dict[str, Requirement]]()
 """What ``--hil-require`` may name. A conftest that adds gates of its own puts them into ``config.stash[REQUIREMENTS]``."""
 
+RUNNER: Final = pytest.StashKey["Runner"]()
+"""The runner of a test, also where another fixture asked for it and failed."""
+
+OURS: Final = tuple(Path(__file__).parents[2] / name for name in ("hil", "plants", "transport", "design"))
+
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ``--hil-*`` options."""
@@ -68,11 +74,23 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Check what is required by name."""
+    """Check what is required by name, and that a folder of logs can be one."""
     known = session.config.stash[REQUIREMENTS]
     unknown = set(_required(session.config)) - set(known)
     if unknown:
         raise pytest.UsageError(f"--hil-require: {', '.join(sorted(unknown))} is not one of {', '.join(known)}")
+    logs = session.config.getoption("--hil-logs")
+    if logs:
+        try:
+            Path(logs).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise pytest.UsageError(f"--hil-logs: {logs}: cannot be made: {error.strerror}") from None
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    """Say of which clock the runs are where an option asks for a link that they then do not use."""
+    link, clock = config.getoption("--hil-link"), config.getoption("--hil-clock")
+    return [f"hil: virtual time uses no link: --hil-link {link} needs --hil-clock real"] if link and clock == "virtual" else []
 
 
 def _required(config: pytest.Config) -> list[str]:
@@ -103,6 +121,7 @@ class Runner:
         self._folder, self._clock, self._link, self._worker = folder, clock, link, worker
         self._timing = timing  # fail where the timing of a run in real time is not valid
         self.sessions: list[Session] = []
+        self.changes: list[str] = []  # of each session, what its test changed in its experiment
 
     def run(
         self,
@@ -148,6 +167,7 @@ class Runner:
             link = self._shared(self._link or checked.links.uri)
         session = run_session(checked, clock=clock, link=link or self._link, path=path, external=external)
         self.sessions.append(session)
+        self.changes.append(_changes(set, duration=duration, **changes))
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
         timing = session.summary["timing"]
@@ -190,6 +210,7 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
         int(worker) if worker.isdecimal() else None,
         "timing" in _required(request.config),
     )
+    request.node.stash[RUNNER] = rig
     yield rig
     request.node.user_properties += [each for s in rig.sessions for each in properties(s)]
 
@@ -229,27 +250,42 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     """Say of a failed test what its runs came to, and how to see more; an error of the user's is one line."""
     outcome: Any = yield
     report = outcome.get_result()
-    rig = getattr(item, "funcargs", {}).get("hil")
-    if report.when != "call" or not report.failed or not isinstance(rig, Runner):
+    rig = item.stash.get(RUNNER, None)
+    if report.when == "teardown" or not report.failed or rig is None:
         return
     from hil.errors import is_message
 
     if call.excinfo is not None and is_message(call.excinfo.type):
-        at = next((e for e in reversed(call.excinfo.traceback) if e.path == item.path), call.excinfo.traceback[0])
+        steps = call.excinfo.traceback
+        at = next((user for user, ours in pairwise(steps) if _is_ours(ours.path)), steps[-1])
         report.longrepr = "\n".join(f"{at.path}:{at.lineno + 1}: {line}" for line in str(call.excinfo.value).splitlines())
-    for session in rig.sessions:
-        report.sections.append(("hil log", explained(session)))
+    for session, changes in zip(rig.sessions, rig.changes, strict=True):
+        report.sections.append(("hil log", explained(session, changes)))
 
 
-def explained(session: Session) -> str:
+def _is_ours(path: Path | str) -> bool:
+    return any(Path(path).is_relative_to(folder) for folder in OURS)
+
+
+def _changes(set: Sequence[str], **changes: Any) -> str:
+    """Return what a test changed in its experiment, as ``hil run --set`` would name it."""
+    said = [*set, *(f"{path}={value}" for path, value in changes.items() if value is not None)]
+    return ", ".join(f"{' '.join(each.split()):.80}" for each in said)
+
+
+def explained(session: Session, changes: str = "") -> str:
     """Return what a session came to (status, safety, timing), its log, and three commands that show more.
 
     Args:
         session: a finished run with a log.
+        changes: what its test changed in the experiment.
     """
     s = session.summary
     log = s["log"]["path"]
-    lines = [f"{s['experiment']} seed {s['seed']}: {log}", f"status {session.status}, {s['clock']} time, {s['slots']} slots"]
+    lines = [f"{s['experiment']} seed {s['seed']}: {log}"]
+    if changes:
+        lines.append(f"with {changes}")
+    lines.append(f"status {session.status}, {s['clock']} time, {s['slots']} slots")
     if s["safety"]:
         lines.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:

@@ -25,13 +25,13 @@ PARTS = ("plant", "controller", "law", "measure", "experiment")
               help="Folder to write to; made where it is not there. The working folder by default.")  # fmt: skip
 @click.option("--language", type=click.Choice(["python", "c"]),
               help="controller: a program of its own in this language, for `hil rig EXPERIMENT`.")  # fmt: skip
-@click.option("--for", "experiment", type=EXPERIMENT, metavar="EXPERIMENT", default="dc-motor-hinf", show_default=True,
-              help="With --language: the rig that the program is for, and the gains that it has.")  # fmt: skip
+@click.option("--for", "rig", type=EXPERIMENT, metavar="EXPERIMENT",
+              help="With --language: the rig of the program, and the gains that it has. By default dc-motor-hinf.")  # fmt: skip
 @click.option("--link", "kind", type=click.Choice(["can", "zenoh"]), help="With --language: the link. Default: can.")
 @click.option("--keyed", is_flag=True, help="With --language: every packet has a message authentication code.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 def new(
-    part: str, name: str, folder: Path, language: str | None, experiment: str, kind: str | None, keyed: bool, force: bool
+    part: str, name: str, folder: Path, language: str | None, rig: str | None, kind: str | None, keyed: bool, force: bool
 ) -> None:
     """Write a plant, controller, law, measure or experiment of your own: hil new plant cart
 
@@ -50,9 +50,15 @@ def new(
         raise HilError(f"NAME: {name!r}: Python has a module or a word of this name; take another: hil new {part} my_{module}")
     if language is None and (keyed or kind is not None):
         raise HilError("--link and --keyed: of a program, with --language python or c; a plug-in runs on any link")
+    if language is None and rig is not None:
+        raise HilError("--for: of a program, with --language python or c; a plug-in runs in the experiment that names it")
     if language is not None and part != "controller":
         raise HilError(f"--language: of a controller, not of a {part}: hil new controller {module} --language {language}")
-    files = files_of(part, module) if language is None else _program(module, language, experiment, kind or "can", keyed)
+    experiment, note = rig or "dc-motor-hinf", ""
+    if language is None:
+        files = files_of(part, module)
+    else:
+        files, note = _program(module, language, experiment, kind or "can", keyed)
     texts = {folder / file: text for file, text in files.items()}
     shared = [path for path, text in texts.items() if module not in path.name and _holds(path, text)]  # of another program
     texts = {path: text for path, text in texts.items() if path not in shared}
@@ -66,6 +72,8 @@ def new(
         with written_whole(path, replace=force) as new:
             new.write_text(text, encoding="utf-8")
     print("\n".join(f"wrote {visible(str(path))}" for path in texts))
+    if note:
+        print(note, file=sys.stderr)
     if language is not None:
         commands = _starts(next(iter(texts)), language, experiment, kind or "can", keyed)
         print("\n" + "\n".join(f"  {visible(line)}" for line in commands))
@@ -92,8 +100,8 @@ def _starts(path: Path, language: str, experiment: str, kind: str, keyed: bool) 
     return [*compiled, f"hil rig {experiment} --link {uri}", f"{start} {at}   {end}"]
 
 
-def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> dict[str, str]:
-    """Return the files of a controller as a program of its own; see `hil.cli.new_external`."""
+def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> tuple[dict[str, str], str]:
+    """Return the files of a controller as a program of its own, and what to say of it; see `hil.cli.new_external`."""
     from hil.cli.new_external import external_controller, program_files
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
@@ -102,9 +110,8 @@ def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) ->
     with Working(f"{named.name}: its loop"):
         loop = compose(named)
     of = external_controller(loop, argument, kind, keyed)  # type: ignore[arg-type]  # click knows the words
-    if of.law.why_none:
-        print(f"note: {of.law.why_none}: the program answers zeros until you write its law", file=sys.stderr)
-    return program_files(of, stem, language)  # type: ignore[arg-type]
+    note = f"note: {of.law.why_none}: the program answers zeros until you write its law" if of.law.why_none else ""
+    return program_files(of, stem, language), note  # type: ignore[arg-type]
 
 
 def files_of(part: str, module: str) -> dict[str, str]:

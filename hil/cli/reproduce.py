@@ -105,7 +105,7 @@ def _pages(chapter: str, names: tuple[str, ...], output: Path | None, force: boo
     try:
         output.mkdir(exist_ok=True)
     except OSError as error:
-        raise HilError(f"{output}: cannot be made a folder: {(error.strerror or str(error)).lower()}") from error
+        raise HilError(f"{output}: cannot be made a folder: {error.strerror or error}") from error
     pages = {**{name: output / f"{name}.html" for name in names}, ALL: output / "index.html"}
     return {name: check_page(path, force=force) for name, path in pages.items()}
 

@@ -70,7 +70,8 @@ def load_experiment(
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
         hint = (near_shipped(name) or ";") + " `hil list` shows the shipped ones"
-        raise HilError(f"no experiment {name!r}: neither a file nor a shipped name{hint}") from None
+        where = f" in {Path.cwd()}" if name.endswith(".toml") and not path.is_absolute() else ""
+        raise HilError(f"no experiment {name!r}: neither a file{where} nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so
         pass
     data = read_regular(path, MAX_BYTES, "an experiment file")

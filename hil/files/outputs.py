@@ -105,7 +105,7 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
         with tempfile.TemporaryFile(dir=target.parent):  # root has permission everywhere, and still cannot write in /proc
             pass
     except OSError as e:
-        raise HilError(f"{path}: cannot be written: {(e.strerror or str(e)).lower()}") from e
+        raise HilError(f"{path}: cannot be written: {e.strerror or e}") from e
     return path
 
 

@@ -23,7 +23,7 @@ class Driver(Struct, frozen=True, kw_only=True):
     -0.0348 rad and 0.0172 rad (Remark 7.7) are what dead zone and stiction together leave.
 
     Args:
-        saturation_v: largest magnitude of the output in V (the supply); None for no limit.
+        saturation_v: largest magnitude of the output in V (the supply); by default no limit.
         pwm_step_v: voltage of one PWM count in V (supply over counts); 0 for continuous.
         dead_zone_v: voltage in V below which nothing moves; 0 for none.
 

@@ -21,7 +21,7 @@ class Friction(Struct, frozen=True, kw_only=True):
 
     Args:
         coulomb_v: sliding friction in V.
-        static_v: break-away friction in V, at least coulomb_v; None for coulomb_v.
+        static_v: break-away friction in V, at least coulomb_v; by default coulomb_v.
         stribeck_speed_rad_s: speed in rad/s over which static goes into Coulomb friction; 0 for at once.
         viscous_v_s_per_rad: friction in V per rad/s, in addition to the viscous part in the pole of the plant.
 

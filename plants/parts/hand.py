@@ -20,7 +20,7 @@ class Push:
 
     Args:
         force_n: constant part in N, towards the wall where positive.
-        start_s, stop_s: when it acts, in s; stop_s None for ever.
+        start_s, stop_s: when it acts, in s; by default for ever.
         tremor_n: standard deviation of the tremor in N, all the time; 0 for none.
         tremor_correlation_s: its correlation time in s.
         tremor_hold_s: how long a sample of it is held, in s.

@@ -83,6 +83,44 @@ def test_junit_keeps_what_a_failing_test_ran_and_its_three_commands_run(pytester
     assert all(hil_command(*words[1:], cwd=pytester.path).returncode == 0 for words in reported)
 
 
+def test_a_fixture_that_fails_says_the_same_as_a_test(pytester: pytest.Pytester) -> None:
+    pytester.makeconftest(
+        """
+        import pytest
+
+        @pytest.fixture
+        def typo(hil):
+            return hil.run("nosuch.toml")
+
+        @pytest.fixture
+        def tracked(hil):
+            session = hil.run("dc-motor-hinf", duration=2, set=["plant.gain=150"])
+            assert session.status == 1
+        """
+    )
+    pytester.makepyfile("def test_one(typo): pass\ndef test_two(tracked): pass")
+    result = pytest_of(pytester, "--no-header")
+    result.assert_outcomes(errors=2)
+    (line,) = (line for line in result.outlines if "nosuch" in line and "ERROR" not in line)
+    assert line.startswith(f"{pytester.path}/conftest.py:5: ") and f"neither a file in {pytester.path}" in line
+    result.stdout.fnmatch_lines(["*hil log*", "dc-motor-hinf seed 0: *.mcap", "with plant.gain=150, duration=2", "hil report *"])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (("--hil-logs=file/logs",), "--hil-logs: file/logs: cannot be made: Not a directory"),
+        (("--hil-link=can:hil:rig0",), "hil: virtual time uses no link: --hil-link can:hil:rig0 needs --hil-clock real"),
+    ],
+)
+def test_an_option_that_cannot_act_says_so_once(pytester: pytest.Pytester, options: tuple[str, ...], says: str) -> None:
+    pytester.makepyfile("def test_nothing(): pass")
+    (pytester.path / "file").write_text("")
+    result = pytest_of(pytester, *options)
+    lines = [*result.outlines, *result.errlines]
+    assert len([line for line in lines if says in line]) == 1 and len(lines) < 12
+
+
 @pytest.mark.parametrize(
     ("arguments", "options", "wrong", "right"),
     [

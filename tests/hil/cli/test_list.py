@@ -27,6 +27,7 @@ def test_every_key_of_every_plug_in_of_ours_is_explained(cli: Hil, group: str, n
     assert status == 0 and out.startswith(f"{name}, from ")
     found = json.loads(cli("list", group[4:], name, "--json")[1])
     assert found["about"] and [key for key, said in found["keys"].items() if not said["meaning"] and key != "uri"] == []
+    assert not [key for key, said in found["keys"].items() if re.search(r"\bNone\b", said["meaning"])], "no file can say None"
 
 
 def test_of_another_package_alone_it_is_said_from_which(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,7 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         (("plant", "cart", "--language", "c"), "of a controller, not of a plant"),
         (("controller", "pd", "--keyed"), "with --language python or c"),
         (("controller", "pd", "--link", "can"), "with --language python or c"),
+        (("controller", "pd", "--for", "omni-1khz"), "--for: of a program, with --language python or c"),
         (("controller", "pd", "--language", "c", "--link", "zenoh"), "use --link can, or python"),
         (("controller", "pd", "--language", "c", "--for", "nosuch"), "no experiment 'nosuch'"),
     ],
@@ -70,7 +71,8 @@ def test_a_program_of_its_own_is_written_for_an_experiment_and_says_what_it_lack
     assert "@" not in text.replace("@property", "") and "#?" not in text and not re.search("^(import|from) hil", text, re.M)
     status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
     assert status == 0 and "answers zeros until you write its law" in err and Path("packet_codes.h").is_file()
-    assert cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")[0] == 2  # files are there
+    status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
+    assert status == 2 and "exists already" in err and "note:" not in err  # of a program that is not written, nothing is said
 
 
 def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(cli: Hil) -> None:
