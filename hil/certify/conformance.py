@@ -9,7 +9,7 @@ The test ends after some slots; what a run is compared with while it runs is `hi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from msgspec.structs import replace
@@ -40,8 +40,10 @@ SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
 SHORT = 60
 """Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
 
+Checks = Sequence[tuple[str, Callable[[CertificationProblem], Check]]]
 
-def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
+
+def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) -> Verdict:
     """Return a verdict on what plant and controller say as one on what they do.
 
     A plant that says itself what it is beyond its model leaves a loop undecided, but for one that is passive with it; it is not
@@ -50,6 +52,7 @@ def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     Args:
         loop: the loop that will run.
         verdict: on the matrices and gains that both state.
+        checks: what is compared; by default the plant and the controller.
     """
     regional = verdict.kind == "stability in a region"
     beyond = isinstance(loop.plant, BeyondModel) and bool(loop.plant.beyond_model())
@@ -59,7 +62,7 @@ def tested(loop: CertificationProblem, verdict: Verdict) -> Verdict:
         loop.plant.departures()
     )
     assumptions: list[str] = []
-    checks = (("plant", departure_check if departs else plant_check), ("controller", answers_of))
+    checks = checks or (("plant", departure_check if departs else plant_check), ("controller", answers_of))
     for what, check in checks[1:] if beyond and verdict.kind == "passivity" else checks:
         try:
             state, said = check(loop)

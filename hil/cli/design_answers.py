@@ -9,10 +9,9 @@ import click
 from design.errors import DesignError, FieldError
 from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
-from hil.certify.certifier import limited_to_model
 from hil.certify.send_all_loop import judge_linear_law
 from hil.cli.terminal import Working, answer, print_facts
-from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at
+from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at, motion_at, on_plant
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -102,9 +101,9 @@ def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, An
     rho = request.input_weight
     alone = judge_linear_law(model_at(target), none, none, law, input_weight=rho).to_json()
     over_network = judge_linear_law(
-        model_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
+        motion_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
     )  # fmt: skip
-    verdict = limited_to_model(target.of, over_network)
+    verdict = on_plant(target, over_network)
     return {
         "plant": target.plant,
         "period_s": target.period_s,

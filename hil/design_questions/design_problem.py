@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import LinearLaw, LoopModel
+from design.controllers import LinearLaw, LoopModel, OutputFeedback
 from design.processes.delay_chain import DelayChain
 from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
-from hil.certify.certifier import limited_to_model
+from hil.certify.certifier import CertificationProblem, limited_to_model
+from hil.certify.conformance import plant_check, tested
 from hil.certify.send_all_loop import judge_gains
 from hil.errors import HilError, nearest
+from hil.plugins.user_modules import is_ours
+from hil.rig.spec import motion_of
 from plants.parts.protocols import Plant
 
 if TYPE_CHECKING:
@@ -125,12 +128,37 @@ def _target(plant: Plant, name: str, period: float, sc: DelayChain, ca: DelayCha
 
 def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
     """Return the verdict on a design over the network that it was made for."""
-    sc, ca = design.problem.chains
-    verdict = judge_gains(
-        model_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
+    return on_plant(target, linear_verdict(target, design, *design.problem.chains))
+
+
+def linear_verdict(target: TrackingTarget, design: Design, sc: DelayChain, ca: DelayChain) -> Verdict:
+    """Return the verdict on a design with the plant's matrices, over two delay chains."""
+    return judge_gains(
+        motion_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
         integral=bool(design.problem.integral), digest=digest_of_design(target, design),
     )  # fmt: skip
-    return limited_to_model(target.of, verdict)
+
+
+def on_plant(target: TrackingTarget, verdict: Verdict) -> Verdict:
+    """Return a verdict on the matrices of a plant as one on the plant: a plant of one's own is driven, and compared with them.
+
+    Args:
+        target: the plant and its network.
+        verdict: on `motion_at`.
+    """
+    verdict = limited_to_model(target.of, verdict)
+    if is_ours(target.of):
+        return verdict
+    unasked = OutputFeedback(A=(), B=(), C=(), D=())
+    loop = CertificationProblem(
+        plant=target.of, controller=unasked, model=model_at(target), sc=target.sc, ca=target.ca, digest=verdict.digest
+    )
+    return tested(loop, verdict, (("plant", plant_check),))
+
+
+def motion_at(target: TrackingTarget) -> LoopModel:
+    """Return the model by which the plant moves, which is what a verdict is on."""
+    return motion_of(target.of, model_at(target))
 
 
 def model_at(target: TrackingTarget) -> LoopModel:
@@ -143,15 +171,16 @@ def model_at(target: TrackingTarget) -> LoopModel:
 
 def digest_of_design(target: TrackingTarget, design: Design) -> str:
     """Return the digest of the loop that a design is for: plant, gains, network, period."""
-    sc, ca = design.problem.chains
-    system = {"A": target.A, "B": target.B, "C": target.C, "gains": design.gains, "selection": design.selection}
+    (sc, ca), moves = design.problem.chains, motion_at(target)
+    system = {"A": moves.A, "B": moves.B, "C": moves.C, "gains": design.gains, "selection": design.selection}
     system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": target.period_s}
     return digest(system)
 
 
 def digest_of_law(target: TrackingTarget, law: LinearLaw) -> str:
     """Return the digest of the loop of a linear controller: plant, law, network, period."""
-    system = {"A": target.A, "B": target.B, "C": target.C, "law": [law.A, law.B, law.C, law.D], "period": target.period_s}
+    moves = motion_at(target)
+    system = {"A": moves.A, "B": moves.B, "C": moves.C, "law": [law.A, law.B, law.C, law.D], "period": target.period_s}
     system |= {"sc": target.sc.matrix, "sc delays": target.sc.delay, "ca": target.ca.matrix, "ca delays": target.ca.delay}
     return digest(system)
 

@@ -15,8 +15,7 @@ from msgspec.structs import replace
 
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
-from hil.certify.send_all_loop import judge_gains
-from hil.design_questions.design_problem import TrackingTarget, digest_of_design, model_at
+from hil.design_questions.design_problem import TrackingTarget, digest_of_design, linear_verdict, on_plant
 from hil.errors import HilError
 from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
@@ -40,6 +39,11 @@ class Measured:
     fit: LawFit
     law: NetworkLaw
     at: Receiver
+
+    @property
+    def counts_ages(self) -> bool:
+        """Whether transitions between the ages that came are counted: nothing is known of an age that never came."""
+        return self.fit.law_class == "markov"
 
     def chain(self) -> DelayChain:
         """Return the chain of the fitted law.
@@ -104,7 +108,9 @@ def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Mea
     packets = min(len(sc.fit.record.sent_s), len(ca.fit.record.sent_s))
     if verdict.state == "certified":
         said = f"mean-square stable for every chain of ages that {packets} packets leave possible, with 95 % confidence"
-        return replace(verdict, reason=f"{said} (second-moment radius at most {verdict.details['tail_radius']:.5g})")
+        reason = f"{said} (second-moment radius at most {verdict.details['tail_radius']:.5g})"
+        oldest = tuple(f"no age is above {each.at.max_age}, the largest in the record" for each in (sc, ca) if each.counts_ages)
+        return on_plant(target, replace(verdict, reason=reason, assumptions=(*verdict.assumptions, *oldest)))
     enough = _enough(target, design, sc, ca, packets)
     least = "more packets would not decide it" if enough is None else f"about {enough} packets in the same shares would do"
     return replace(
@@ -118,10 +124,7 @@ def _verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured,
     chains = [each.region(factor) for each in (sc, ca)]
     if isinstance(chains[0], str) or isinstance(chains[1], str):
         return next(chain for chain in chains if isinstance(chain, str))
-    return judge_gains(
-        model_at(target), chains[0], chains[1], design.gains, design.selection, samples=design.problem.samples,
-        integral=bool(design.problem.integral), digest=digest_of_design(target, design),
-    )  # fmt: skip
+    return linear_verdict(target, design, chains[0], chains[1])
 
 
 def _enough(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, packets: int) -> int | None:

@@ -30,11 +30,10 @@ from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
 from design.tracking.robust_synthesis import robust
 from design.tracking.synthesis import Design, Progress
 from design.verdict import State, Verdict, digest
-from hil.certify.certifier import limited_to_model
-from hil.design_questions.design_problem import TrackingTarget, digest_of_design
+from hil.design_questions.design_problem import TrackingTarget, digest_of_design, on_plant
 from hil.errors import HilError
 from plants.errors import PlantError
-from plants.parts.protocols import Plant
+from plants.parts.protocols import MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
 FAMILY = "one quadratic family per mode, over the ends of the intervals and all plants between (semidefinite program)"
@@ -105,8 +104,8 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
         raise HilError(f"--uncertainty: {', '.join(names)}; expected one to {max(GRID)} parameters, each once")
     count = GRID[len(names)]
     axes = [np.linspace(i.low, i.high, count).tolist() for i in intervals]
-    nominal = _discrete(target, {})
-    points = [_discrete(target, dict(zip(names, values))) - nominal for values in product(*axes)]
+    nominal = _discrete(target, {}, names)
+    points = [_discrete(target, dict(zip(names, values)), names) - nominal for values in product(*axes)]
     n, width = nominal.shape
     changes = np.array(points)
     left, row_size, _ = np.linalg.svd(changes.transpose(1, 0, 2).reshape(n, -1), full_matrices=False)
@@ -125,13 +124,17 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
     return PlantSet(M * largest, N[:, :n], N[:, n:], changes, bends)
 
 
-def _discrete(target: TrackingTarget, values: dict[str, float]) -> Array:
-    """[A B] of the plant with other values of its parameters, (n, n + m)."""
+def _discrete(target: TrackingTarget, values: dict[str, float], names: Sequence[str]) -> Array:
+    """[A B] of the plant with other values of its parameters, as it moves; without any, of its model; (n, n + m)."""
     try:
         changed = dataclasses.replace(target.of, **values) if values else target.of  # type: ignore[type-var]
-        found = changed.model().discretise(target.period_s)
+        moves = changed.motion() if values and isinstance(changed, MovesOtherwise) else changed.model()
+        found = moves.discretise(target.period_s)
     except (PlantError, ValueError) as error:
         raise HilError(f"--uncertainty: {error}") from None
+    if not np.array_equal(found.C, target.C):
+        said = "changes what the plant measures (C); how it moves alone may be uncertain"
+        raise HilError(f"--uncertainty: {', '.join(names)}: {said}")
     return np.hstack([np.asarray(found.A, dtype=np.float64), np.asarray(found.B, dtype=np.float64)])
 
 
@@ -205,7 +208,7 @@ def _judge(target: TrackingTarget, design: Design, intervals: Sequence[Interval]
             "no packet is later than its law says", "no limit trips",
         ),
     )  # fmt: skip
-    return limited_to_model(target.of, verdict)
+    return on_plant(target, verdict)
 
 
 def _extreme(changes: Array, axes: int) -> Array:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,6 +21,8 @@ from hil.design_questions.design_problem import problem_for, tracking_target, ve
 from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from plants import LinearRun, Signal, StateSpace
+from plants.parts.friction import Friction
 from tests.bench.design import GOALS, bench_design
 from tests.warm_hil import hil_command
 
@@ -159,6 +162,48 @@ def test_what_a_plant_has_beyond_its_model_leaves_a_design_undecided():
     assert judge_uncertain(target, design, [interval(target.of, "gain=1%")]).state == "undecided"
     for of, state in ((target.of, "undecided"), (plain, "refused")):
         assert design_local(target._replace(of=of), LocalDesigned(method="lqr"))["verdict"]["state"] == state
+
+
+def test_viscous_friction_moves_the_pole_that_a_design_is_judged_with():
+    """The gains are made for the model that a designer sees; the verdict is on the motion, and between them is an uncertainty."""
+    target, design = plain_design()
+    motor, asked = target.of, [interval(target.of, "gain=0.1%")]
+    rubbing = target._replace(of=dataclasses.replace(motor, friction=Friction(viscous_v_s_per_rad=0.1)))
+    faster = target._replace(of=dataclasses.replace(motor, pole=motor.pole + 0.1 * motor.gain))
+    plain, found = verdict_on(target, design), verdict_on(rubbing, design)
+    assert found.number == verdict_on(faster, design).number < plain.number and found.digest != plain.digest
+    margins = [judge_uncertain(each, design, asked).details["margin"] for each in (rubbing, target)]
+    assert margins[0] < 0.01 * margins[1]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tank:
+    """A level that is the volume over the area; it may move by another equation than it states."""
+
+    area: float = 1.0
+    moves_as_said: bool = True
+    inputs: ClassVar = (Signal("flow", "m^3/s"),)
+    outputs: ClassVar = (Signal("level", "m"),)
+    states: ClassVar = (Signal("volume", "m^3"),)
+
+    def model(self):
+        return StateSpace(A=[[-0.1]], B=[[1.0]], C=[[1.0 / self.area]])
+
+    def start(self, rng):
+        return LinearRun(self.model() if self.moves_as_said else StateSpace(A=[[3.0]], B=[[-1.0]], C=[[1.0]]), (0.0,))
+
+
+def test_a_design_for_a_plant_of_ones_own_is_judged_by_what_the_plant_does():
+    moves = Tank().model().discretise(0.05)
+    target = tracking_target("dc-motor")._replace(A=moves.A, B=moves.B, C=moves.C, of=Tank())
+    design = solve_tracking(problem_for(target, starts=1))
+    honest = verdict_on(target, design)
+    assert honest.certified and any("moves as its model says" in each for each in honest.assumptions)
+    lying = target._replace(of=Tank(moves_as_said=False))
+    assert verdict_on(lying, design).state == "refused" and "does not move as its model()" in verdict_on(lying, design).reason
+    assert design_local(lying, LocalDesigned(method="lqr"))["verdict"]["state"] == "refused"
+    with pytest.raises(HilError, match=r"--uncertainty: area: changes what the plant measures \(C\)"):
+        judge_uncertain(target, design, [interval(target.of, "area=50%")])
 
 
 @pytest.mark.parametrize("names", [("gain=10%",), ("pole=30%",), ("gain=5%", "pole=20%")])

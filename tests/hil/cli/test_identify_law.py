@@ -8,8 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from design.requests.tracking import solve_tracking
+from hil.design_questions.design_problem import problem_for, tracking_target
+from hil.design_questions.measured_network import measured, over_network, region_verdict
 from hil.experiment import load_experiment
 from tests.hil.cli.conftest import Hil
+from tests.transport.law_fit.synthetic_laws import DEADLINE, LAWS, T, record_of
+from transport.law_fit import fit_law
 
 N = 2000
 
@@ -106,6 +111,19 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     region = json.loads(out)["network"]["region"]
     assert region["state"] == "undecided"
     assert 400 < int(region["reason"].partition("about ")[2].split()[0]) < 6000
+
+
+def test_ages_that_never_came_and_friction_are_named_beside_a_region() -> None:
+    """Counted ages say nothing of an older one; and what the plant has beyond its model is in no verdict on a region."""
+    fit = fit_law(record_of(LAWS[13][1], 6000, [1]), T, DEADLINE)
+    way = measured(fit, holds_input=False)
+    assert fit.law_class == "markov"
+    target = over_network(tracking_target("dc-motor"), way, way)
+    design = solve_tracking(problem_for(target, starts=1))
+    found = region_verdict(target, design, way, way)
+    assert found.certified and f"no age is above {way.at.max_age}, the largest in the record" in found.assumptions
+    rubbing = target._replace(of=load_experiment("dc-motor-h2-friction").plant)
+    assert region_verdict(rubbing, design, way, way).state == "undecided"
 
 
 def test_a_design_needs_both_directions(cli: Hil, tmp_path: Path) -> None:
