@@ -9,9 +9,9 @@ from plants.fmu_run import FMURun as FMURun
 from plants.omni import Omni as Omni
 from plants.parts.actuators import Driver as Driver
 from plants.parts.actuators import Encoder as Encoder
+from plants.parts.actuators import Friction as Friction
 from plants.parts.check import check_plant as check_plant
 from plants.parts.delayed_run import DelayedVTOLRun as DelayedVTOLRun
-from plants.parts.friction import Friction as Friction
 from plants.parts.jump_process import JumpProcess as JumpProcess
 from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
 from plants.parts.linear import Signal as Signal

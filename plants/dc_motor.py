@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from plants.errors import FieldError, PlantError, require_finite, require_not_negative, require_positive
-from plants.parts.actuators import Axes, Driver, Encoder, FreeAxes, MotorRuns
-from plants.parts.friction import Friction
-from plants.parts.linear import NS_PER_S, Signal, StateSpace
+from plants.errors import PlantError, require_finite, require_not_negative, require_positive, require_time_span
+from plants.parts.actuators import Driver, Encoder, Friction
+from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.motor_run import DCMotorRun
 from plants.parts.protocols import Departure, PlantRun
-from plants.parts.rubbing_axes import RubbingAxes
 
-_NEVER_NS = 1 << 62
+if TYPE_CHECKING:
+    from plants.parts.motor_batch import MotorRuns
+
 DRIVER, DRY, ROUNDS = "a driver that saturates, rounds or has a dead zone", "dry friction", "an encoder that rounds"
 
 
@@ -39,9 +38,7 @@ class LoadTorque:
 
     def __post_init__(self) -> None:
         require_finite("torque_v", self.torque_v)
-        require_not_negative("start_s", self.start_s)
-        if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
-            raise FieldError("stop_s", f"{self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+        require_time_span(self.start_s, self.stop_s)
 
     def pieces(self, now_ns: int, dt_ns: int) -> list[tuple[int, float | None]]:
         """Return the parts of a span of time in which the load is constant: length in ns, load in V or None.
@@ -53,11 +50,11 @@ class LoadTorque:
         if not self.torque_v:
             return [(dt_ns, None)]
         start_ns = round(self.start_s * NS_PER_S)
-        stop_ns = _NEVER_NS if self.stop_s is None else round(self.stop_s * NS_PER_S)
+        stop_ns = NEVER_NS if self.stop_s is None else round(self.stop_s * NS_PER_S)
         end_ns, found = now_ns + dt_ns, []
         while now_ns < end_ns:
             loaded = start_ns <= now_ns < stop_ns
-            edge_ns = start_ns if now_ns < start_ns else stop_ns if loaded else _NEVER_NS
+            edge_ns = start_ns if now_ns < start_ns else stop_ns if loaded else NEVER_NS
             until_ns = min(end_ns, edge_ns)
             found.append((until_ns - now_ns, self.torque_v if loaded else None))
             now_ns = until_ns
@@ -211,11 +208,9 @@ class DCMotor:
 
     def start_batch(self, runs: int) -> MotorRuns:
         """Return so many motors at time 0."""
-        axes: Axes = (
-            RubbingAxes(self.gain, self.pole, self.friction)
-            if self.friction.dry
-            else FreeAxes(self.gain, self._damping)
-        )
+        from plants.parts.motor_batch import Axes, FreeAxes, MotorRuns, RubbingAxes
+
+        axes: Axes = RubbingAxes(self.gain, self.pole, self.friction) if self.friction.dry else FreeAxes(self.gain, self._damping)
         return MotorRuns(
             axes,
             (self.initial_angle_rad, self.initial_speed_rad_s),

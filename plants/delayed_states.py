@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import FieldError, require_not_negative, require_vector, require_whole_nanoseconds
-from plants.parts.driven import NoisyRun
 from plants.parts.exponential import Rows, dot
 from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Matrix, Signal
+from plants.parts.linear_run import NoisyRun
 
 
 class DelayedStatesRuns:

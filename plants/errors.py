@@ -68,6 +68,13 @@ def require_not_negative(path: str, value: float) -> None:
         raise FieldError(path, f"{value!r}, expected a finite number >= 0")
 
 
+def require_time_span(start_s: float, stop_s: float | None) -> None:
+    """Refuse a span that begins before 0, or that does not end after its start; None is no end."""
+    require_not_negative("start_s", start_s)
+    if stop_s is not None and not (math.isfinite(stop_s) and stop_s > start_s):
+        raise FieldError("stop_s", f"{stop_s!r}, expected a finite number above start_s ({start_s!r})")
+
+
 def require_vector(path: str, value: Sequence[float], length: int) -> None:
     """Refuse a vector of the wrong length or with an entry that is not finite."""
     if len(value) != length:

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from plants.errors import FieldError, PlantError, require_finite, require_not_negative, require_positive
-from plants.parts.damping_zones import DampingZone, check_zones
-from plants.parts.driven import NoisyRun
 from plants.parts.hand import Hand
 from plants.parts.held_run import HeldRun
 from plants.parts.linear import Signal, StateSpace
-from plants.parts.linear_run import LinearRun
+from plants.parts.linear_run import LinearRun, NoisyRun
 from plants.parts.protocols import PassiveElement, PlantRun
 
 _BARE = ((Signal("torque", "N m"),), (Signal("angle", "rad"),), (Signal("angle", "rad"), Signal("speed", "rad/s")))
@@ -21,6 +20,28 @@ _HELD = (
     (Signal("position", "m"), Signal("y", "m"), Signal("z", "m")),
     tuple(Signal(*s) for s in (("position", "m"), ("speed", "m/s"), ("y", "m"), ("z", "m"), ("push", "N"), ("given", "J"))),
 )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DampingZone:
+    """The damping of the device from a place of its workspace on.
+
+    Args:
+        from_m: place of the tip in m.
+        damping: b of the joint there, as `Omni.damping`, at least 0.
+
+    Raises:
+        FieldError: where a value is out of range.
+
+    Reference: Chapter 6, 6.6: the damping b may change in the workspace.
+    """
+
+    from_m: float
+    damping: float
+
+    def __post_init__(self) -> None:
+        require_finite("from_m", self.from_m)
+        require_not_negative("damping", self.damping)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +99,10 @@ class Omni:
         require_not_negative("encoder_step_m", self.encoder_step_m)
         require_not_negative("coulomb_n", self.coulomb_n)
         require_not_negative("encoder_noise_rad", self.encoder_noise_rad)
-        check_zones(self.zones)
+        for i, (before, after) in enumerate(pairwise(self.zones), start=1):
+            if not after.from_m > before.from_m:
+                said = f"{after.from_m!r}, expected more than {before.from_m!r}, of the one before"
+                raise FieldError(f"zones[{i}].from_m", said)
         if self.force_limit_n is not None:
             require_positive("force_limit_n", self.force_limit_n)
         if self.hand is None:

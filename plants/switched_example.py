@@ -18,8 +18,8 @@ from plants.errors import (
 from plants.parts.exponential import Rows
 from plants.parts.flow import Flow, Source, pass_time
 from plants.parts.jump_process import JumpProcess
-from plants.parts.linear import NS_PER_S, Signal, StateSpace
-from plants.parts.semi_markov import NEVER_NS, JumpModel, JumpRates, TransitionRates, check_clip, check_mode
+from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
+from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_clip, check_mode
 
 _A: tuple[Rows, Rows] = (((1.1555, -0.4006), (-0.4470, -0.7930)), ((-0.0274, 0.0249), (-0.3835, 0.3026)))
 _B: tuple[Rows, Rows] = (((1.0,), (1.0,)), ((1.0,), (0.0,)))

@@ -15,7 +15,7 @@ from plants.errors import (
     require_vector,
     require_whole_nanoseconds,
 )
-from plants.parts.delayed_run import DelayedVTOLRun, delay_ns
+from plants.parts.delayed_run import DelayedVTOLRun
 from plants.parts.linear import Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.vtol import AIRSPEEDS_KN, VTOL_INPUTS, VTOL_STATES, vtol_matrices
@@ -114,10 +114,6 @@ class DelayedVTOL:
     def jump_process(self) -> JumpRates:
         """Return the rates of the airspeed, which is measured."""
         return JumpRates(rates=self.rates, initial=(self.initial_mode,))
-
-    def delay_ns(self, mode: int, t_ns: int) -> int:
-        """Return tau(t, i) of (3.43) in ns, for mode 1, 2 or 3."""
-        return delay_ns(self.max_delay_s, self.delay_rates[mode - 1], t_ns)
 
     def start(self, rng: np.random.Generator) -> DelayedVTOLRun:
         """Return the helicopter at time 0; jumps and noise are drawn from two streams spawned from ``rng``."""

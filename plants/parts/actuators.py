@@ -1,17 +1,15 @@
-"""Actuators and sensors: what becomes of a commanded input before it reaches the plant, and what a rig measures of a state."""
+"""What stands between a commanded input and a measured angle beside the motor itself: driver, friction, encoder."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Protocol
 
-import numpy as np
 from msgspec import Struct
 
 from plants.errors import FieldError, require_not_negative, require_positive
-from plants.parts.exponential import zero_order_hold
-from plants.parts.linear import NS_PER_S, Matrix
+
+_CHORDS = 24
+_REACH = 3.0  # the Stribeck curve ends at 3 Stribeck speeds, where exp(-9) of it is left
 
 
 class Driver(Struct, frozen=True, kw_only=True):
@@ -70,96 +68,6 @@ class Driver(Struct, frozen=True, kw_only=True):
         return v
 
 
-class Axes(Protocol):
-    """Axes of one kind in many runs."""
-
-    def move(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
-        """Return angles (rad) and speeds (rad/s), (runs,), after dt_ns of held drives (V)."""
-        ...
-
-
-class FreeAxes:
-    """Axes without dry friction, angle' = speed, speed' = -damping speed + gain drive: one exact step for every length.
-
-    Args:
-        gain: acceleration per volt in rad/s^2 per V.
-        damping: viscous rate in 1/s.
-    """
-
-    def __init__(self, gain: float, damping: float) -> None:
-        self._gain, self._damping = gain, damping
-        self._held: dict[int, tuple[float, float, float, float]] = {}
-
-    def move(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
-        """See `Axes`."""
-        found = self._held.get(dt_ns)
-        if found is None:
-            Phi, Gamma = zero_order_hold([[0.0, 1.0], [0.0, -self._damping]], [[0.0], [self._gain]], (dt_ns, NS_PER_S))
-            found = self._held[dt_ns] = (Phi[0][1], Gamma[0][0], Phi[1][1], Gamma[1][0])
-        a, b, c, d = found
-        return angle + a * speed + b * drive, c * speed + d * drive
-
-
-class MotorRuns:
-    """Running motors: an axis under driver(u) + w - load, y = encoder(angle).
-
-    Each run has bit for bit what `DCMotorRun` computes alone.
-
-    Args:
-        axes: what the drive moves.
-        start: angle in rad and speed in rad/s of every run at time 0.
-        driver: what becomes of a command; None for nothing.
-        through: whether w is added to the command, before the driver.
-        encoder_step_rad: angle of one count in rad, 0 for none.
-        tachometer: whether the speed is measured too.
-        pieces: of a slot: (length in ns, load in V) of every part of constant load from one instant over some time, both in ns.
-        runs: how many.
-    """
-
-    def __init__(
-        self, axes: Axes, start: tuple[float, float], *, driver: Driver | None, through: bool, encoder_step_rad: float,
-        tachometer: bool, pieces: Callable[[int, int], list[tuple[int, float | None]]], runs: int,
-    ) -> None:  # fmt: skip
-        self._axes, self._driver, self._through = axes, driver, through
-        self._step_rad, self._pieces, self._now_ns = encoder_step_rad, pieces, 0
-        self._tachometer = tachometer
-        self.state: Matrix = np.repeat(np.array(start, dtype=np.float64)[:, None], runs, axis=1)
-
-    def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
-        """Hold the commands u (1, runs) and the disturbance w (1,) for dt_ns."""
-        if self._driver is None:
-            v = u[0] + w[0]
-        elif self._through:
-            v = drive_many(self._driver, u[0] + w[0])
-        else:
-            v = drive_many(self._driver, u[0]) + w[0]
-        for span_ns, load_v in self._pieces(self._now_ns, dt_ns):
-            angle, speed = self.state
-            self.state = np.stack(self._axes.move(angle, speed, v if load_v is None else v - load_v, span_ns))
-        self._now_ns += dt_ns
-
-    def measure(self) -> Matrix:
-        """Return the angle in rad as the encoder gives it, and with a tachometer the speed, (1 or 2, runs)."""
-        angle, step = self.state[:1], self._step_rad
-        read = step * np.floor(angle / step + 0.5) if step else angle
-        return np.concatenate((read, self.state[1:])) if self._tachometer else read
-
-
-def drive_many(driver: Driver, command_v: Matrix) -> Matrix:
-    """Return what `Driver.drive` gives for every command, in V, shape as the commands."""
-    v, limit, step, zone = command_v, driver.saturation_v, driver.pwm_step_v, driver.dead_zone_v
-    if limit is not None:
-        v = np.where(v > limit, limit, np.where(v < -limit, -limit, v))
-    if step:
-        size = step * np.floor(np.abs(v) / step + 0.5)
-        if limit is not None:
-            size = np.where(size > limit, size - step, size)
-        v = np.where(v > 0.0, size, np.where(size != 0.0, -size, 0.0))
-    if zone:
-        v = np.where(v > zone, v - zone, np.where(v < -zone, v + zone, 0.0))
-    return v
-
-
 class Encoder(Struct, frozen=True, kw_only=True):
     """Incremental encoder: y = step * floor(angle / step + 1/2), the multiple of the step that is nearest.
 
@@ -183,3 +91,61 @@ class Encoder(Struct, frozen=True, kw_only=True):
         if self.step_rad == 0.0 or not math.isfinite(angle_rad):
             return angle_rad
         return self.step_rad * math.floor(angle_rad / self.step_rad + 0.5)
+
+
+class Friction(Struct, frozen=True, kw_only=True):
+    """Friction torque, in volts at the input that balance it.
+
+    F(v) = sign(v) (coulomb + (static - coulomb) exp(-(v/stribeck_speed)^2)) + viscous v,  v != 0;
+    at v = 0 the body sticks as long as |drive| <= static.
+
+    The exponential is followed by 24 chords up to 3 Stribeck speeds (largest error 0.4 % of static - coulomb), which
+    keeps every piece of the motion exact. Without a Stribeck speed the torque falls to the Coulomb value at once.
+
+    Args:
+        coulomb_v: sliding friction in V.
+        static_v: break-away friction in V, at least coulomb_v; by default coulomb_v.
+        stribeck_speed_rad_s: speed in rad/s over which static goes into Coulomb friction; 0 for at once.
+        viscous_v_s_per_rad: friction in V per rad/s, in addition to the viscous part in the pole of the plant.
+
+    Raises:
+        ValueError: where a parameter is negative or not finite, or static_v is below coulomb_v.
+    """
+
+    coulomb_v: float = 0.0
+    static_v: float | None = None
+    stribeck_speed_rad_s: float = 0.0
+    viscous_v_s_per_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_not_negative("coulomb_v", self.coulomb_v)
+        require_not_negative("stribeck_speed_rad_s", self.stribeck_speed_rad_s)
+        require_not_negative("viscous_v_s_per_rad", self.viscous_v_s_per_rad)
+        if self.static_v is not None:
+            require_not_negative("static_v", self.static_v)
+            if self.static_v < self.coulomb_v:
+                raise FieldError("static_v", f"{self.static_v!r}, expected at least coulomb_v ({self.coulomb_v!r})")
+
+    @property
+    def breakaway_v(self) -> float:
+        """Largest drive in V under which a body at rest stays at rest."""
+        return self.coulomb_v if self.static_v is None else self.static_v
+
+    @property
+    def dry(self) -> bool:
+        """Whether there is any friction that does not vanish with the speed."""
+        return self.breakaway_v > 0.0
+
+    def curve(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return speeds (rad/s, from 0) and dry friction (V) at the corners; constant after the last one."""
+        excess, reach = self.breakaway_v - self.coulomb_v, self.stribeck_speed_rad_s * _REACH
+        if excess == 0.0 or reach == 0.0:
+            return (0.0,), (self.coulomb_v,)
+        speeds = tuple(reach * i / _CHORDS for i in range(_CHORDS + 1))
+        # exp(-x^2) with x = 3 i/24 = i/8, as a power of exp(-1/64), by products: libm's exp differs between machines
+        base, decay, values = 0.9844964370054085, 1.0, [self.breakaway_v]
+        for i in range(1, _CHORDS):
+            for _ in range(2 * i - 1):
+                decay *= base
+            values.append(self.coulomb_v + excess * decay)
+        return speeds, (*values, self.coulomb_v)

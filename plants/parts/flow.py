@@ -11,7 +11,7 @@ import numpy as np
 from plants.errors import PlantError
 from plants.parts.draws import Normals
 from plants.parts.exponential import Rows, drift, zero_order_hold
-from plants.parts.linear import NS_PER_S
+from plants.parts.linear import NEVER_NS, NS_PER_S
 
 _CACHED_STEPS = 64  # a rig uses one or two lengths; the bound only stops a caller that uses a new one every time
 
@@ -140,7 +140,7 @@ class HeldNoise:
         if std > 0.0:
             self.fire()
         else:
-            self.next_ns = 1 << 62
+            self.next_ns = NEVER_NS
 
     def fire(self) -> None:
         """Take the next sample."""

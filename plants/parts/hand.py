@@ -6,9 +6,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from plants.errors import FieldError, require_finite, require_not_negative, require_positive, require_step
+from plants.errors import FieldError, require_finite, require_not_negative, require_positive, require_step, require_time_span
 
-NEVER_NS = 1 << 62
 Way = Literal["straight", "lissajous", "wander"]
 
 
@@ -38,9 +37,7 @@ class Push:
 
     def __post_init__(self) -> None:
         require_finite("force_n", self.force_n)
-        require_not_negative("start_s", self.start_s)
-        if self.stop_s is not None and not (math.isfinite(self.stop_s) and self.stop_s > self.start_s):
-            raise FieldError("stop_s", f"{self.stop_s!r}, expected a finite number above start_s ({self.start_s!r})")
+        require_time_span(self.start_s, self.stop_s)
         require_not_negative("tremor_n", self.tremor_n)
         require_positive("tremor_correlation_s", self.tremor_correlation_s)
         require_step("tremor_hold_s", self.tremor_hold_s)
@@ -107,7 +104,7 @@ class Slide:
 
     def __post_init__(self) -> None:
         if self.paces and (len(self.paces) < 2 or self.way != "straight" or self.speed_m_s):
-            raise FieldError("paces", f"{len(self.paces)}, expected two or more, with way = \"straight\" and without speed_m_s")
+            raise FieldError("paces", f'{len(self.paces)}, expected two or more, with way = "straight" and without speed_m_s')
         if self.way not in get_args(Way):
             raise FieldError("way", f"{self.way!r}, expected one of {', '.join(get_args(Way))}")
         for name, value in (("y_m", self.y_m), ("z_m", self.z_m), ("heading_rad", self.heading_rad)):

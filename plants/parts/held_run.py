@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from plants.errors import PlantError
-from plants.parts.damping_zones import ZoneRun
+from plants.parts.actuators import Friction
 from plants.parts.draws import TURN, Normals, sine
 from plants.parts.exponential import exp
 from plants.parts.flow import Flow, Source, pass_time
-from plants.parts.friction import Friction
-from plants.parts.hand import NEVER_NS, Hand, Push, Slide, Way
-from plants.parts.linear import NS_PER_S
+from plants.parts.hand import Hand, Push, Slide, Way
+from plants.parts.linear import NEVER_NS, NS_PER_S
 from plants.parts.rubbing_axis import RubbingAxis
 
 if TYPE_CHECKING:
-    from plants.omni import Omni
+    from plants.omni import DampingZone, Omni
+
+LOOK_NS: Final = 1_000_000
+"""How long the damping is that of the place where the tip was."""
 
 
 class HeldRun:
@@ -226,3 +229,36 @@ class SlideRun:
     def _figure(self, now_ns: int) -> tuple[float, float]:
         t_s, (y_m, z_m), (half_y_m, half_z_m, y_hz, z_hz) = now_ns / NS_PER_S, self._start, self._extent
         return y_m + half_y_m * sine(t_s * y_hz), z_m + half_z_m * sine(t_s * z_hz)
+
+
+class ZoneRun:
+    """When the zone is looked up again; on whole milliseconds, so that cutting an advance in two changes nothing.
+
+    Args:
+        zones: in rising order; none: it is never looked up.
+    """
+
+    __slots__ = ("_from_m", "looks", "next_ns")
+
+    def __init__(self, zones: Sequence[DampingZone]) -> None:
+        self._from_m = [zone.from_m for zone in zones]
+        self.looks = False
+        self.next_ns = LOOK_NS if zones else NEVER_NS
+
+    @property
+    def sources(self) -> tuple[ZoneRun, ...]:
+        """Itself, as a source of events; nothing without zones."""
+        return (self,) if self._from_m else ()
+
+    def at(self, place_m: float) -> int:
+        """Return which zone a place is in: 0 before the first.
+
+        Args:
+            place_m: of the tip.
+        """
+        return bisect_right(self._from_m, place_m)
+
+    def fire(self) -> None:
+        """Have it looked up before the next movement."""
+        self.looks = True
+        self.next_ns += LOOK_NS

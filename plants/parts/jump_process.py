@@ -9,8 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from plants.parts.draws import exponential
-from plants.parts.linear import NS_PER_S
-from plants.parts.semi_markov import NEVER_NS, TransitionRates
+from plants.parts.linear import NEVER_NS, NS_PER_S
+from plants.parts.semi_markov import TransitionRates
 
 
 class _Hazard:

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 Matrix = NDArray[np.float64]
 
 NS_PER_S = 1_000_000_000
+NEVER_NS = 1 << 62
+"""What does not come."""
 
 
 class Signal(NamedTuple):

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from bisect import bisect_right
 
+from plants.parts.actuators import Friction
 from plants.parts.exponential import log1p, phi
-from plants.parts.friction import Friction
 
 
 class RubbingAxis:

@@ -12,8 +12,6 @@ from typing import Final, TypeVar
 from plants.errors import SHORTEST_STEP_S, FieldError, require_finite, require_not_negative, require_positive
 from plants.parts.exponential import Rows
 
-NEVER_NS = 1 << 62
-
 Generator = tuple[tuple[float, ...], ...]
 T = TypeVar("T")
 

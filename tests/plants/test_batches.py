@@ -9,8 +9,7 @@ import pytest
 
 from plants.dc_motor import DCMotor, LoadTorque
 from plants.delayed_states import DelayedStates
-from plants.parts.actuators import Driver, Encoder
-from plants.parts.friction import Friction
+from plants.parts.actuators import Driver, Encoder, Friction
 from plants.state_space import LinearPlant, TransferFunction
 from plants.vtol import VTOL
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from plants.errors import FieldError
-from plants.omni import Omni
+from plants.omni import DampingZone, Omni
 from plants.parts.check import check_plant
-from plants.parts.damping_zones import DampingZone
 from plants.parts.hand import Hand, Push
 from plants.parts.protocols import HasPassiveElements
 

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from plants.dc_motor import DCMotor, LoadTorque
 from plants.errors import PlantError
-from plants.parts.actuators import Driver, Encoder
-from plants.parts.friction import Friction
+from plants.parts.actuators import Driver, Encoder, Friction
 
 T_NS = 50_000_000
 PRINTED_A = np.array([[1.00021, 0.00460], [0.00460, 0.00004]])

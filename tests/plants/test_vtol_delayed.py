@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from plants.parts.delayed_run import delay_ns
 from plants.parts.semi_markov import TransitionRates
 from plants.vtol import vtol_matrices
 from plants.vtol_delayed import DelayedVTOL
@@ -56,7 +57,7 @@ def constant_delay(seconds):
 @pytest.mark.parametrize("seconds", [0.1, 0.15, 0.4, 0.9])
 def test_a_constant_delay_agrees_with_the_method_of_steps(seconds):
     plant = DelayedVTOL(delay_rates=(0.0, 0.0, 0.0), **QUIET)
-    assert plant.delay_ns(1, 123) == 150_000_000
+    assert delay_ns(plant.max_delay_s, plant.delay_rates[0], 123) == 150_000_000
     np.testing.assert_allclose(after(plant, seconds), constant_delay(seconds), atol=3e-6)
 
 
@@ -108,8 +109,8 @@ def test_cutting_time_anywhere_changes_less_than_the_error():
 def test_the_delay_stays_in_its_bounds_and_follows_its_rate():
     plant = DelayedVTOL()
     t = np.arange(0, 10_000_000_000, 1_000_003)
-    for mode, rate in ((1, 0.5), (2, 0.6), (3, 0.3)):
-        delays = np.array([plant.delay_ns(mode, int(k)) for k in t])
+    for rate in plant.delay_rates:
+        delays = np.array([delay_ns(plant.max_delay_s, rate, int(k)) for k in t])
         assert delays.min() >= 0
         assert delays.max() <= 300_000_000
         slopes = np.diff(delays) / np.diff(t)

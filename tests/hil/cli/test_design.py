@@ -22,7 +22,7 @@ from hil.design_questions.plant_uncertainty import interval, judge_uncertain, pl
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from plants import LinearRun, Signal, StateSpace
-from plants.parts.friction import Friction
+from plants.parts.actuators import Friction
 from tests.bench.design import GOALS, bench_design
 from tests.warm_hil import hil_command
 
@@ -65,8 +65,10 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--gain-bound", "-1"), "design: gain_bound: -1"),
         (("dc-motor", "--hinf-bound", "17"), "design: hinf_bound: only a mixed design"),
         (("dc-motor", "--objective", "mixed", "--hinf-bound", "15"), "smallest H-infinity norm found is 16.27"),
-        (("vtol", "--period", "1", "--information", "constant"),
-         "none in 4 starts of the search, best second-moment radius 1.*try samples = 2"),
+        (
+            ("vtol", "--period", "1", "--information", "constant"),
+            "none in 4 starts of the search, best second-moment radius 1.*try samples = 2",
+        ),
         (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
         (("dc-motor-hinf", "--sojourns", "2"), "sojourns: only a semi-Markov law takes it"),
         (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from plants.parts.friction import Friction
+from plants.parts.actuators import Friction
 from plants.parts.rubbing_axis import RubbingAxis
 
 GAIN, POLE = 172.38, 3.5287

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from plants.parts.actuators import Friction
 from plants.parts.exponential import log1p, log1p_many, phi, phi_many
-from plants.parts.friction import Friction
-from plants.parts.rubbing_axes import RubbingAxes
+from plants.parts.motor_batch import RubbingAxes
 from plants.parts.rubbing_axis import RubbingAxis
 
 GAIN, POLE, RUNS = 172.38, 3.5287, 1500
