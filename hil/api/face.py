@@ -28,7 +28,7 @@ from hil.session import ClockName, Session, run_session
 from hil.session.replay.replay import Verdict as LogVerdict
 from hil.session.replay.replay import experiment_of
 from hil.session.replay.replay import verify as verify_run
-from hil.sweeps.comparison import Comparison
+from hil.sweeps.comparison import Comparison, check_named
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
 from hil.sweeps.points import Points, grid_of, latin_hypercube
@@ -294,14 +294,7 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
         HilError: if an experiment cannot be run, two have one name, or there are fewer than two.
     """
     checked = [checked_experiment(source, None, None, changes) for source in sources]
-    named = {experiment.name: experiment for experiment in checked}
-    if not named:
-        raise HilError("compare: no experiment is named; expected two or more")
-    if len(checked) < 2:
-        raise HilError(f"compare: only {checked[0].name!r} is named; expected two or more, of one: hil.sweep")
-    if len(named) < len(checked):
-        twice = next(e.name for i, e in enumerate(checked) if e.name in {other.name for other in checked[:i]})
-        raise HilError(f"compare: two experiments are called {twice!r}; hil.load_experiment(..., name=...) renames one")
+    check_named([each.name for each in checked], "hil.sweep", "hil.load_experiment(..., name=...) renames one")
     if not 2 <= runs <= LAST_SEED:
         raise HilError(f"compare: {runs} runs of each; expected at least 2, and seeds below 2^63")
-    return compare_experiments(named, runs, jobs=jobs)
+    return compare_experiments({each.name: each for each in checked}, runs, jobs=jobs)

@@ -43,7 +43,7 @@ def compare(
     from hil.experiment import load_experiment
     from hil.files.outputs import check_page, write_output
     from hil.pages.many_runs import compare_page
-    from hil.sweeps.comparison import compare
+    from hil.sweeps.comparison import check_named, compare
     from hil.sweeps.sweep import statistics
 
     if not 2 <= runs < 2**63:
@@ -53,10 +53,7 @@ def compare(
         sets = (*sets, f"duration={duration}")
     if output is not None:
         check_page(output, force=force)  # now, and not after minutes of work
-    if len(experiments) < 2:
-        raise HilError(f"compare: only {experiments[0]!r} is named; expected two or more, of one: hil sweep {experiments[0]}")
-    if twice := next((name for i, name in enumerate(experiments) if name in experiments[:i]), ""):
-        raise HilError(f"compare: {twice!r} is named twice; a copy of its file with changes is another experiment")
+    check_named(experiments, f"hil sweep {experiments[0]}", "a copy of its file with changes is another experiment")
     checked = {name: load_experiment(name, list(sets)) for name in experiments}
     with Working("runs", runs) as watch:
         comparison = compare(checked, runs, jobs=jobs, progress=lambda name, done: watch.counted(done, what=name))

@@ -73,7 +73,7 @@ def command(
     """
 
     from design.monte_carlo.parallel_runs import Workers
-    from hil.cli.sweep_parameters import as_points, csv_of, points_of, run_points
+    from hil.cli.sweep_parameters import as_points, csv_of, end_interrupted, points_of, run_points
     from hil.experiment import load_experiment
     from hil.files.outputs import check_output, write_output
     from hil.measure.signals import with_unit
@@ -93,13 +93,13 @@ def command(
         raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
     if own:
         sets = (*sets, measures_with(experiment, sets, own))
+    workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")
         run_points(
             experiment, points_of(grids, ranges, points), sets=sets, runs=runs, first_seed=first_seed, resume=resume,
-            workers=Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs),
-            page=output, table=table, force=force,
+            workers=workers, page=output, table=table, force=force,
         )  # fmt: skip
         return
     if output is not None:
@@ -110,7 +110,6 @@ def command(
     columns = columns_of(checked)
     metrics = columns[1:]
     rule = stop_rule(until, level, metrics) if until is not None else None
-    workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     begun = time.perf_counter()
     with ExitStack() as stack:
         store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
@@ -143,12 +142,7 @@ def command(
     if table is not None:
         write_output(table, csv_of(as_points(found)), replace=force)
     answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, table)
-    if found.interrupted:
-        if resume is not None:
-            print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
-        else:
-            print("hil: interrupted; --resume FILE would keep what is finished", file=sys.stderr)
-        sys.exit(found.interrupted)
+    end_interrupted(found.interrupted, resume, "FILE")
     if rule is not None and not found.reached:
         sys.exit(1)
 

@@ -92,12 +92,21 @@ def run_points(
         ],
     }
     answer(out, _show, out, found, page, table)
-    if found.interrupted:
-        if resume is not None:
-            print(f"hil: interrupted; the same command goes on from {resume}", file=sys.stderr)
-        else:
-            print("hil: interrupted; --resume FOLDER would keep what is finished", file=sys.stderr)
-        sys.exit(found.interrupted)
+    end_interrupted(found.interrupted, resume, "FOLDER")
+
+
+def end_interrupted(status: int, resume: Path | None, kept: str) -> None:
+    """End with a status that is not 0, and say how the same command goes on.
+
+    Args:
+        status: of Ctrl-C or of another signal; 0: none came.
+        resume: what keeps finished runs.
+        kept: what `--resume` takes.
+    """
+    if status:
+        how = f"the same command goes on from {resume}" if resume is not None else f"--resume {kept} would keep what is finished"
+        print(f"hil: interrupted; {how}", file=sys.stderr)
+        sys.exit(status)
 
 
 def as_points(sweep: Sweep) -> ParameterSweep:

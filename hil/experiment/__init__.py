@@ -13,16 +13,12 @@ from typing import Any
 
 from hil.errors import ExperimentError, HilError, nearest
 from hil.experiment.check import Checker
+from hil.experiment.table import Seconds as Seconds
 from hil.experiment.table_check import infinite_faults
-from hil.experiment.tables import Experiment, Seconds
+from hil.experiment.tables import Experiment as Experiment
 from hil.files.regular import read_regular
 from hil.files.toml_text import DEEPEST, parse_toml
 from hil.plugins import registry
-
-__all__ = [
-    "FIRST", "MAX_BYTES", "Experiment", "Seconds", "experiment_from_resolved", "load_experiment", "near_shipped",
-    "parse_experiment", "parse_plugin", "parse_table", "set_field", "shipped",
-]  # fmt: skip
 
 MAX_BYTES = 1_000_000
 FIRST: typing.Final = "dc-motor-hinf"

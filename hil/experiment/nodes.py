@@ -8,7 +8,7 @@ from __future__ import annotations
 import typing
 from typing import Any, Final, Literal
 
-from hil.experiment.table import Seconds, Table, not_negative
+from hil.experiment.table import Seconds, Table, named_twice, not_negative
 from transport.can_bus_model import BASE_MOST, EXTENDED_MOST, BitRates
 from transport.errors import FieldError
 from transport.links.can_identifiers import LARGEST
@@ -214,12 +214,9 @@ class Node(Table, frozen=True, kw_only=True):
         if not 1 <= values.get("buffer", 1) <= LONGEST_BUFFER:
             yield f"buffer: {values['buffer']} samples, expected 1 to {LONGEST_BUFFER}"
         yield from identifier_faults(values, "can_id")
-        outputs = values.get("outputs", ("",))
-        if not outputs:
+        if not values.get("outputs", ("",)):
             yield "outputs: empty; a sensor node measures something"
-        for i, name in enumerate(outputs):
-            if name in outputs[:i]:
-                yield f"outputs[{i}]: {name!r} is named twice"
+        yield from named_twice(values, "outputs")
 
 
 class Medium(Table, frozen=True, kw_only=True):
@@ -281,9 +278,7 @@ class Medium(Table, frozen=True, kw_only=True):
         elif not 0 <= values.get("phase", 0) < max(len(nodes), 1):
             yield f"phase: {values['phase']}, expected 0 to {len(nodes) - 1}"
         if kind != "round-robin":
-            for i, name in enumerate(nodes):
-                if name in nodes[:i]:
-                    yield f"nodes[{i}]: {name!r} is named twice"
+            yield from named_twice(values, "nodes")
         if kind != "random":
             for field in ("probabilities", "matrix"):
                 if values.get(field):

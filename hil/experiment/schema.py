@@ -10,7 +10,8 @@ import msgspec
 
 from hil.experiment.nodes import Node
 from hil.experiment.rig_tables import Fault
-from hil.experiment.tables import HIDDEN, Direction, Experiment, Seconds
+from hil.experiment.table import Seconds
+from hil.experiment.tables import HIDDEN, Direction, Experiment
 from hil.plugins import registry
 from hil.plugins.fields import described, meanings, parsed
 from transport.durations import PATTERN

@@ -59,6 +59,12 @@ def not_negative(values: typing.Mapping[str, Any], field: str) -> typing.Iterato
         yield f"{field}: {values[field]:g} s is above {LONGEST_S:g} s"
 
 
+def named_twice(values: typing.Mapping[str, Any], field: str) -> typing.Iterator[str]:
+    """Yield which names of a list stand in it before."""
+    names = values.get(field, ())
+    yield from (f"{field}[{i}]: {name!r} is named twice" for i, name in enumerate(names) if name in names[:i])
+
+
 def plain(value: Any) -> Any:
     """Return a value of an experiment as JSON has it: numbers, text, lists and tables; an object of another kind by its class."""
     if isinstance(value, UnavailablePlugin):

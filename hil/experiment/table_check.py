@@ -17,7 +17,8 @@ from typing import Any, Final
 import msgspec
 
 from hil.errors import HilError, nearest
-from hil.experiment.tables import HIDDEN, Experiment, Links, Network, Seconds, Table
+from hil.experiment.table import Seconds, Table
+from hil.experiment.tables import HIDDEN, Experiment, Links, Network
 from hil.plugins.fields import is_table, keys_of
 from hil.plugins.protocols import FieldFault
 

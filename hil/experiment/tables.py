@@ -9,16 +9,12 @@ import msgspec
 
 from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
-from hil.experiment.table import Seconds, Table, UnavailablePlugin, not_negative, plain
+from hil.experiment.table import Seconds, Table, UnavailablePlugin, named_twice, not_negative, plain
 from hil.plugins import registry
 from hil.plugins.user_modules import written_in
 from transport.links.link import TransportError
 from transport.links.traits import KeyTable, traits_of
 
-__all__ = [
-    "DEFAULT_LINK", "HIDDEN", "Direction", "Experiment", "Links", "Network", "Pulse", "Report", "Seconds", "Step",
-    "Table", "Timing",
-]  # fmt: skip
 if TYPE_CHECKING:
     from design.controllers import Controller
     from hil.plugins.protocols import Designer
@@ -190,10 +186,7 @@ class Report(Table, frozen=True, kw_only=True):
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
-        names = values.get("measures", ())
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                yield f"measures[{i}]: {name!r} is named twice"
+        yield from named_twice(values, "measures")
 
 
 class Experiment(Table, frozen=True, kw_only=True):
@@ -278,23 +271,27 @@ class Experiment(Table, frozen=True, kw_only=True):
             if f not in HIDDEN and (value or f not in SPARSE):
                 out[f] = plain(value)
         out["network"] = {name: table for name, table in out["network"].items() if table or name not in SPARSE}
-        for path, kind in self.kinds.items():
-            node, made = out, self
+        for path in self.kinds:
+            node = out
             for part in path.split("."):
                 node[part] = node[part] if isinstance(node[part], dict) else {}  # an object that is no dataclass has no table
-                node, made = node[part], made[part] if isinstance(made, dict) else getattr(made, part)
-            node["kind"] = kind if isinstance(made, UnavailablePlugin) else registry.kind_of(registry.group_of(path), kind, made)
+                node = node[part]
+            node["kind"] = self._made(path)[1]
         return out
+
+    def _made(self, path: str) -> tuple[Any, str]:
+        """Return what stands at the path of a plug-in's table, and its kind."""
+        made: Any = self
+        for part in path.split("."):
+            made = made[part] if isinstance(made, dict) else getattr(made, part)
+        said = self.kinds.get(path, "")
+        return made, said if isinstance(made, UnavailablePlugin) else registry.kind_of(registry.group_of(path), said, made)
 
     def origins(self) -> dict[str, str]:
         """Return where plant, controller and network laws come from, in words, where the experiment file does not make them."""
         found = {}
         for path in dict.fromkeys(("plant", "controller", *self.kinds)):
-            made: Any = self
-            for part in path.split("."):
-                made = made[part] if isinstance(made, dict) else getattr(made, part)
-            said = self.kinds.get(path, "")
-            kind = said if isinstance(made, UnavailablePlugin) else registry.kind_of(registry.group_of(path), said, made)
+            made, kind = self._made(path)
             own = written_in(type(made))
             if kind.startswith(registry.OBJECT):
                 found[path] = f"{kind} (not in the experiment file)"

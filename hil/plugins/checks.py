@@ -188,8 +188,6 @@ def _check_drawn(law: AgeLaw) -> NDArray[np.int64]:
     return np.array([mode for mode, _ in drawn], dtype=np.int64)
 
 
-__all__ = ["check_answers", "check_controller", "check_law", "check_table"]
-
 RUNNING = {
     "selection": f'which row of the packet is applied: "constant" where it has one, else one of {", ".join(SELECTIONS[1:])}',
     "rows": "a method that gives the rows of a slot",

@@ -152,6 +152,25 @@ def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
     return f"{number} {unit}" if unit else number
 
 
+def check_named(names: Sequence[str], alone: str, again: str) -> None:
+    """Refuse fewer than two experiments, and one that is named twice.
+
+    Args:
+        names: of the experiments, as they are compared.
+        alone: what runs one experiment.
+        again: what makes two of one.
+
+    Raises:
+        HilError: with what helps.
+    """
+    if not names:
+        raise HilError("compare: no experiment is named; expected two or more")
+    if len(names) < 2:
+        raise HilError(f"compare: only {names[0]!r} is named; expected two or more, of one: {alone}")
+    if twice := next((name for i, name in enumerate(names) if name in names[:i]), ""):
+        raise HilError(f"compare: {twice!r} is named twice; {again}")
+
+
 def compare(
     experiments: Mapping[str, Experiment],
     runs: int,

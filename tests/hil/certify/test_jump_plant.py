@@ -20,9 +20,8 @@ from hil.certify.certify import judge
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
-from hil.experiment import load_experiment
+from hil.experiment import Seconds, load_experiment
 from hil.experiment.rig_tables import Limits
-from hil.experiment.tables import Seconds
 from hil.plugins.checks import check_controller
 from hil.runtime.virtual import simulate
 from plants import (
