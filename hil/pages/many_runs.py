@@ -13,11 +13,10 @@ from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html.page import Page
-from hil.sweeps.axis import axis_for
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import within
+from hil.sweeps.shown import axis_for, within
 from hil.sweeps.sweep import statistics
 
 

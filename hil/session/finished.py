@@ -12,9 +12,8 @@ from msgspec.structs import force_setattr
 
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.log.read.arrays import StructuredArray
 from hil.log.records import TIME_FIELD
-from hil.log.run import Run
+from hil.log.run import Run, StructuredArray
 from hil.measure.measure import Named
 from hil.measure.signals import with_unit
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, seconds, signal_names, view_of

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.experiment import Experiment
+from hil.measure.batch_protocols import BatchAges, NewestOfMany
 from hil.rig.loop import Loop
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.streams import rng_for
-from hil.sweeps.batch_protocols import BatchAges, NewestOfMany
 from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 from transport.laws.protocols import AgeLaw, GapLaw, NetworkLaw
 

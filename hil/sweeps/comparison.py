@@ -129,7 +129,7 @@ class Comparison(ShownResult):
             return None
         from scipy.stats import binomtest  # half a second of CPU: only where a run was stopped
 
-        counts = f"{_of_runs(own)} of its {self.runs} runs, {_of_runs(other)} of {self.first}"
+        counts = f"{_loop(own)} of its {self.runs} runs, {_loop(other)} of {self.first}"
         only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
         p = float(binomtest(only_own, only_own + only_other).pvalue) if only_own + only_other else 1.0
         if p >= 0.05:
@@ -137,7 +137,7 @@ class Comparison(ShownResult):
         return f"{name} is {'worse' if only_own > only_other else 'better'}: safety stopped {counts}"
 
 
-def _of_runs(stopped: NDArray[np.bool_]) -> str:
+def _loop(stopped: NDArray[np.bool_]) -> str:
     return str(int(stopped.sum())) if stopped.any() else "none"
 
 

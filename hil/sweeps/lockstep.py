@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import KnownInBatch
 from hil.log.topics import SC, STATE
-from hil.measure.batch_measure import BatchMeasure, BatchView
+from hil.measure.batch_protocols import (
+    BatchController,
+    BatchMeasure,
+    BatchPlant,
+    BatchValues,
+    BatchView,
+    RunningControllers,
+    RunningPlants,
+)
 from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
 from hil.rig.loop import Loop
 from hil.sweeps.batch_delivery import KnownSamples, applied_rows, delivered, law_supports_batch, nodes_of, received, starved
-from hil.sweeps.batch_protocols import (
-    BatchController,
-    BatchPlant,
-    Matrix,
-    RunningControllers,
-    RunningPlants,
-)
 
 LARGEST = 1e30
 """Beyond it a number is left to the plain engine: its square and its float32 are finite below."""
@@ -52,10 +53,10 @@ class BatchResult:
     """
 
     known: NDArray[np.bool_]
-    outputs: Matrix
-    inputs: Matrix
-    reference: Matrix
-    states: Matrix | None
+    outputs: BatchValues
+    inputs: BatchValues
+    reference: BatchValues
+    states: BatchValues | None
     packets: NDArray[np.int64] | None
 
 
@@ -186,7 +187,7 @@ class _Slots:
         )  # fmt: skip
 
     def _known_in(
-        self, k: int, started: NDArray[np.bool_], sampled: Sequence[NDArray[np.int32]], outputs: Matrix, r: Sequence[float]
+        self, k: int, started: NDArray[np.bool_], sampled: Sequence[NDArray[np.int32]], outputs: BatchValues, r: Sequence[float]
     ) -> KnownInBatch:
         """Return what the controllers know in a slot: of every sample, or of the newest ones."""
         ages = np.array([k - node for node in sampled], dtype=np.intp)
@@ -195,7 +196,7 @@ class _Slots:
         fresh, held = self._samples.at(k, outputs)
         return KnownInBatch(started, ages, held[0], r, fresh, held)
 
-    def _sample(self, outputs: Matrix, sampled: Sequence[NDArray[np.int32]]) -> Matrix:
+    def _sample(self, outputs: BatchValues, sampled: Sequence[NDArray[np.int32]]) -> BatchValues:
         """What the newest sensor packets hold, newest sample first, (width, runs); several samples are of one node."""
         found = []
         for j in range(self._loop.samples):
@@ -203,7 +204,7 @@ class _Slots:
             found += [y.reshape(-1).take(at[node]) for y, node in zip(outputs, self._node_of)]
         return np.array(found, dtype=np.float32).astype(np.float64)
 
-    def _allowed(self, top: Matrix, inputs: Matrix) -> NDArray[np.bool_]:
+    def _allowed(self, top: BatchValues, inputs: BatchValues) -> NDArray[np.bool_]:
         """Return in which runs safety did not trip, (runs,)."""
         limits, names = self._loop.experiment.limits, [s.name for s in self._loop.experiment.plant.states]
         allowed = [(top < LARGEST).all(axis=0)]

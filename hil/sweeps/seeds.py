@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
-from hil.measure.batch_measure import BatchMeasure, BatchView
+from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.measure import Named, Quantity, measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal

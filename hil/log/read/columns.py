@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
-from hil.log.read.arrays import Records, StructuredArray, assemble, run_dtype
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
 from hil.log.records import TIME_FIELD, Schema
+from hil.log.run import Records, StructuredArray, assemble, run_dtype
 from hil.log.topics import missing
 
 TOGETHER: Final = 4096

@@ -37,10 +37,10 @@ from hil.errors import HilError, nearest
 from hil.experiment import experiment_from_resolved
 from hil.files.outputs import written_whole
 from hil.log.append_column import pieces
-from hil.log.read.arrays import StructuredArray
 from hil.log.read.measured_frames import measured_frames
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
+from hil.log.run import StructuredArray
 from hil.log.topics import FRAME_TOPICS, SENSOR
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import no_link

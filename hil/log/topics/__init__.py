@@ -13,13 +13,13 @@ from typing import Final
 
 from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
-from hil.log.topics.bus import BUS as BUS
-from hil.log.topics.bus import PROBE as PROBE
 from hil.log.topics.loop import APPLIED as APPLIED
+from hil.log.topics.loop import BUS as BUS
 from hil.log.topics.loop import CA as CA
 from hil.log.topics.loop import CONTROL as CONTROL
 from hil.log.topics.loop import MEASUREMENT as MEASUREMENT
 from hil.log.topics.loop import PASSIVITY as PASSIVITY
+from hil.log.topics.loop import PROBE as PROBE
 from hil.log.topics.loop import REFERENCE as REFERENCE
 from hil.log.topics.loop import ROWS as ROWS
 from hil.log.topics.loop import SC as SC

@@ -1,8 +1,9 @@
-"""Topics of the loop, slot by slot: plant, emulated network, link, controller, actuator node, times.
+"""Topics of a run: of the loop, slot by slot, and of a link alone; and the round trips of `hil probe`.
 
 The plant gives its states, its outputs and the reference that these follow; the network what it decided about every packet, in
 each direction; the link every frame, with its CAN identifier where there is one; the controller every row of the send-all packet,
-and what it was computed from; the actuator node what it applied, and what its passivity controller did.
+and what it was computed from; the actuator node what it applied, and what its passivity controller did. A CAN bus that takes time
+is told in the words of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error.
 """
 
 from __future__ import annotations
@@ -132,4 +133,35 @@ TIMING = Topic(
     ),
     curves=lambda names, outputs: [Curve(panel="timing, us", field=name, place=6) for name in ("lateness_us", "round_trip_us")],
 )  # fmt: skip
-TOPICS = (STATE, MEASUREMENT, REFERENCE, SC, CA, SENSOR, CONTROL, ROWS, APPLIED, PASSIVITY, TIMING)
+
+EXTENDED, REMOTE, FD, SWITCH = 1, 2, 4, 8
+"""Bits of ``/link/bus.flags``."""
+
+BUS = Topic(
+    name="/link/bus", order=11, schema="BusFrame", filled_by="rig, every frame on the emulated CAN bus", since="0.1.0",
+    paged=True, logged=lambda logged: logged.bus,
+    fields=lambda logged: (
+        i64("queued_ns", "ns", "session time of Transmit: since when it waited"),
+        i64("start_ns", "ns", "session time of its start of frame"),
+        i64("end_ns", "ns", "session time of the end of its EOF or of the error delimiter"),
+        i64("idle_ns", "ns", "session time at which the bus is idle again"), TICK,
+        i32("can_id", "1", "identifier, 11 or 29 bits"),
+        i32("node", "1", "number of the node that sent it: nodes of the rig, controller, actuator, others"),
+        i32("lost", "1", "arbitrations that it has lost (Arbitration Lost)"),
+        i32("error_bit", "1", "bit of the frame that was disturbed, -1 if none"),
+        i32("tec", "1", "transmit error counter of its node"),
+        u8("operation", "0 Confirm, 1 Bus Error"), u8("flags", "1 extended, 2 remote, 4 CAN FD, 8 bit-rate switch"),
+        u8("length", "bytes of data"),
+    ),
+)  # fmt: skip
+
+PROBE = Topic(
+    name="/probe/packet", order=11, schema="ProbePacket", filled_by="hil probe", since="0.1.0",
+    logged=lambda logged: False,  # no session has it
+    fields=lambda logged: (
+        i64("sent_ns", "ns", "sensor frame out, since the first one"),
+        i64("answered_ns", "ns", "when the other end answered, by its clock, since that instant of ours; 0 if never"),
+        i64("received_ns", "ns", "control frame in, 0 if none came"), TICK,
+    ),
+)  # fmt: skip
+TOPICS = (STATE, MEASUREMENT, REFERENCE, SC, CA, SENSOR, CONTROL, ROWS, APPLIED, PASSIVITY, TIMING, BUS, PROBE)

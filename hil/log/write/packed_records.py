@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.write.frame_length import ByFrameLength
 from hil.log.write.mcap_records import MESSAGE
+from hil.log.write.pipe_block import ByFrameLength
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 """What an MCAP file begins and ends with."""

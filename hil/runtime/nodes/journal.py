@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.log.records import Channel
 from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
-from hil.log.topics.bus import EXTENDED, FD, REMOTE, SWITCH
+from hil.log.topics.loop import EXTENDED, FD, REMOTE, SWITCH
 from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
 from hil.rig.session_link import FirstIdentifiers

@@ -7,9 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.log.read.arrays import StructuredArray, assemble
 from hil.log.records import Channel
-from hil.log.run import Run
+from hil.log.run import Run, StructuredArray, assemble
 from hil.log.write.sinks import MemorySink
 from transport.packets import decode
 

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from hil.compose.changed import changed
 from hil.errors import HilError
 from hil.log.append_column import AppendColumn, pieces, release
-from hil.log.read.arrays import StructuredArray
-from hil.log.run import Run
+from hil.log.run import Run, StructuredArray
 from hil.log.topics import CONTROL, SENSOR, TIMING
 from hil.rig.loop import Loop
 from hil.runtime.changes import CHANGE, END, Change

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from design.monte_carlo.parallel_runs import Workers, spread
 from design.networked_loop.steady_state import steady_state
-from hil.measure.batch_measure import BatchValues, BatchView
+from hil.measure.batch_protocols import BatchValues, BatchView
 from hil.measure.prediction import predict
 from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch

@@ -10,7 +10,8 @@ import numpy.typing as npt
 from design.networked_loop.prediction import Prediction, predict_tracking
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.measure.batch_measure import BatchView, tracking_of_batch
+from hil.measure.batch_protocols import BatchView
+from hil.measure.tracking import tracking_of_batch
 from hil.pages.html.figures import Band, Figure, Marker, Series
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate

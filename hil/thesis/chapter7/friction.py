@@ -23,7 +23,8 @@ import numpy.typing as npt
 from design.monte_carlo.parallel_runs import Workers, spread
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.measure.batch_measure import BatchView, tracking_of_batch
+from hil.measure.batch_protocols import BatchView
+from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.chapter7.emulated import numbers_of

@@ -51,7 +51,7 @@ def test_it_needs_fewer_runs_than_a_sample_of_fixed_size() -> None:
     assert high + low > 0.999 and mean < 0.7 * n
 
 
-def test_the_fewest_runs_are_those_of_runs_that_all_succeed() -> None:
+def test_the_fewest_runs_are_those_loop_that_all_succeed() -> None:
     test = SequentialTest(p0=0.95, p1=0.975, alpha=1e-6, beta=1e-6)
     n = math.ceil(math.log(1e6) / math.log(0.975 / 0.95))
     assert test.decide(n, n) == "at least p1" and test.decide(n - 1, n - 1) is None

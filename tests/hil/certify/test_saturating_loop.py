@@ -90,7 +90,7 @@ def test_gains_that_lead_away_seldom_end_within_in_the_mean_and_often_are_undeci
     assert isinstance(seldom, dict) and isinstance(often, dict) and 2.0 < seldom["angle"] < often["angle"] and mostly is None
 
 
-def test_the_root_mean_square_of_runs_from_far_away_is_within() -> None:
+def test_the_root_mean_square_loop_from_far_away_is_within() -> None:
     loop = compose(load_experiment("dc-motor-hinf-friction", **CALM | {"duration": 30, "plant.initial_angle_rad": 15.0}))
     bounds: Any = verdict_of(loop).details["ends_from_anywhere_within"]
     ended = [simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"] for seed in range(6)]

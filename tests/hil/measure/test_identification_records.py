@@ -9,9 +9,8 @@ import pytest
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.arrays import StructuredArray
 from hil.log.read.run import read_run
-from hil.log.run import Run
+from hil.log.run import Run, StructuredArray
 from hil.measure import identification_records
 from hil.measure.identification_records import AxisRecord, read_axis_record, read_mode_record
 from hil.session import run_session

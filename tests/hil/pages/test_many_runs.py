@@ -69,7 +69,7 @@ def test_an_experiment_far_off_takes_a_logarithmic_axis(outlier: float, logarith
     assert ('"xAsinh":null' not in page) is logarithmic and '"xLog":true' not in page
 
 
-def test_a_share_of_runs_begins_at_0_and_ends_at_1_over_the_whole_axis() -> None:
+def test_a_share_loop_begins_at_0_and_ends_at_1_over_the_whole_axis() -> None:
     low, high = _shares({"low": np.array([1.0, 1.0, 2.0]), "high": np.array([2.0, 4.0, np.nan]), "none": np.array([np.nan])})
     assert ([*low.x], [*low.y]) == ([1.0, 2.0, 4.0], pytest.approx([2 / 3, 1.0, 1.0]))
     assert ([*high.x], [*high.y]) == ([1.0, 2.0, 4.0], [0.0, 0.5, 1.0])

@@ -79,7 +79,7 @@ def test_what_was_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Mon
     assert np.array_equal(sweep().columns[1]["sse"], first.columns[1]["sse"])
 
 
-def test_the_command_writes_a_page_and_a_table_of_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_a_page_and_a_table_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page, table = tmp_path / "page.html", tmp_path / "runs.csv"
     arguments = ["sweep", "dc-motor-hinf", "--grid", "plant.gain=150,170", "--grid", "period=25ms,50ms", "--runs", "3"]
     arguments += ["--jobs", "1", "--set", "duration=3", "--set", "allow_uncertified=true", "-o", str(page), "--csv", str(table)]

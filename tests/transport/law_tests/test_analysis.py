@@ -49,7 +49,7 @@ def newest_ages(law: Any, slots: int, seed: int) -> Iterator[int]:
     ],
     ids=["markov", "semi-markov", "gamma", "copies", "channel"],
 )
-def test_age_shares_are_those_of_runs(law: Any) -> None:
+def test_age_shares_are_those_loop(law: Any) -> None:
     exact = analyse_law(law, T, DEADLINE)
     assert exact.age_method == "exact"
     assert sum(exact.age_shares) == pytest.approx(1.0, abs=1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.topics import BUS
-from hil.log.topics.bus import EXTENDED
+from hil.log.topics.loop import EXTENDED
 from hil.measure.bus_load import BusLoad, MessageOnBus, bus_of
 from hil.measure.view import RunView
 from hil.pages.html.figures import Cell, Figure, Section, Series, Table

@@ -7,8 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from hil.measure.measure import Quantity
-from hil.sweeps.axis import CRUSHED, DECADES, Axis, axis_for
-from hil.sweeps.shown import paint_distributions
+from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for, paint_distributions
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])

@@ -3,7 +3,7 @@
 import numpy as np
 import zstandard
 
-from hil.log.write.compressor import Compressor
+from hil.log.write.mcap_writer import Compressor
 
 ROOM = 1 << 15
 
