@@ -16,7 +16,7 @@ from hil.measure.view import RunView, view_of
 from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, Table, Tile
 from hil.pages.html.page import Page
 from hil.pages.run.run_page import render_report, verdicts
-from hil.pages.run.time_panels import output_panels
+from hil.pages.run.sections.time_panels import output_panels
 
 MOST_LOGS = 2000
 MOST_DRAWN = 60
@@ -74,8 +74,8 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
 
 
 def _small(view: RunView) -> Figure | None:
-    panels = output_panels(view, ())
-    return replace(panels[0], sync=None, height_px=130, note="") if panels else None
+    panels = output_panels(view)
+    return replace(panels[0], markers=(), sync=None, height_px=130, note="") if panels else None
 
 
 def runs_page(folder: str, runs: Sequence[LoggedRun]) -> str:

@@ -12,7 +12,7 @@ from hil.log.topics import SC
 from hil.measure.network_paths import loads
 from hil.measure.view import RunView
 from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
-from hil.pages.run.time_panels import Records, curve, curve_of, markers
+from hil.pages.run.sections.time_panels import Records, curve, curve_of, markers
 from transport.draws import DELIVERED, DISORDERED, LOST
 
 

@@ -1,16 +1,18 @@
-"""The numbers of the measures, the certificate and the events of a run, as tables."""
+"""The numbers of the measures, the certificate and the events of a run, as tables; what ran, and where it comes from."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hil.log.events import plain
 from hil.log.run import Run
 from hil.measure.measure import Quantity, run_measures
 from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView
-from hil.pages.html.figures import Badge, Cell, Lines, Section, Table
+from hil.pages.html.figures import Badge, Cell, Lines, Section, Table, Text
 from hil.pages.html.numbers import text_of
 
 MOST_EVENTS = 300
@@ -53,7 +55,36 @@ def events(view: RunView) -> Section | None:
     return Section(title="Events", place=90, blocks=(table,)) if rows else None
 
 
-SECTIONS = (numbers, events)
+def experiment(view: RunView) -> Section:
+    """Return the experiment as written and resolved."""
+    resolved = json.dumps(plain(view.run.resolved), indent=2, ensure_ascii=False)
+    return Section(
+        title="Experiment",
+        place=900,
+        blocks=(
+            Text(text=view.run.experiment_text or "(no text in the log)", code=True, title="As written"),
+            Text(text=resolved, code=True, folded=True, title="Resolved, with every default"),
+        ),
+    )
+
+
+def provenance(view: RunView) -> Section:
+    """Return session and versions: what ran, and where it comes from."""
+    run = view.run
+    versions: list[list[Cell]] = [[name, version] for name, version in run.versions.items()]
+    origin: list[list[Cell]] = [[k.replace("_", " "), v] for k, v in {**run.metadata, **run.session}.items()]
+    return Section(
+        title="Provenance",
+        place=910,
+        columns=2,
+        blocks=(
+            Table(title="Session", columns=["what", "value"], rows=origin),
+            Table(title="Versions", columns=["package", "version"], rows=versions),
+        ),
+    )
+
+
+SECTIONS = (numbers, events, experiment, provenance)
 
 
 def _summary_tables(view: RunView, summary: Mapping[str, Any]) -> list[Table]:

@@ -12,7 +12,7 @@ from hil.pages.html.figures import Badge, Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections.summary import events
-from hil.pages.run.time_panels import markers, output_panels
+from hil.pages.run.sections.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.pages.runs import run_of
@@ -83,7 +83,7 @@ def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
 
 
 def test_measured_mode_is_held_and_has_no_reference() -> None:
-    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')), ())}
+    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')))}
     assert [s.style for s in panels["Detected mode"].series] == ["step"]
     assert [s.label for s in panels["Pitch rate"].series] == ["reference", "pitch rate"]
 

@@ -14,8 +14,8 @@ from hil.pages.html.figures import Figure, Table
 from hil.pages.run.run_page import render_report
 from hil.pages.run.sections.nodes import newest_ages
 from hil.pages.run.sections.nodes import section as nodes_section
+from hil.pages.run.sections.statistics import network_table
 from hil.pages.run.sections.theory import section as theory_section
-from hil.pages.run.statistics import network_table
 from hil.runtime.virtual import simulate
 
 

@@ -11,9 +11,10 @@ import numpy.typing as npt
 from hil.log.append_column import pieces, whole
 from hil.log.run import Run
 from hil.log.topics import APPLIED, ROWS, TIMING
-from hil.measure.network_paths import NetworkPath, expected_frequencies, expected_transitions, mode_sequence
-from hil.measure.summary import POINTS
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Table
+from hil.measure.network_paths import NetworkPath, expected_frequencies, expected_transitions, mode_sequence, network_paths
+from hil.measure.summary import POINTS, page_summary
+from hil.measure.view import RunView
+from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Section, Table
 from hil.pages.html.numbers import text_of
 from transport.law_tests import is_testable
 from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
@@ -28,13 +29,9 @@ LONGEST = 16
 DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"), "ca": ("controller to actuator", "d")}
 
 
-def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[Block]:
-    """Return frequencies and transitions of every emulated network, beside what its law states.
-
-    Args:
-        network: the part of that name of the run's summary.
-        paths: the emulated networks.
-    """
+def against_laws(view: RunView) -> Section | None:
+    """Return frequencies, transitions and sojourns of every emulated network beside what its law states."""
+    network, paths = view.once(page_summary)["network"], view.once(network_paths)
     blocks: list[Block] = []
     for path, way, found in _numbers(network, paths):
         law, symbol = path.law, DIRECTIONS[path.side][1]
@@ -46,8 +43,8 @@ def network_blocks(run: Run, network: Mapping[str, Any], paths: Sequence[Network
         blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
         blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
         blocks += _sojourns(path, way, symbol)
-    blocks += [block for side in DIRECTIONS if (block := _measured_ages(run, network, paths, side)) is not None]
-    return blocks
+    blocks += [block for side in DIRECTIONS if (block := _measured_ages(view.run, network, paths, side)) is not None]
+    return Section(title="Network against its law", place=50, columns=2, blocks=tuple(blocks)) if blocks else None
 
 
 def _numbers(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[tuple[NetworkPath, str, Mapping[str, Any]]]:
@@ -189,11 +186,11 @@ def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[Network
     return _shares(title, shares, None, f"{symbol} (samples)", label="measured")
 
 
-def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
+def distribution(view: RunView) -> Section | None:
     """Return the histograms of lateness and round trip and their percentiles; nothing for a run in virtual time."""
-    ticks = run.arrays.get(TIMING.name)
+    ticks, timing = view.run.arrays.get(TIMING.name), view.once(page_summary)["timing"]
     if ticks is None or not len(ticks):
-        return []
+        return None
     blocks: list[Block] = []
     for field, title, colour in (("lateness_us", "Lateness", 0), ("round_trip_us", "Round trip", 2)):
         histogram = _histogram(whole(ticks, field), timing[field], title, colour)
@@ -214,7 +211,10 @@ def timing_blocks(run: Run, timing: Mapping[str, Any]) -> list[Block]:
         ["overruns", text_of(timing["overruns"])],
     ]
     blocks.append(Table(title="Slots", columns=["what", "value"], rows=counts))
-    return blocks
+    return Section(title="Distribution of times", place=70, columns=2, blocks=tuple(blocks))
+
+
+SECTIONS = (against_laws, distribution)
 
 
 def _histogram(values: npt.NDArray[np.float64], marks: Mapping[str, float | None], title: str, colour: int) -> Histogram | None:

@@ -1,4 +1,4 @@
-"""The time panels of a run: outputs against their reference, states, input, delays, lateness; events marked on all.
+"""The run over time: outputs against their reference, states, input, delays, lateness; events marked on all.
 
 A curve is made from its records block by block: a page of a long run holds no more than it draws.
 """
@@ -14,14 +14,16 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log import topics
-from hil.log.append_column import ROWS as BLOCK
 from hil.log.append_column import pieces
 from hil.log.run import Run
 from hil.log.topics import ROWS, STATE
 from hil.measure.measure import run_measures
+from hil.measure.network_paths import network_paths
+from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.pages.html.decimation import Float, reduced
-from hil.pages.html.figures import Figure, LineStyle, Marker, Series, State
+from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
+from hil.pages.run.sections.statistics import network_table
 
 Records: TypeAlias = npt.NDArray[np.void]
 All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]
@@ -64,11 +66,7 @@ def curve_of(x: Float, y: Float, *, label: str, style: LineStyle = "line", **loo
         label, style: of the curve.
         look: `colour`, `halo`, `faint` of the curve.
     """
-    def blocks() -> Iterator[tuple[Float, Float]]:
-        for i in range(0, len(x), BLOCK):
-            yield np.asarray(x[i : i + BLOCK], dtype=np.float64), np.asarray(y[i : i + BLOCK], dtype=np.float64)
-
-    return _series(blocks, label, style, look)
+    return _series(lambda: iter([(x, y)]), label, style, look)
 
 
 def _series(blocks: Callable[[], Iterator[tuple[Float, Float]]], label: str, style: LineStyle, look: dict[str, Any]) -> Series:
@@ -78,6 +76,8 @@ def _series(blocks: Callable[[], Iterator[tuple[Float, Float]]], label: str, sty
 
 MOST_MARKERS = 500
 DENSE = 1500
+STACKED = 2
+"""Up to so many states and inputs stand below the outputs; more stand side by side in a section of their own."""
 STATES: Mapping[Severity, State] = {"neutral": "neutral", "warning": "warning", "error": "bad"}
 
 
@@ -94,15 +94,34 @@ def follows_reference(view: RunView) -> bool:
     return judged or any((piece[name] != 0.0).any() for piece in pieces(reference) for name in view.signals.tracked)
 
 
-def _panel(name: str, unit: str, series: Sequence[Series], marks: tuple[Marker, ...], height_px: int, title: str = "") -> Figure:
+def _panel(view: RunView, name: str, unit: str, series: Sequence[Series], height_px: int, title: str = "") -> Figure:
     """Return a panel over time of what a signal's name says."""
     words = _words(name)
     return Figure(
-        title=title or words.capitalize(), y_label=words, y_unit=unit, series=tuple(series), markers=marks, height_px=height_px
-    )
+        title=title or words.capitalize(), y_label=words, y_unit=unit, series=tuple(series), markers=view.once(markers),
+        height_px=height_px,
+    )  # fmt: skip
 
 
-def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+def tracking(view: RunView) -> Section | None:
+    """Return outputs against their reference, with the few states and inputs that stand below them."""
+    inside = view.once(_inside)
+    blocks = (*output_panels(view), *(inside if len(inside) <= STACKED else ()))
+    title = "Tracking" if follows_reference(view) else "Outputs"
+    return Section(title=title, place=10, blocks=blocks) if blocks else None
+
+
+def states(view: RunView) -> Section | None:
+    """Return states and inputs where they are many."""
+    inside = view.once(_inside)
+    return Section(title="States and inputs", place=20, columns=2, blocks=inside) if len(inside) > STACKED else None
+
+
+def _inside(view: RunView) -> tuple[Figure, ...]:
+    return (*_state_panels(view), *_input_panels(view), *_topic_panels(view))
+
+
+def output_panels(view: RunView) -> list[Figure]:
     """Return one panel per output: what was measured, the true state where it differs, and the reference where one is followed.
 
     An output that does not follow the reference (a measured mode) has none, and holds its value between samples.
@@ -121,21 +140,21 @@ def output_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
             ]
         if followed and name in tracked:
             series.insert(0, curve(reference, name, label="reference", style="dashed-step", colour=7))
-        panels.append(_panel(name, unit, series, marks, 220 if panels else 300))
+        panels.append(_panel(view, name, unit, series, 220 if panels else 300))
     return panels
 
 
-def state_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+def _state_panels(view: RunView) -> list[Figure]:
     """Return one panel per state that is no output."""
     state = view.run.arrays.get(STATE.name)
     if state is None or not len(state):
         return []
     names = [name for name in signal_names(view.run, STATE.name) if name not in view.signals.outputs]
     curves = {name: curve(state, name, label=_words(name), colour=2) for name in names}
-    return [_panel(name, view.unit(STATE.name, name), [own], marks, 190) for name, own in curves.items()]
+    return [_panel(view, name, view.unit(STATE.name, name), [own], 190) for name, own in curves.items()]
 
 
-def topic_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+def _topic_panels(view: RunView) -> list[Figure]:
     """Return the panels of topics that no section of the page draws, as the topics say that they are plotted."""
     arrays, found = view.run.arrays, []
     own = [name for name, topic in topics.TOPICS.items() if not topic.paged and name in arrays]
@@ -145,11 +164,11 @@ def topic_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
                 curve(arrays[name], each.field, label=_words(each.field), style="step", colour=number)
                 for number, (name, each) in enumerate(curves)
             ]
-            found.append(_panel(title, view.unit(curves[0][0], curves[0][1].field), series, marks, 190))
+            found.append(_panel(view, title, view.unit(curves[0][0], curves[0][1].field), series, 190))
     return found
 
 
-def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
+def _input_panels(view: RunView) -> list[Figure]:
     """Return one panel per input: what was applied, and the disturbance that was added where there is one."""
     applied = view.run.arrays[APPLIED]
     panels = []
@@ -158,67 +177,63 @@ def input_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
         w = f"w_{name}"
         if w in (applied.dtype.names or ()) and any((piece[w] != 0.0).any() for piece in pieces(applied)):
             series.insert(0, curve(applied, w, label="disturbance", style="step", colour=4))
-        panels.append(_panel(name, unit, series, marks, 200, title=f"Input: {_words(name)}"))
+        panels.append(_panel(view, name, unit, series, 200, title=f"Input: {_words(name)}"))
     return panels
 
 
-def delay_panels(view: RunView, marks: tuple[Marker, ...]) -> list[Figure]:
-    """Return two panels: the age that each direction's law drew, and the age that the receiver measured."""
-    run = view.run
-    rows, applied = run.arrays.get(ROWS.name), run.arrays[APPLIED]
-    measured = {"sc": (rows, "tau", "τ"), "ca": (applied, "d", "d")}
-    names = {"sc": "Sensor to controller", "ca": "Controller to actuator"}
-    panels = []
-    for side, (array, field, symbol) in measured.items():
-        series = []
-        draws = run.arrays.get(f"/network/{side}")
-        if draws is not None and len(draws) and "node" not in (draws.dtype.names or ()):
-            if not any((piece["age"][piece["mode"] >= 0] >= 0).any() for piece in pieces(draws)):
-                pass
-            elif _is_age_law(run, side):
-                label = "drawn by the law"
-                series.append(curve(draws, _drawn_age, label=label, where=_own, style="step", colour=1, halo=True))
-            else:
-                series.append(
-                    curve(draws, _drawn_age, label="age at arrival, by packet", where=_own, style="points", colour=1)
-                )
-        if array is not None and len(array):
-            received = "sample_ns" if field == "tau" else "d"
-            where = "measured by the controller" if field == "tau" else "measured at the actuator"
-            series.append(curve(array, partial(_age, field, received), label=where, style="step", colour=0))
-        if series:
-            panels.append(
-                Figure(
-                    title=f"{names[side]} delay {symbol}",
-                    y_label=symbol,
-                    y_unit="samples",
-                    series=tuple(series),
-                    markers=marks,
-                    integer_y=True,
-                    height_px=165,
-                    note="Zoom in to see single slots." if len(applied) > DENSE else "",
-                )
-            )
-    return panels
+def delays(view: RunView) -> Section:
+    """Return the delays of both directions over time, and a row for each emulated network."""
+    panels = [panel for way in DELAYS.items() if (panel := _delay_panel(view, *way)) is not None]
+    return Section(
+        title="Delays",
+        place=30,
+        intro="The broad line is the delay that the emulated network drew, the thin line what the receiver measured "
+        "from time stamps. They differ where a packet was late, lost or still on its way.",
+        blocks=(*panels, network_table(view.once(page_summary)["network"], view.once(network_paths))),
+    )
 
 
-def lateness_panel(view: RunView, marks: tuple[Marker, ...]) -> Figure | None:
-    """Return lateness and round trip over time, None for a run without measured times."""
+DELAYS: Mapping[str, tuple[str, str, str, str, str, str]] = {
+    "sc": ("Sensor to controller delay τ", "τ", ROWS.name, "tau", "sample_ns", "measured by the controller"),
+    "ca": ("Controller to actuator delay d", "d", APPLIED, "d", "d", "measured at the actuator"),
+}
+"""By direction: title, symbol, topic and field of the age that the receiver measured, field that says it had one, in words."""
+
+
+def _delay_panel(view: RunView, side: str, way: tuple[str, str, str, str, str, str]) -> Figure | None:
+    """Return the age that a direction's law drew, and the age that the receiver measured; None where neither was logged."""
+    run, (title, symbol, topic, field, received, where) = view.run, way
+    series, draws, measured = [], run.arrays.get(f"/network/{side}"), run.arrays.get(topic)
+    numbered = draws is not None and "node" in (draws.dtype.names or ())
+    if draws is not None and not numbered and any((piece["age"][_own(piece)] >= 0).any() for piece in pieces(draws)):
+        law = _is_age_law(run, side)
+        look: tuple[str, LineStyle] = ("drawn by the law", "step") if law else ("age at arrival, by packet", "points")
+        series.append(curve(draws, _drawn_age, label=look[0], style=look[1], where=_own, colour=1, halo=law))
+    if measured is not None and len(measured):
+        series.append(curve(measured, partial(_age, field, received), label=where, style="step", colour=0))
+    return Figure(
+        title=title, y_label=symbol, y_unit="samples", series=tuple(series), markers=view.once(markers), integer_y=True,
+        height_px=165, note="Zoom in to see single slots." if len(run.arrays[APPLIED]) > DENSE else "",
+    ) if series else None  # fmt: skip
+
+
+def lateness(view: RunView) -> Section | None:
+    """Return lateness and round trip over time; nothing for a run without measured times."""
     timing = view.run.arrays.get(TIMING)
     if timing is None or not len(timing):
         return None
-    return Figure(
-        title="Lateness and round trip",
-        y_label="time",
-        y_unit="µs",
-        y_log=True,
-        series=(
-            curve(timing, partial(_at_least, "lateness_us"), label="lateness", colour=0),
-            curve(timing, partial(_at_least, "round_trip_us"), label="round trip", colour=2),
-        ),
-        markers=marks,
-        height_px=220,
+    series = (
+        curve(timing, partial(_at_least, "lateness_us"), label="lateness", colour=0),
+        curve(timing, partial(_at_least, "round_trip_us"), label="round trip", colour=2),
     )
+    panel = Figure(
+        title="Lateness and round trip", y_label="time", y_unit="µs", y_log=True, series=series, markers=view.once(markers),
+        height_px=220,
+    )  # fmt: skip
+    return Section(title="Timing", place=60, blocks=(panel,))
+
+
+SECTIONS = (tracking, states, delays, lateness)
 
 
 def _own(draws: Records) -> npt.NDArray[np.bool_]:
