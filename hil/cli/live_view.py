@@ -18,10 +18,11 @@ import numpy as np
 from hil.cli.terminal import visible
 from hil.log.events import decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC
-from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, SignalLike, channels
+from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.measure.summary import percentiles
 from hil.pages.html.numbers import text_of
+from plants.parts.linear import Signal
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
@@ -233,7 +234,7 @@ class LiveView:
         self._events.append(decode_event(payload))
 
 
-def _quantity(value: float, signal: SignalLike) -> str:
+def _quantity(value: float, signal: Signal) -> str:
     unit = "" if signal.unit in PURE else f" {signal.unit}"
     return f"{text_of(value):>8}{unit}"
 

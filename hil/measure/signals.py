@@ -7,35 +7,18 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
 from msgspec.structs import replace
 
+if TYPE_CHECKING:
+    from plants.parts.protocols import Plant
+
 PURE = ("", "1")
 """Units of a pure number."""
-
-
-class Named(Protocol):
-    """One signal of a plant: its name and its unit."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def unit(self) -> str: ...
-
-
-class PlantSignals(Protocol):
-    """What a plant says of its signals."""
-
-    @property
-    def inputs(self) -> tuple[Named, ...]: ...
-
-    @property
-    def outputs(self) -> tuple[Named, ...]: ...
 
 
 @runtime_checkable
@@ -75,7 +58,7 @@ class Signals(Struct, frozen=True, kw_only=True):
         return replace(self, outputs=dict.fromkeys(self.outputs, unit))
 
 
-def signals_of(plant: PlantSignals) -> Signals:
+def signals_of(plant: Plant) -> Signals:
     """Return the signals of a plant; all outputs are tracked unless it names those that are (`NamesTracked`)."""
     outputs = {s.name: bare(s.unit) for s in plant.outputs}
     tracked = tracked_among(plant, outputs)

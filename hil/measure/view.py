@@ -28,6 +28,7 @@ REFERENCE_STEP, DISTURBANCE = "reference step", "disturbance"
 _BOOKKEEPING = ("started", "outcome", "stop", "stopped")
 
 Severity = Literal["neutral", "warning", "error"]
+_SEVERITIES: dict[str, Severity] = {"warning": "warning", "error": "error"}
 Made = TypeVar("Made")
 
 
@@ -84,8 +85,7 @@ class RunView:
 
     def unit(self, topic: str, name: str) -> str:
         """Return the unit that the schema states for a field, nothing for a pure number."""
-        schema = self.run.schemas.get(topic)
-        return bare(next((f.unit for f in schema.fields if f.name == name), "")) if schema is not None else ""
+        return _unit(self.run, topic, name)
 
     def only(self, name: str) -> RunView:
         """Return the same run with one tracked output."""
@@ -211,7 +211,8 @@ def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.floa
 
 
 def _unit(run: Run, topic: str, name: str) -> str:
-    return bare(next((f.unit for f in run.schemas[topic].fields if f.name == name), ""))
+    schema = run.schemas.get(topic)
+    return bare(next((f.unit for f in schema.fields if f.name == name), "")) if schema is not None else ""
 
 
 def _experiment_of(run: Run) -> Experiment | None:
@@ -245,11 +246,7 @@ def _marks(run: Run) -> tuple[Mark, ...]:
             before = bool(active[-1])
     for event in run.events:
         if event.get("kind") not in _BOOKKEEPING:
-            severity: Severity = "neutral"
-            if event.get("severity") == "warning":
-                severity = "warning"
-            elif event.get("severity") == "error":
-                severity = "error"
+            severity = _SEVERITIES.get(event.get("severity", ""), "neutral")
             found.append(Mark(t_s=float(event.get("t_s", 0.0)), label=str(event.get("kind", "event")), severity=severity))
     timing = run.arrays.get(TIMING)
     if timing is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
@@ -29,9 +29,10 @@ from hil.log.topics.loop import TIMING as TIMING
 from hil.log.topics.topic import Curve as Curve
 from hil.log.topics.topic import Logged as Logged
 from hil.log.topics.topic import MissingTopic as MissingTopic
-from hil.log.topics.topic import RunsRig as RunsRig
-from hil.log.topics.topic import SignalLike as SignalLike
 from hil.log.topics.topic import Topic as Topic
+
+if TYPE_CHECKING:
+    from hil.rig.loop import Loop
 
 
 def _registered() -> dict[str, Topic]:
@@ -59,7 +60,7 @@ def channels(logged: Logged) -> dict[str, Channel]:
         HilError: if a signal's name cannot be a field, or two signals of one topic would share a field.
     """
     found = {}
-    for number, topic in enumerate((each for each in TOPICS.values() if each.in_session(logged)), 1):
+    for number, topic in enumerate((each for each in TOPICS.values() if each.logged(logged)), 1):
         try:
             schema = Schema(name=topic.schema_name(logged), fields=topic.fields(logged))
         except ValueError as error:
@@ -68,7 +69,7 @@ def channels(logged: Logged) -> dict[str, Channel]:
     return found
 
 
-def channels_of(loop: RunsRig, *, on_can: bool = False) -> dict[str, Channel]:
+def channels_of(loop: Loop, *, on_can: bool = False) -> dict[str, Channel]:
     """Return the topics that a run of a composed loop logs.
 
     Args:

@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from msgspec import Struct
 
 from hil.errors import HilError
 from hil.log.records import Field, field_name
-from hil.rig.spec import RigSpec
-
-
-class SignalLike(Protocol):
-    """What a plant says of one of its signals."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def unit(self) -> str: ...
+from plants.parts.linear import Signal
 
 
 class Logged(Struct, frozen=True, kw_only=True):
@@ -34,24 +24,14 @@ class Logged(Struct, frozen=True, kw_only=True):
         bus: the emulated network has a CAN bus that takes time.
     """
 
-    states: Sequence[SignalLike] = ()
-    inputs: Sequence[SignalLike] = ()
-    outputs: Sequence[SignalLike] = ()
+    states: Sequence[Signal] = ()
+    inputs: Sequence[Signal] = ()
+    outputs: Sequence[Signal] = ()
     n_rows: int = 0
     numbered: bool = False
     passivity: bool = False
     on_can: bool = False
     bus: bool = False
-
-
-class RunsRig(Protocol):
-    """A composed loop, as far as its log asks."""
-
-    @property
-    def rig(self) -> RigSpec: ...
-
-    @property
-    def rows(self) -> int: ...
 
 
 class SlotRecord(Struct, frozen=True, kw_only=True):
@@ -113,7 +93,6 @@ class Topic(Struct, frozen=True, kw_only=True):
         filled_by: which part of a session writes its records, in words.
         since: the version of hilrig whose logs have it first.
         logged: whether a session has it.
-        needs_can: only a session over a CAN link has it.
         values: its record of a slot, the values of its fields, None for no record; only for a topic that no part of the rig
             fills by itself.
         curves: how it is plotted, from the names of its float fields and those of the plant's outputs.
@@ -128,7 +107,6 @@ class Topic(Struct, frozen=True, kw_only=True):
     filled_by: str
     since: str
     logged: Callable[[Logged], bool] = _always
-    needs_can: bool = False
     values: Callable[[SlotRecord], Sequence[Any] | None] | None = None
     curves: Callable[[Sequence[str], Sequence[str]], Sequence[Curve]] = _no_curves
     paged: bool = False
@@ -138,10 +116,6 @@ class Topic(Struct, frozen=True, kw_only=True):
         """Return the name of its record in a session."""
         return f"hil/msg/{self.schema if isinstance(self.schema, str) else self.schema(logged)}"
 
-    def in_session(self, logged: Logged) -> bool:
-        """Return whether a session has it."""
-        return self.logged(logged) and (logged.on_can or not self.needs_can)
-
 
 class MissingTopic(HilError, KeyError):
     """A log has no records of a topic that a reader needs."""
@@ -150,7 +124,7 @@ class MissingTopic(HilError, KeyError):
         return str(self.args[0])
 
 
-def floats(signals: Sequence[SignalLike]) -> tuple[Field, ...]:
+def floats(signals: Sequence[Signal]) -> tuple[Field, ...]:
     """Return a float64 field for each signal, with its unit."""
     # A comma would end the unit in the schema's text, a line break the line.
     return tuple(

@@ -37,13 +37,9 @@ def bucket_extremes(x: Float, y: Float, buckets: int) -> Index:
     >>> 437 in bucket_extremes(np.arange(1000.0), y, 10)
     True
     """
-    n = x.size
-    if n <= 4 * buckets or n < 3:
-        return np.arange(n, dtype=np.intp)
-    span = x[-1] - x[0]
-    if not span > 0.0 or not np.isfinite(span):
-        return np.arange(n, dtype=np.intp)
-    return _extremes(x, y, buckets, float(x[0]), float(span))
+    if x.size > 4 * buckets and 0.0 < (span := float(x[-1] - x[0])) < np.inf:
+        return _extremes(x, y, buckets, float(x[0]), span)
+    return np.arange(x.size, dtype=np.intp)
 
 
 def _extremes(x: Float, y: Float, buckets: int, begin: float, span: float) -> Index:
@@ -72,13 +68,16 @@ def step_ends(y: Float) -> Index:
     >>> step_ends(np.array([0.0, 0.0, 1.0, 1.0, 1.0]))
     array([0, 2, 4])
     """
-    if y.size == 0:
-        return np.arange(0, dtype=np.intp)
-    changed = np.ones(y.size, dtype=bool)
-    same = (y[1:] == y[:-1]) | (np.isnan(y[1:]) & np.isnan(y[:-1]))
-    changed[1:] = ~same
-    changed[-1] = True
+    changed = _changed(y)
+    changed[-1:] = True
     return np.flatnonzero(changed).astype(np.intp)
+
+
+def _changed(y: Float) -> npt.NDArray[np.bool_]:
+    """Return where a held curve has another value than before, its first one included; a gap is a value."""
+    changed = np.ones(y.size, dtype=np.bool_)
+    changed[1:] = ~((y[1:] == y[:-1]) | (np.isnan(y[1:]) & np.isnan(y[:-1])))
+    return changed
 
 
 def reduced(blocks: Blocks, *, step: bool, whole: int = WHOLE, buckets: int = BUCKETS) -> tuple[Float, Float, int]:
@@ -125,9 +124,7 @@ def _ends(blocks: Iterator[tuple[Float, Float]], samples: int) -> Iterator[tuple
     for x, y in blocks:
         y = np.where(np.isfinite(y), y, np.nan)
         both = np.concatenate((before, y))
-        changed = np.ones(both.size, dtype=bool)
-        changed[1:] = ~((both[1:] == both[:-1]) | (np.isnan(both[1:]) & np.isnan(both[:-1])))
-        own, seen = changed[before.size :], seen + x.size
+        own, seen = _changed(both)[before.size :], seen + x.size
         if seen == samples and own.size:
             own[-1] = True
         yield x[own], y[own]
@@ -135,6 +132,5 @@ def _ends(blocks: Iterator[tuple[Float, Float]], samples: int) -> Iterator[tuple
 
 
 def _joined(parts: list[tuple[Float, Float]]) -> tuple[Float, Float]:
-    if not parts:
-        return np.empty(0), np.empty(0)
-    return np.concatenate([x for x, _ in parts]), np.concatenate([y for _, y in parts])
+    none = np.empty(0)
+    return np.concatenate([none, *(x for x, _ in parts)]), np.concatenate([none, *(y for _, y in parts)])

@@ -110,20 +110,23 @@ def _frame(ticks: Sequence[float], y_of: Callable[[float], float], x_label: str,
         parts.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}"/>')
         parts.append(_label("tick", LEFT - 7, y + 4, "end", text_of(tick, 3)))
     parts.append(f'<path class="axis" d="M{LEFT} {HEIGHT - BOTTOM}H{WIDTH - RIGHT}"/>')
-    parts.append(_label("axis-label", (LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, "middle", x_label))
-    y_middle = (TOP + HEIGHT - BOTTOM) / 2
+    return parts + _axis_labels((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 6, x_label, (TOP + HEIGHT - BOTTOM) / 2, y_label)
+
+
+def _axis_labels(x: float, bottom: float, x_label: str, y: float, y_label: str) -> list[str]:
     upright = _label("axis-label", 0, 0, "middle", y_label)
-    parts.append(f'<g transform="translate(13 {y_middle:.0f}) rotate(-90)">{upright}</g>')
-    return parts
+    return [
+        _label("axis-label", x, bottom, "middle", x_label), f'<g transform="translate(13 {y:.0f}) rotate(-90)">{upright}</g>'
+    ]  # fmt: skip
 
 
 def _label(kind: str, x: float, y: float, anchor: str, text: str) -> str:
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'
 
 
-def _svg(parts: Sequence[str], title: str) -> str:
+def _svg(parts: Sequence[str], title: str, *, width: int = WIDTH, height: int = HEIGHT, style: str = "") -> str:
     label = escape(title, quote=True)
-    return f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+    return f'<svg{style} viewBox="0 0 {width} {height}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
 
 
 def _bar_class(colour: int, hollow: bool) -> str:
@@ -175,18 +178,16 @@ def draw_scene(scene: Scene) -> str:
     parts = [_shape(shape, at) for shape in scene.shapes]
     if scene.axes:
         for tick in (t for t in nice_ticks(low[0], high[0]) if low[0] - 1e-12 <= t <= high[0] + 1e-12):
-            parts.append(_text("tick", at(tick, 0.0)[0], height - SCENE_BOTTOM + 18, "middle", text_of(tick, 3)))
+            parts.append(_label("tick", at(tick, 0.0)[0], height - SCENE_BOTTOM + 18, "middle", text_of(tick, 3)))
         for tick in (t for t in nice_ticks(low[1], high[1], 4) if low[1] - 1e-12 <= t <= high[1] + 1e-12):
-            parts.append(_text("tick", at(low[0], 0.0)[0] - 7, at(0.0, tick)[1] + 4, "end", text_of(tick, 3)))
-        parts.append(_text("axis-label", left + (SCENE_WIDTH - left - SCENE_RIGHT) / 2, height - 6, "middle", scene.x_label))
-        upright = _text("axis-label", 0, 0, "middle", scene.y_label)
-        parts.append(f'<g transform="translate(13 {SCENE_TOP + drawn / 2:.0f}) rotate(-90)">{upright}</g>')
+            parts.append(_label("tick", at(low[0], 0.0)[0] - 7, at(0.0, tick)[1] + 4, "end", text_of(tick, 3)))
+        middle = left + (SCENE_WIDTH - left - SCENE_RIGHT) / 2
+        parts += _axis_labels(middle, height - 6, scene.x_label, SCENE_TOP + drawn / 2, scene.y_label)
     for x, y, label in scene.labels:
         px, py = at(x, y)
         anchor = "start" if px < SCENE_WIDTH / 3 else "end" if px > 2 * SCENE_WIDTH / 3 else "middle"
-        parts.append(_text("axis-label", px, py, anchor, label))
-    name = escape(scene.title, quote=True)
-    return f'<svg style="min-width:0" viewBox="0 0 {SCENE_WIDTH} {height}" role="img" aria-label="{name}">{"".join(parts)}</svg>'
+        parts.append(_label("axis-label", px, py, anchor, label))
+    return _svg(parts, scene.title, width=SCENE_WIDTH, height=height, style=' style="min-width:0"')
 
 
 def scene_legend(scene: Scene) -> str:
@@ -224,7 +225,3 @@ def _shape(shape: Shape, at: Callable[[float, float], tuple[float, float]]) -> s
         )
     tip = f"<title>{escape(shape.label)}</title>" if shape.label else ""
     return f'<path d="{"".join(path)}" style="{style}">{tip}</path>'
-
-
-def _text(kind: str, x: float, y: float, anchor: str, text: str) -> str:
-    return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(text)}</text>'

@@ -80,8 +80,11 @@ def test_a_new_topic_is_one_file_and_breaks_no_older_log(tmp_path: Path) -> None
     assert found == {"old": None, "new": None, "right": True, "old page": True, "page": True, "layout": True}
 
 
-def test_what_needs_a_can_link_is_in_sessions_over_one_only(monkeypatch: pytest.MonkeyPatch) -> None:
-    topic = Topic(name="/bus/load", schema="BusLoad", fields=lambda _: (TICK,), filled_by="rig", since="9.9.0", needs_can=True)
+def test_a_topic_says_which_sessions_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    topic = Topic(
+        name="/bus/load", schema="BusLoad", fields=lambda _: (TICK,), filled_by="rig", since="9.9.0",
+        logged=lambda logged: logged.on_can,
+    )  # fmt: skip
     monkeypatch.setitem(TOPICS, topic.name, topic)
     assert topic.name in channels(Logged(on_can=True)) and topic.name not in channels(Logged())
 
