@@ -16,7 +16,7 @@ from hil.pages.html.page import Page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import axis_for, within
+from hil.sweeps.shown import axis_for, ends_of, within
 from hil.sweeps.sweep import statistics
 
 
@@ -168,15 +168,15 @@ def _lines(
     label = with_unit(quantity.title, quantity.unit)
     if x is None or len(axis) < 2:
         bars = tuple(
-            BarGroup(label=name or quantity.title, values=[i.value for i in line], whiskers=[_ends(i) for i in line], colour=c)
+            BarGroup(label=name or quantity.title, values=[i.value for i in line], whiskers=[ends_of(i) for i in line], colour=c)
             for c, (name, line) in enumerate(groups.items())
         )
         return Bars(title=f"{label}: mean, 95 % interval", categories=axis, groups=bars, x_label=key, y_label=label)
     order = np.argsort(x)
-    scale = axis_for([np.array([end for line in groups.values() for i in line for end in (i.value, *_ends(i))])])
+    scale = axis_for([np.array([end for line in groups.values() for i in line for end in (i.value, *ends_of(i))])])
     series, bands = [], []
     for colour, (name, line) in enumerate(groups.items()):
-        mean, low, high = (np.array(side)[order] for side in zip(*((i.value, *_ends(i)) for i in line)))
+        mean, low, high = (np.array(side)[order] for side in zip(*((i.value, *ends_of(i)) for i in line)))
         series.append(Series(label=name or "mean", x=x[order], y=mean, colour=colour, marked=True,
                              style="circles" if drawn else "line"))  # fmt: skip
         bands.append(Band(label="95 % interval", x=x[order], lower=low, upper=high, colour=colour))
@@ -188,11 +188,6 @@ def _lines(
         note="Computed at the marked points, not between. Every point has its own interval; as all points share their seeds, "
         f"the paired differences in the table are sharper. {scale.note}".strip(),
     )  # fmt: skip
-
-
-def _ends(interval: Interval) -> tuple[float, float]:
-    """The interval, the value alone where it is infinitely wide."""
-    return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
 
 
 def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> Block:

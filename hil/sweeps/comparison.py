@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -15,12 +15,9 @@ from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.notebook import Result, data_frame
+from hil.notebook import Result
 from hil.sweeps.seeds import here, quantities_in, run_sweep
-from hil.sweeps.shown import ShownResult, asked, interval_of, measured, paint_distributions, within
-
-if TYPE_CHECKING:
-    import pandas
+from hil.sweeps.shown import ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -50,9 +47,7 @@ class Comparison(ShownResult):
     def _pairs(self, name: str, quantity: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         if name not in self.values:
             raise unknown_name("experiment", name, self.values)
-        a, b = (self.values[each][quantity] for each in (self.first, name))
-        both = np.isfinite(a) & np.isfinite(b)
-        return a[both], b[both]
+        return pairs(self.values[self.first][quantity], self.values[name][quantity])
 
     @property
     def first(self) -> str:
@@ -85,17 +80,8 @@ class Comparison(ShownResult):
         better = (gap.value < 0.0) == (judged.better == "lower")
         return f"{name} is {'better' if better else 'worse'} than {self.first}: {numbers}"
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a row per run: experiment, seed, whether safety stopped it, every quantity; the units are in ``attrs``.
-
-        Raises:
-            HilError: if pandas is not installed.
-        """
-        columns = ["seed", "stopped", *(q.name for q in self.quantities)]
-        table: dict[str, Any] = {"experiment": np.repeat(list(self.values), [v["seed"].size for v in self.values.values()])}
-        table |= {name: np.concatenate([values[name] for values in self.values.values()]) for name in columns}
-        table |= {name: table[name].astype(np.int64) for name in ("seed", "stopped")}
-        return data_frame(table, {q.name: q.unit for q in self.quantities})
+    def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
+        return {"experiment": [*self.values]}, [*self.values.values()]
 
     def rows(self) -> list[list[Any]]:
         """Return a row per quantity that some run has, and experiment: runs, mean, paired difference, its interval."""

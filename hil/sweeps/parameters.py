@@ -17,15 +17,14 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.notebook import Result, data_frame
+from hil.notebook import Result
 from hil.sweeps.comparison import common_quantities
 from hil.sweeps.points import Points, numbers_of
 from hil.sweeps.seeds import columns_of, quantities_in, run_sweep
-from hil.sweeps.shown import ShownResult, asked, interval_of, mean_and_interval, paint_points, within
+from hil.sweeps.shown import ShownResult, Values, asked, interval_of, mean_and_interval, paint_points, pairs, within
 from hil.sweeps.sweep import SweepStore
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
 MOST_CAUTIONS = 5
@@ -74,9 +73,7 @@ class ParameterSweep(ShownResult):
 
     def difference(self, point: int, against: int, quantity: str) -> Interval:
         """Return the mean difference of a point against another over the seeds that both have, and its 95 % interval."""
-        a, b = self.columns[against][quantity], self.columns[point][quantity]
-        both = np.isfinite(a) & np.isfinite(b)
-        return difference_interval(a[both], b[both])
+        return difference_interval(*pairs(self.columns[against][quantity], self.columns[point][quantity]))
 
     def answer(self, quantity: str) -> str:
         """Return in words which point is best, and from how many others a paired difference distinguishes it."""
@@ -93,21 +90,9 @@ class ParameterSweep(ShownResult):
         safety = f"; safety stopped {stopped} of its {self.columns[best]['stopped'].size} runs" if stopped else ""
         return f"{text}; {clear} of {len(others)} other points differ on the same seeds (95 % interval each){safety}"
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a row per run: what was changed, the seed, whether safety stopped it, every quantity.
-
-        Raises:
-            HilError: if pandas is not installed.
-        """
-        sizes = [columns["seed"].size for columns in self.columns]
-        table: dict[str, Any] = {
-            key: np.repeat([row[i] for row in self.points.values[: len(sizes)]], sizes) for i, key in enumerate(self.points.keys)
-        }
-        names = ["seed", "stopped", *(q.name for q in self.quantities)]
-        table |= {name: np.concatenate([columns[name] for columns in self.columns]) for name in names if self.columns}
-        for name in {"seed", "stopped"} & table.keys():
-            table[name] = table[name].astype(np.int64)
-        return data_frame(table, {q.name: q.unit for q in self.quantities})
+    def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
+        done = self.points.values[: len(self.columns)]
+        return {key: [row[i] for row in done] for i, key in enumerate(self.points.keys)}, self.columns
 
     def _result(self, quantity: str | None = None) -> Result:
         of, keys = asked(self.quantities, quantity), self.points.keys

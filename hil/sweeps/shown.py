@@ -14,22 +14,43 @@ from design.monte_carlo.confidence import Interval, mean_interval
 from hil.errors import unknown_name
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.notebook import Result
+from hil.notebook import Result, data_frame
 
 if TYPE_CHECKING:
+    import pandas
     from matplotlib.figure import Figure
 
 Values = Mapping[str, NDArray[np.float64]]
 
 
 class ShownResult(ABC):
-    """What a notebook and a paper show of many runs; a result says what that is by `_result`."""
+    """What a notebook and a paper show of many runs; a result says what that is by `_result`, and which runs by `_runs`."""
 
     __slots__ = ()
+
+    quantities: tuple[Quantity, ...]
 
     @abstractmethod
     def _result(self, quantity: str | None = None) -> Result:
         """Return what is shown, with the plot of a quantity."""
+
+    @abstractmethod
+    def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
+        """Return the columns of each group of runs, and what tells the groups apart: a word for each, by name."""
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per run: of which group it is, the seed, whether safety stopped it, every quantity.
+
+        The units are in ``attrs``.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        words, groups = self._runs()
+        table: dict[str, Any] = {name: np.repeat(each, [len(group["seed"]) for group in groups]) for name, each in words.items()}
+        for name, kind in {"seed": np.int64, "stopped": np.int64, **{q.name: np.float64 for q in self.quantities}}.items():
+            table[name] = np.concatenate([np.empty(0, kind), *(group[name].astype(kind) for group in groups)])
+        return data_frame(table, {q.name: q.unit for q in self.quantities})
 
     def plot(
         self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
@@ -76,6 +97,12 @@ def interval_of(values: NDArray[np.float64]) -> Interval:
     return mean_interval(values[np.isfinite(values)])
 
 
+def pairs(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return two columns over the same seeds, of the runs that have both numbers."""
+    both = np.isfinite(a) & np.isfinite(b)
+    return a[both], b[both]
+
+
 def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
     """Return a quantity by its name; without one the first of which it is known which values are better.
 
@@ -94,6 +121,11 @@ def within(interval: Interval) -> str | None:
     """Return an interval in words, None where it is infinitely wide."""
     said = f"{interval.low:.5g} to {interval.high:.5g}".replace("-", "−")
     return said if np.isfinite(interval.half_width) else None
+
+
+def ends_of(interval: Interval) -> tuple[float, float]:
+    """Return the ends of an interval, the value alone where it is infinitely wide."""
+    return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
 
 
 def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:
@@ -193,7 +225,7 @@ def paint_points(
         order: Any = np.argsort(at, kind="stable")
         for name, found in groups.items():
             mean = np.array([i.value for i in found])
-            ends = np.array([(i.low, i.high) if np.isfinite(i.half_width) else (i.value, i.value) for i in found])
+            ends = np.array([*map(ends_of, found)])
             bars = np.abs(ends.T - mean)[:, order]  # an interval of a skewed quantity has its mean not in the middle
             line = "" if x is None else "-"
             axis.errorbar(at[order], mean[order], yerr=bars, marker="o", linestyle=line, capsize=3, label=name or None)

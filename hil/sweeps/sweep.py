@@ -13,7 +13,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,17 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.notebook import Result, data_frame
-from hil.sweeps.shown import ShownResult, asked, interval_of, mean_and_interval, paint_distributions, stopped_in_words, within
-
-if TYPE_CHECKING:
-    import pandas
+from hil.notebook import Result
+from hil.sweeps.shown import (
+    ShownResult,
+    Values,
+    asked,
+    interval_of,
+    mean_and_interval,
+    paint_distributions,
+    stopped_in_words,
+    within,
+)
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -53,14 +59,8 @@ class Sweep(ShownResult):
     experiment: str = ""
     quantities: tuple[Quantity, ...] = ()
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a row per run: the seed, whether safety stopped it, every quantity; the units are in ``attrs``.
-
-        Raises:
-            HilError: if pandas is not installed.
-        """
-        whole: dict[str, Any] = {name: self.values[name].astype(np.int64) for name in ("seed", "stopped")}
-        return data_frame(dict(self.values) | whole, {q.name: q.unit for q in self.quantities})
+    def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
+        return {}, [self.values]
 
     def _result(self, quantity: str | None = None) -> Result:
         of = asked(self.quantities, quantity)

@@ -6,9 +6,9 @@ Reference: libpcap's file format (pcap-savefile), RFC 792, RFC 4443. Of the read
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from pathlib import Path
-from typing import BinaryIO, Final
+from typing import BinaryIO, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ from hil.files.arrays import read_columns
 from hil.files.regular import open_regular
 from hil.log.recordings.recording import ROUND_TRIP, THERE, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
+
+Array = NDArray[np.float64]
 
 TCP, UDP = 6, 17
 HEAD = 128
@@ -30,44 +32,80 @@ def read_captured_frames(path: Path) -> Recording | None:
     Raises:
         HilError: it is no capture, or holds sensor frames and no answer: a capture of one direction.
     """
-    asked: dict[tuple[int, int], int] = {}
+    with open_regular(path, "a capture") as file:
+        found = _paired((
+            (t_s, (frame.seq, frame.sample_ns), not isinstance(frame, ControlPacket))
+            for t_s, packet in captured_packets(path, file) for frame in _frames(_segment(packet))
+        ), newest=False)  # fmt: skip
+    if not len(found.sent_s) and not found.strays:
+        return None
+    if not np.isfinite(found.came_s).any():
+        what = "sensor frames, and no answer" if len(found.sent_s) else "control frames, and no sensor frame that they answer"
+        raise HilError(f"{path}: {what}: a capture of one direction; expected both, as tcpdump takes them at one end")
+    return found.recording(path, "round trips of our own frames, from where they were captured")
+
+
+class _Pairs(NamedTuple):
+    """Questions of a capture and their answers.
+
+    Attributes:
+        sent_s: when each was asked.
+        came_s: when its first answer came, NaN where none did.
+        again: answers to what was answered already.
+        strays: answers to no question.
+    """
+
+    sent_s: Array
+    came_s: Array
+    again: int
+    strays: int
+
+    def recording(self, path: Path, *notes: str) -> Recording:
+        """Return them as round trips."""
+        way = Way(sent_s=self.sent_s, difference_s=self.came_s - self.sent_s)
+        return Recording(source=str(path), ways={ROUND_TRIP: way}, clocks=1, notes=notes)
+
+
+def _paired(packets: Iterable[tuple[float, Hashable, bool]], *, newest: bool) -> _Pairs:
+    """Return which question each answer belongs to.
+
+    Args:
+        packets: instant, key that question and answer share, and whether it is a question.
+        newest: a key that is asked again is another question, the one that is answered; else it is the same one.
+    """
+    asked: dict[Hashable, int] = {}
     sent: list[float] = []
     came: list[float] = []
-    answers = 0
-    with open_regular(path, "a capture") as file:
-        for t_s, packet in captured_packets(path, file):
-            for frame in _frames(_segment(packet)):
-                key = frame.seq, frame.sample_ns
-                if isinstance(frame, ControlPacket):
-                    answers += 1
-                    if key in asked and np.isnan(came[asked[key]]):
-                        came[asked[key]] = t_s
-                elif key not in asked:
-                    asked[key] = len(sent)
-                    sent.append(t_s)
-                    came.append(np.nan)
-    if not sent and not answers:
-        return None
-    if not np.isfinite(came).any():
-        what = "sensor frames, and no answer" if sent else "control frames, and no sensor frame that they answer"
-        raise HilError(f"{path}: {what}: a capture of one direction; expected both, as tcpdump takes them at one end")
-    instants = np.array(sent)
-    return Recording(
-        source=str(path), ways={ROUND_TRIP: Way(sent_s=instants, difference_s=np.array(came) - instants)}, clocks=1,
-        notes=("round trips of our own frames, from where they were captured",),
-    )  # fmt: skip
+    again = strays = 0
+    for t_s, key, asks in packets:
+        if asks and (newest or key not in asked):
+            asked[key] = len(sent)
+            sent.append(t_s)
+            came.append(np.nan)
+        elif not asks and key not in asked:
+            strays += 1
+        elif not asks and np.isnan(came[asked[key]]):
+            came[asked[key]] = t_s
+        else:
+            again += not asks
+    return _Pairs(np.array(sent), np.array(came), again, strays)
+
+
+def _ip_head(packet: bytes) -> tuple[int, int, int, bytes, bytes] | None:
+    """Where what an IP packet carries begins and ends, its protocol and its two addresses; None for other packets."""
+    if len(packet) >= 20 and packet[0] >> 4 == 4:
+        return 4 * (packet[0] & 15), int.from_bytes(packet[2:4], "big"), packet[9], packet[12:16], packet[16:20]
+    if len(packet) >= 40 and packet[0] >> 4 == 6:
+        return 40, 40 + int.from_bytes(packet[4:6], "big"), packet[6], packet[8:24], packet[24:40]
+    return None
 
 
 def _segment(packet: bytes) -> bytes:
     """What a TCP or UDP segment of an IP packet carries; nothing of other packets."""
-    if len(packet) < 20:
+    head = _ip_head(packet)
+    if head is None:
         return b""
-    if packet[0] >> 4 == 4:
-        at, protocol, end = 4 * (packet[0] & 15), packet[9], int.from_bytes(packet[2:4], "big")
-    elif packet[0] >> 4 == 6 and len(packet) >= 40:
-        at, protocol, end = 40, packet[6], 40 + int.from_bytes(packet[4:6], "big")
-    else:
-        return b""
+    at, end, protocol, *_ = head
     if protocol == UDP:
         return packet[at + 8 : end]
     return packet[at + 4 * (packet[at + 12] >> 4) : end] if protocol == TCP and len(packet) > at + 12 else b""
@@ -82,8 +120,6 @@ def _frames(data: bytes) -> Iterator[SensorPacket | ControlPacket]:
             yield frame
         at += size if frame is not None and size else 1
 
-
-Array = NDArray[np.float64]
 
 LATEST_S = 1e12
 """No instant of a clock is as late, s."""
@@ -151,7 +187,8 @@ MAGIC: Final = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-
 IP_AT: Final = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0: 4, 108: 4}
 """Where the IP packet begins, by link type: Ethernet, raw IP, Linux "cooked" 1 and 2, BSD loopback."""
 
-ECHO: Final = {(4, 8): "request", (4, 0): "reply", (6, 128): "request", (6, 129): "reply"}
+ECHO: Final = {(4, 1, 8): True, (4, 1, 0): False, (16, 58, 128): True, (16, 58, 129): False}
+"""Length of an address, protocol and type of ping's packets: whether it is a request."""
 
 
 def read_ping_capture(path: Path) -> Recording:
@@ -162,52 +199,25 @@ def read_ping_capture(path: Path) -> Recording:
     Raises:
         HilError: it is none, or holds no echo requests, or no reply: a capture of one direction.
     """
-    asked: dict[tuple[int, bytes, bytes, int, int], int] = {}
-    sent: list[float] = []
-    came: list[float] = []
-    again = strays = 0
     with open_regular(path, "a capture") as file:
-        for t_s, kind, address, identifier, number in _echoes(path, file):
-            key = (address[0], min(address[1:]), max(address[1:]), identifier, number)
-            if kind == "request":
-                asked[key] = len(sent)  # numbers wrap after 65536: the newest counts
-                sent.append(t_s)
-                came.append(np.nan)
-            elif key not in asked:
-                strays += 1
-            elif np.isnan(came[asked[key]]):
-                came[asked[key]] = t_s
-            else:
-                again += 1
-    if not sent or not np.isfinite(came).any():
-        what = "no echo request" if not sent else "echo requests, and no reply"
+        found = _paired(_echoes(path, file), newest=True)  # numbers wrap after 65536
+    if not np.isfinite(found.came_s).any():
+        what = "echo requests, and no reply" if len(found.sent_s) else "no echo request"
         raise HilError(
             f"{path}: {what}: a capture of one direction; expected both, as `tcpdump -w ping.pcap icmp or icmp6` takes them"
         )
-    notes = [
-        f"{n} {what}" for n, what in ((again, "replies came twice: the first counts"), (strays, "replies to no request")) if n
-    ]
-    instants = np.array(sent)
-    return Recording(
-        source=str(path), ways={ROUND_TRIP: Way(sent_s=instants, difference_s=np.array(came) - instants)}, clocks=1,
-        notes=tuple(notes),
-    )  # fmt: skip
+    odd = (found.again, "replies came twice: the first counts"), (found.strays, "replies to no request")
+    return found.recording(path, *(f"{n} {what}" for n, what in odd if n))
 
 
-def _echoes(path: Path, file: BinaryIO) -> Iterator[tuple[float, str, tuple[int, bytes, bytes], int, int]]:
+def _echoes(path: Path, file: BinaryIO) -> Iterator[tuple[float, Hashable, bool]]:
     for t_s, packet in captured_packets(path, file):
-        if len(packet) < 20:
+        if (head := _ip_head(packet)) is None or len(packet) < head[0] + 8:
             continue
-        version = packet[0] >> 4
-        if version == 4 and packet[9] == 1:
-            at, address = 4 * (packet[0] & 15), (4, packet[12:16], packet[16:20])
-        elif version == 6 and len(packet) >= 40 and packet[6] == 58:
-            at, address = 40, (6, packet[8:24], packet[24:40])
-        else:
-            continue
-        if len(packet) >= at + 8 and (kind := ECHO.get((version, packet[at]))) is not None:
-            identifier, number = struct.unpack_from(">HH", packet, at + 4)
-            yield t_s, kind, address, identifier, number
+        at, _, protocol, *ends = head
+        asks = ECHO.get((len(ends[0]), protocol, packet[at]))
+        if asks is not None:
+            yield t_s, (*sorted(ends), *struct.unpack_from(">HH", packet, at + 4)), asks
 
 
 def captured_packets(path: Path, file: BinaryIO) -> Iterator[tuple[float, bytes]]:

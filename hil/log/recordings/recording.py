@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -68,7 +68,7 @@ def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[s
         if THERE in ways and BACK in ways:
             offset = offset_of(ways[THERE].difference_s, ways[BACK].difference_s)
             shifts = {THERE: -offset, BACK: offset}
-            ways = {name: _shifted(way, shifts[name]) for name, way in ways.items()}
+            ways = {name: replace(way, difference_s=way.difference_s + shifts[name]) for name, way in ways.items()}
             notes.append(f"offset between the clocks {offset:.6g} s, taken out: the least latency is the same in both directions")
         else:
             notes.append("one direction: an offset between the two clocks would shift every latency, and cannot be seen")
@@ -95,8 +95,4 @@ def _straight(name: str, way: Way, notes: list[str]) -> Way:
     notes.append(f"{said}, taken out" if drift.seen else f"{said}: none is seen, none is taken out")
     if not drift.seen:
         return way
-    return Way(sent_s=way.sent_s, difference_s=without_drift(way.sent_s, way.difference_s, drift), until_s=way.until_s)
-
-
-def _shifted(way: Way, by_s: float) -> Way:
-    return Way(sent_s=way.sent_s, difference_s=way.difference_s + by_s, until_s=way.until_s)
+    return replace(way, difference_s=without_drift(way.sent_s, way.difference_s, drift))
