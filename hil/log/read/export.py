@@ -137,29 +137,22 @@ def _tables(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: boo
     with ExitStack() as stack:  # none is put in its place before all are whole
         parts = [stack.enter_context(written_whole(path, replace=replace)) for path in paths]
         for topic, part in zip(topics, parts, strict=True):
-            if topic == EVENTS_TOPIC:
-                _write_events(run, part)
-            else:
-                _write_csv(run, topic, part)
+            with open(part, "w", newline="", encoding="utf-8") as file:
+                csv.writer(file, lineterminator="\n").writerows(_events(run) if topic == EVENTS_TOPIC else _records(run, topic))
 
 
-def _write_csv(run: Run, topic: str, path: Path) -> None:
-    header = [f"{TIME_FIELD} [ns]", *(f"{f.name} [{f.unit}]" for f in run.schemas[topic].fields)]
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for piece in run.pieces(topic, ROWS):
-            for row in piece.tolist():  # plain floats print so that they read back the same
-                writer.writerow([value.hex() if isinstance(value, bytes) else value for value in row])
+def _records(run: Run, topic: str) -> Iterator[Sequence[Any]]:
+    yield [f"{TIME_FIELD} [ns]", *(f"{f.name} [{f.unit}]" for f in run.schemas[topic].fields)]
+    for piece in run.pieces(topic, ROWS):
+        for row in piece.tolist():  # plain floats print so that they read back the same
+            yield [value.hex() if isinstance(value, bytes) else value for value in row]
 
 
-def _write_events(run: Run, path: Path) -> None:
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        names = ["tick", "t_s", "kind", "severity", "message"]
-        writer.writerow([*names, "data"])
-        for event in run.events:
-            writer.writerow([*(event.get(name, "") for name in names), json.dumps(event.get("data", {}))])
+def _events(run: Run) -> Iterator[Sequence[Any]]:
+    names = ["tick", "t_s", "kind", "severity", "message"]
+    yield [*names, "data"]
+    for event in run.events:
+        yield [*(event.get(name, "") for name in names), json.dumps(event.get("data", {}))]
 
 
 def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:

@@ -68,7 +68,7 @@ class Content:
     """Records by kind; a message stays whole, framing included (time at byte 15, payload from byte 31).
 
     Args:
-        schemas, channels: by number.
+        schemas, channels: by number; the first copy that can be read counts.
         messages: by number of the channel, in the order of the file; whoever reads on may take them out.
         metadata: by name; a later record of one name replaces an earlier one.
         attachments: by name.
@@ -95,10 +95,10 @@ class Content:
             self.chunks += 1
         elif record.opcode == Opcode.SCHEMA:
             schema = parse(Schema.read, record)
-            self.schemas[schema.id] = schema
+            self.schemas.setdefault(schema.id, schema)
         elif record.opcode == Opcode.CHANNEL:
             channel = parse(Channel.read, record)
-            self.channels[channel.id] = channel
+            self.channels.setdefault(channel.id, channel)
         elif record.opcode == Opcode.METADATA:
             metadata = parse(Metadata.read, record)
             self.metadata[metadata.name] = metadata.metadata

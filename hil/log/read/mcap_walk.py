@@ -200,7 +200,10 @@ def parse(read: Callable[[ReadDataStream], R], record: Record) -> R:
     Raises:
         DamagedRecord: whatever goes wrong, with the record's offset.
     """
-    return _guarded(lambda: read(ReadDataStream(BytesIO(record.body))), record)
+    try:
+        return read(ReadDataStream(BytesIO(record.body)))
+    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError) as error:
+        raise DamagedRecord(f"damaged record at byte {record.offset}: {str(error) or type(error).__name__}") from error
 
 
 def unpack_chunk(record: Record, budget: Budget) -> bytes:
@@ -235,10 +238,3 @@ def unpack_chunk(record: Record, budget: Budget) -> bytes:
     if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
         raise DamagedRecord(f"{where}: the checksum does not match")
     return content
-
-
-def _guarded(read: Callable[[], R], record: Record) -> R:
-    try:
-        return read()
-    except (McapError, struct.error, ValueError, KeyError, TypeError, OverflowError) as error:
-        raise DamagedRecord(f"damaged record at byte {record.offset}: {str(error) or type(error).__name__}") from error

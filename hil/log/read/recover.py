@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Header, MessageIndex, Metadata, Schema
+from mcap.records import Header, MessageIndex, Metadata
 
 from hil.errors import HilError
 from hil.files.outputs import written_whole
-from hil.log.read.mcap_file import open_mcap, start_said
+from hil.log.read.mcap_file import Content, open_mcap, start_said
 from hil.log.read.mcap_walk import (
     MESSAGE_TIME_AT,
     Budget,
@@ -110,9 +111,7 @@ class _Plan:
     def __init__(self, file: BinaryIO, size: int, report: Recovery) -> None:
         self.records = 0
         self.header: Header | None = None
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
-        budget = Budget(size)
+        self.content = Content(budget=Budget(size))
         checksums = Checksums()
         try:
             for record in walk(file, size):
@@ -120,7 +119,9 @@ class _Plan:
                 report.closed = record.opcode == Opcode.FOOTER
                 if record.opcode == Opcode.HEADER and self.header is None:
                     self.header = _or_none(Header.read, record)
-                self._define(record, budget)
+                with suppress(DamagedRecord):  # said when it is this record's turn
+                    self.content.take(record)
+                self.content.messages.clear()
                 try:
                     checksums.take(record)
                 except DamagedRecord as error:
@@ -129,26 +130,6 @@ class _Plan:
             report.closed = False
             report.lost_bytes = size - error.offset
             report.losses.append(f"{report.lost_bytes} bytes, {error}")
-
-    def _define(self, record: Record, budget: Budget) -> None:
-        try:
-            if record.opcode == Opcode.CHUNK:
-                content = unpack_chunk(record, budget)
-                for opcode, _, at, after in framed(content, record):
-                    if opcode != Opcode.MESSAGE:
-                        self._take(Record(record.offset, opcode, memoryview(content)[at + 9 : after]))
-            else:
-                self._take(record)
-        except DamagedRecord:
-            return  # said when it is this record's turn
-
-    def _take(self, record: Record) -> None:
-        if record.opcode == Opcode.SCHEMA:
-            schema = parse(Schema.read, record)
-            self.schemas.setdefault(schema.id, schema)
-        elif record.opcode == Opcode.CHANNEL:
-            channel = parse(Channel.read, record)
-            self.channels.setdefault(channel.id, channel)
 
 
 def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: McapWriter, report: Recovery) -> None:
@@ -188,9 +169,9 @@ class _Copy:
         self._channels: dict[int, int] = {}
         self.ours = False  # whether there is a metadata record of hilrig
         numbers = {0: 0}
-        for number, schema in sorted(plan.schemas.items()):
+        for number, schema in sorted(plan.content.schemas.items()):
             numbers[number] = writer.register_schema(schema.name, schema.encoding, schema.data)
-        for number, channel in sorted(plan.channels.items()):
+        for number, channel in sorted(plan.content.channels.items()):
             self._channels[number] = writer.register_channel(
                 channel.topic, channel.message_encoding, numbers.get(channel.schema_id, 0), channel.metadata
             )

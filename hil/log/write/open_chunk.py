@@ -183,11 +183,17 @@ class ColumnBuffer:
                 raise ValueError(f"keep: {topic!r} is no topic of numbers in the table of channels")
         self._any = bool(keep)
         self.schemas = {topic: channels[topic].schema for topic in keep}
-        self._fields = {
-            topic: list((self.schemas[topic].dtype.names or ()) if fields is None else fields) for topic, fields in keep.items()
-        }
-        self._messages = {topic: self._message(topic) for topic in keep}
-        self._columns = {topic: AppendColumn(self._dtype(topic), folder) for topic in keep}
+        self._messages: dict[str, np.dtype[np.void]] = {}  # the fields that are kept, where they stand in a message
+        self._columns: dict[str, AppendColumn] = {}
+        payload = MESSAGE_OVERHEAD + len(CDR_HEADER)  # begins behind the head of a message and the CDR header
+        for topic, fields in keep.items():
+            dtype = self.schemas[topic].dtype
+            numbers: Mapping[str, Any] = dtype.fields or {}
+            names = [*(numbers if fields is None else fields)]
+            formats, offsets = [numbers[name][0] for name in names], [payload + numbers[name][1] for name in names]
+            layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": payload + dtype.itemsize}
+            self._messages[topic] = np.dtype(layout)  # type: ignore[call-overload]
+            self._columns[topic] = AppendColumn([(TIME_FIELD, "<i8"), *zip(names, formats)], folder)
         self._ids: Mapping[str, int] = {}
         self._events, self._lengths = AppendColumn(np.uint8, folder), AppendColumn(np.int64, folder)
 
@@ -208,7 +214,7 @@ class ColumnBuffer:
             records = everywhere[own.begins]
             part = np.empty(len(records), column.dtype)
             part[TIME_FIELD] = own.times
-            for name in self._fields[topic]:
+            for name in message.names or ():
                 part[name] = records[name]
             column.extend(part)
         events = messages.get(self._ids[EVENTS_TOPIC])
@@ -222,26 +228,6 @@ class ColumnBuffer:
         """Return the payloads of `/events`."""
         data, ends = self._events.array(), np.cumsum(self._lengths.array())
         return [data[begin:end].tobytes() for begin, end in zip([0, *ends.tolist()], ends.tolist())]
-
-    def _numbers(self, topic: str) -> Mapping[str, Any]:
-        return self.schemas[topic].dtype.fields or {}
-
-    def _dtype(self, topic: str) -> np.dtype[np.void]:
-        numbers = self._numbers(topic)
-        return np.dtype([(TIME_FIELD, "<i8"), *((name, numbers[name][0]) for name in self._fields[topic])])
-
-    def _message(self, topic: str) -> np.dtype[np.void]:
-        """The fields that are kept, where they stand in a message: behind its head and the CDR header."""
-        numbers, payload = self._numbers(topic), MESSAGE_OVERHEAD + len(CDR_HEADER)
-        fields = {name: (numbers[name][0], payload + numbers[name][1]) for name in self._fields[topic]}
-        return np.dtype(
-            {
-                "names": list(fields),
-                "formats": [kind for kind, _ in fields.values()],
-                "offsets": [at for _, at in fields.values()],
-                "itemsize": payload + self.schemas[topic].dtype.itemsize,
-            }
-        )
 
     def arrays(self) -> dict[str, StructuredArray]:
         """Return what was kept, topic to records; the columns are empty afterwards."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import cache, reduce
 from operator import getitem
 from typing import Any
@@ -37,7 +38,7 @@ def _run(side: Side) -> dict[str, Any]:
     resolved = e.resolved()
     return {
         "name": e.name, "description": e.description, "seed": e.seed, "period": side.period_s, "slots": e.slots,
-        "controllable": side.acts, "paced": side.clock is not None, "traces": [trace.to_json() for trace in side.traces],
+        "controllable": side.acts, "paced": side.clock is not None, "traces": [asdict(trace) for trace in side.traces],
         "outputs": [{"name": s.name, "unit": s.unit} for s in e.plant.outputs],
         "inputs": [{"name": s.name, "unit": s.unit} for s in e.plant.inputs],
         "states": [{"name": s.name, "unit": s.unit} for s in e.plant.states],

@@ -6,7 +6,7 @@ import os
 import queue
 import signal
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from multiprocessing import get_context
@@ -96,6 +96,7 @@ def _serve(pipe: Connection, parent: int) -> None:
         pipe.send(answer)
 
 
+AT_ONCE: Final = ("hold", "go", "step", "speed")
 COMPUTED: Final = ("check", "apply", "restart", "end")
 """What is done in its turn, beside the run."""
 WAITING: Final = 64
@@ -173,20 +174,14 @@ class Desk:
         Raises:
             HilError: it cannot be done; with what helps.
         """
-        quick: dict[str, Callable[[Wish], None]] = {
-            "hold": lambda wish: self._pace(held=True), "go": lambda wish: self._pace(held=False), "step": self._step,
-            "speed": self._speed,
-        }  # fmt: skip
-        if wish.do not in (*quick, *COMPUTED):
-            raise HilError(f"do: {wish.do!r:.40}, expected one of {', '.join((*quick, *COMPUTED))}")
+        if wish.do not in (*AT_ONCE, *COMPUTED):
+            raise HilError(f"do: {wish.do!r:.40}, expected one of {', '.join((*AT_ONCE, *COMPUTED))}")
         if not all(side.acts for side in self.sides):
             raise HilError(f"{wish.do}: {WATCHES}")
         if any(not 0 <= i < len(self.sides) for i in wish.sides):
             raise HilError(f"sides: {list(wish.sides)}, expected numbers from 0 to {len(self.sides) - 1}")
-        if wish.do in quick:
-            if any(side.clock is None for side in self.sides):
-                raise HilError(f"{wish.do}: {PACED}")
-            quick[wish.do](wish)
+        if wish.do in AT_ONCE:
+            self._pace(wish)
             return 0
         if wish.do in ("check", "apply") and wish.path == END:
             raise HilError(f"path: {END!r} is no field; the wish to end a run is its own")
@@ -199,24 +194,22 @@ class Desk:
             raise HilError(f"{wish.do}: {WAITING} changes wait to be computed; this one is not taken") from None
         return number
 
-    def _pace(self, held: bool) -> None:
-        for side in self.sides:
-            if side.clock is not None:
-                side.clock.set(held=held)
-
-    def _step(self, wish: Wish) -> None:
-        if not 1 <= wish.slots <= 1000:
+    def _pace(self, wish: Wish) -> None:
+        """Hold the runs, let them go, by some slots or at a speed."""
+        clocks = [side.clock for side in self.sides if side.clock is not None]
+        if len(clocks) < len(self.sides):
+            raise HilError(f"{wish.do}: {PACED}")
+        if wish.do == "step" and not 1 <= wish.slots <= 1000:
             raise HilError(f"slots: {wish.slots}, expected 1 to 1000")
-        for side in self.sides:
-            if side.clock is not None:
-                side.clock.step(wish.slots)
-
-    def _speed(self, wish: Wish) -> None:
-        if not SPEEDS[0] <= wish.speed <= SPEEDS[1]:
+        if wish.do == "speed" and not SPEEDS[0] <= wish.speed <= SPEEDS[1]:
             raise HilError(f"speed: {wish.speed:g}, expected {SPEEDS[0]:g} to {SPEEDS[1]:g}")
-        for side in self.sides:
-            if side.clock is not None:
-                side.clock.set(speed=wish.speed)
+        for clock in clocks:
+            if wish.do == "step":
+                clock.step(wish.slots)
+            elif wish.do == "speed":
+                clock.set(speed=wish.speed)
+            else:
+                clock.set(held=wish.do == "hold")
 
     def _work(self) -> None:
         while (asked := self._wishes.get()) is not None:

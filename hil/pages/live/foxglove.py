@@ -37,6 +37,8 @@ class Foxglove:
             raise HilError("--foxglove: needs foxglove-sdk: pip install 'hilrig[foxglove]'") from error
         self._sdk, self._context = foxglove, foxglove.Context()
         self._channels: list[Any] = []
+        self.clock: Clock | None = None  # it paces nothing, and changes nothing
+        self.changes: Changes | None = None
         try:
             self._server = foxglove.start_server(name="hilrig", host=HOST, port=port, context=self._context)
         except RuntimeError as error:
@@ -48,16 +50,6 @@ class Foxglove:
 
     def __exit__(self, *_: object) -> None:
         self._server.stop()
-
-    @property
-    def clock(self) -> Clock | None:
-        """None: it paces nothing."""
-        return None
-
-    @property
-    def changes(self) -> Changes | None:
-        """None: it changes nothing."""
-        return None
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
         """Offer the topics of a run; raw frames stay in the log."""

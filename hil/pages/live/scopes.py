@@ -70,10 +70,6 @@ class Trace:
     field: str
     unit: str
 
-    def to_json(self) -> dict[str, str]:
-        """What the page knows of it."""
-        return {"panel": self.panel, "topic": self.topic, "field": self.field, "unit": self.unit}
-
 
 def traces_of(schemas: Mapping[str, Schema]) -> tuple[Trace, ...]:
     """Return the curves of a session's scopes, from its registry of topics, scope by scope."""
