@@ -123,8 +123,8 @@ def tracking_metrics(
     with np.errstate(over="ignore", invalid="ignore"):
         error = _Error(run, changes[0] if changes else 0)
         found["sse"] = _finite(period_s * pairwise_sum(error.squared, n))
-        after = _after(run, error, AFTER_S - 1e-9)
-        found["sse_after_5s"] = None if after is None else _finite(period_s * after)
+        begin = run.first_at(AFTER_S - 1e-9)
+        found["sse_after_5s"] = _finite(period_s * pairwise_sum(error.squared, n - begin, begin)) if begin < n else None
         last = max(round(STEADY_SHARE * n), 1)
         columns = [partial(error.output, c) for c in range(error.outputs)]
         found["steady_state_error"] = _worst([_finite(pairwise_sum(column, last, n - last) / last) for column in columns])
@@ -158,22 +158,6 @@ class _Error:
 
     def output(self, column: int, i: int, j: int) -> Array:
         return self.of(i, j)[:, column]
-
-
-def _after(run: Followed, error: _Error, begin_s: float) -> float | None:
-    """Sum of the squared error from an instant on; None if the run has ended by then."""
-    first, count = run.slots, 0
-    for i, j in run.blocks():
-        late = run.of(i, j)[0] >= begin_s
-        if first == run.slots and late.any():
-            first = i + int(np.argmax(late))
-        count += int(np.count_nonzero(late))
-    if not count:
-        return None
-    if first + count == run.slots:
-        return pairwise_sum(error.squared, count, first)
-    parts = [error.squared(i, j)[run.of(i, j)[0] >= begin_s] for i, j in run.blocks()]  # times that do not grow
-    return float(np.sum(np.concatenate(parts)))
 
 
 def _overshoot(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,43 +89,29 @@ def watch(
 def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside: Onlooker | None) -> list[Session]:
     """Run every experiment to its end: one here, where signals come; more in threads of their own."""
 
+    def stop(number: int) -> None:
+        for side in sides:
+            side.stop()
+
     def run(each: Asked, side: Side) -> Session:
-        experiment = each.load(seed)
-        side.waits = f"composing {experiment.name}: gains and certificate"
-        onlooker = Beside(side, beside) if beside is not None and side is sides[0] else side
         try:
+            experiment = each.load(seed)
+            side.waits = f"composing {experiment.name}: gains and certificate"
+            onlooker = Beside(side, beside) if beside is not None and side is sides[0] else side
             return run_session(experiment, clock=each.clock, link=each.link, path=each.path(experiment), onlooker=onlooker)
+        except BaseException:
+            stop(0)
+            raise
         finally:
             side.status = "ended"
 
     if len(asked) == 1:
         return [run(asked[0], sides[0])]
-    found: dict[int, Session] = {}
-    errors: list[BaseException] = []
-
-    def of(i: int) -> None:
-        try:
-            found[i] = run(asked[i], sides[i])
-        except BaseException as error:
-            errors.append(error)
-            for side in sides:
-                side.stop()
-
-    def stop(number: int) -> None:
-        for side in sides:
-            side.stop()
-
-    threads = [threading.Thread(target=of, args=(i,), name=f"run {i}") for i in range(len(asked))]
-    with StopSignals(stop) as signals:
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    if errors:
-        raise errors[0]
+    with StopSignals(stop) as signals, ThreadPoolExecutor(len(asked), "run") as threads:
+        sessions = [*threads.map(run, asked, sides)]
     if signals.seen is not None:
         raise SystemExit(128 + signals.seen)
-    return [found[i] for i in sorted(found)]
+    return sessions
 
 
 def _stays(desk: Desk) -> bool:

@@ -39,8 +39,8 @@ def test_a_field_of_another_name_or_type_is_named_and_a_topic_may_lack(topic: st
 @pytest.mark.parametrize(
     "change",
     [
-        {"tick": "3"}, {"tick": None}, {"tick": True}, {"tick": 10**400}, {"t_s": "now"}, {"t_s": 10**400}, {"t_s": math.nan},
-        {"t_s": -math.inf}, {"t_s": 1e300}, {"kind": 7}, {"severity": None}, {"message": ["x"]}, {"data": "x"}, {"data": None},
+        {"tick": 10**400}, {"tick": -(1 << 63)}, {"t_s": 10**400}, {"t_s": math.nan}, {"t_s": -math.inf}, {"t_s": 1e300},
+        {"data": "x"}, {"data": None},
     ],
     ids=lambda change: str(change)[:20],
 )  # fmt: skip
