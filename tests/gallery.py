@@ -15,7 +15,7 @@ from hil.experiment import load_experiment, shipped
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Scene, Section
 from hil.pages.paper import write_figures
-from hil.pages.run.sections import sections_of
+from hil.pages.sections import sections_of
 
 COMMAND = "hil run {name}{also}"
 

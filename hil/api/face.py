@@ -135,9 +135,8 @@ def report(
         HilError: the log cannot be read, or the page or the figures cannot be written.
     """
     from hil.pages.paper import write_figures
-    from hil.pages.run.run_page import render_report
-    from hil.pages.run.sections import sections_of
-    from hil.pages.runs_page import report_runs
+    from hil.pages.run_page import render_report, report_runs
+    from hil.pages.sections import sections_of
 
     if isinstance(source, Comparison | ParameterSweep):
         return (_report_of_many(source, output, force, {"figures": figures, "folder": folder}),)

@@ -208,7 +208,7 @@ def _earned_by_measure(kind: str, experiment: str) -> list[str]:
     from hil.measure.check import check_measure
     from hil.measure.measure import made_of
     from hil.measure.view import view_of
-    from hil.pages.run.sections import check_section
+    from hil.pages.sections import check_section
     from hil.plugins import registry
     from hil.runtime.virtual import rehearsal
 

@@ -1,6 +1,6 @@
 """Pages and figures: runs, comparisons and sweeps as self-contained HTML and for paper; and the live page of a run.
 
-What a section of a page is made of, for measures that draw (see `hil.pages.run.sections.DrawsSection`):
+What a section of a page is made of, for measures that draw (see `hil.pages.sections.DrawsSection`):
 
 >>> from hil.pages import Section, Text
 >>> Section(title="Mine", blocks=(Text(text="what I saw"),)).place

@@ -24,7 +24,7 @@ from hil.cli.guide import pages
 from hil.experiment import parse_experiment, shipped
 from hil.measure.check import check_measure
 from hil.measure.view import view_of
-from hil.pages.run.sections import check_section
+from hil.pages.sections import check_section
 from hil.plugins.checks import check_controller
 from hil.session import run_session
 from plants import check_plant

@@ -19,7 +19,7 @@ from hil.api.pytest_plugin import explained
 from hil.certify.conformance import one_step
 from hil.compose.loop import compose
 from hil.log.read.run import read_run
-from hil.pages.run.run_page import verdicts
+from hil.pages.run_page import verdicts
 from hil.rig.loop import Loop
 from hil.rig.watched import OneStep, Watched
 from hil.runtime.nodes.plant_watch import BLOCK, PlantWatch, left_over

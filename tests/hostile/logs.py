@@ -21,7 +21,7 @@ from hil.log.read.recover import recover
 from hil.log.read.run import read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.measure.view import view_of
-from hil.pages.run.run_page import render_report
+from hil.pages.run_page import render_report
 from hil.session.replay.replay import verify
 from tests.hil.log.recording import TABLE, provenance, record
 

@@ -38,7 +38,7 @@ from hil.log.topics import MissingTopic
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.layouts import foxglove
-from hil.pages.run.run_page import render_report
+from hil.pages.run_page import render_report
 
 old, folder = hil.read_run(sys.argv[1]), Path(sys.argv[2])
 try:

@@ -21,7 +21,7 @@ from hil.measure.measure import Measure, Quantity, measured, measures_of, quanti
 from hil.measure.signals import Signals, signals_of
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
-from hil.pages.run.run_page import render_report
+from hil.pages.run_page import render_report
 from hil.plugins import registry
 from hil.session import run_session
 from hil.sweeps.seeds import columns_of, run_sweep

@@ -15,7 +15,7 @@ from hil.errors import HilError
 from hil.measure.view import view_of
 from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.paper import draw, write_figures
-from hil.pages.run.sections import sections_of
+from hil.pages.sections import sections_of
 from tests.hil.cli.conftest import run_main
 
 

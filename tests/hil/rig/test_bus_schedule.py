@@ -15,7 +15,7 @@ from hil.measure.cost import Cost
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure
-from hil.pages.run.sections.nodes import section
+from hil.pages.sections.traffic import sensor_nodes
 from hil.rig.loop import Loop
 from hil.rig.schedules import bus_cycle
 from hil.runtime.virtual import simulate
@@ -111,7 +111,7 @@ def test_the_log_of_a_run_over_a_bus_is_made_again_bit_for_bit(tmp_path: Path) -
 def test_the_report_shows_the_slot_in_which_a_node_spoke_and_the_summary_what_was_replaced() -> None:
     loop = on_a_bus("4+0 1+0 4+0 4+0", "controller.memory=6", "duration=1", "allow_uncertified=true")
     view = view_of(simulate(loop, 0), loop.experiment)
-    page = section(view)
+    page = sensor_nodes(view)
     assert page is not None
     spoke, ages, _ = page.blocks
     assert isinstance(spoke, Figure) and isinstance(ages, Figure)

@@ -16,7 +16,7 @@ from hil.log.read.run import read_run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import view_of
-from hil.pages.run.sections.theory import section as theory_section
+from hil.pages.sections.theory import section as theory_section
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD

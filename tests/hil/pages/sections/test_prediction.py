@@ -10,8 +10,8 @@ import pytest
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
-from hil.pages.run.sections import theory
-from hil.pages.run.sections.theory import section as theory_section
+from hil.pages.sections import theory
+from hil.pages.sections.theory import section as theory_section
 from hil.session import run_session
 
 

@@ -23,7 +23,7 @@ from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.pages.html.decimation import Float, reduced
 from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
-from hil.pages.run.sections.statistics import network_table
+from hil.pages.sections.statistics import network_table
 
 Records: TypeAlias = npt.NDArray[np.void]
 All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]

@@ -1,24 +1,94 @@
-"""The CAN bus that takes time: every message beside its bound, and a time line of who sent and who waited."""
+"""What was sent in a run: which sensor node sent when, how old its newest sample is; every message on a CAN bus with time.
+
+Every message of such a bus stands beside its bound, and a time line says who sent and who waited.
+"""
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.log.topics import BUS
+from hil.log.append_column import pieces
+from hil.log.topics import BUS, SC
 from hil.log.topics.loop import EXTENDED
 from hil.measure.bus_load import BusLoad, MessageOnBus, bus_of
+from hil.measure.network_paths import loads
 from hil.measure.view import RunView
-from hil.pages.html.figures import Cell, Figure, Section, Series, Table
+from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.html.numbers import can_id_text
+from hil.pages.sections.time_panels import Records, curve, curve_of, markers
+from transport.draws import DELIVERED, DISORDERED, LOST
 
 SHOWN: Final = 60
 """Frames of the time line on either side of the longest wait of a packet of the rig."""
 
 
-def section(view: RunView) -> Section | None:
+def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArray[np.float64]:
+    """Return the age in slots of a node's newest sample at the controller, slot by slot; NaN before the first.
+
+    Args:
+        draws: records of `/network/sc` with the field `node`.
+        node: number of the node.
+        slots: length of the run.
+    """
+    newest = np.full(slots, -1, dtype=np.int64)
+    for piece in pieces(draws):
+        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED)) & (piece["tick"] < slots)
+        np.maximum.at(newest, piece["tick"][came], piece["packet_tick"][came])
+    newest = np.maximum.accumulate(newest) if slots else newest
+    return np.where(newest >= 0, np.arange(slots) - newest, np.nan)
+
+
+def sensor_nodes(view: RunView) -> Section | None:
+    """Return the figures and the table of a run whose log numbers its sensor nodes.
+
+    A log that does not has one node, which the figures of the delays show.
+    """
+    draws, rig = view.run.arrays.get(SC.name), view.rig
+    if rig is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
+        return None
+    marks, sensors, outputs = view.once(markers), rig.sensors, [signal.name for signal in rig.outputs]
+    names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
+    t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
+    sent_by: list[Series] = []
+    for reasons, label, colour in (((DELIVERED, DISORDERED), "received", 0), ((LOST,), "lost", 4)):
+        chosen = partial(_with_reason, reasons)
+        if any(chosen(piece).any() for piece in pieces(draws)):
+            sent_s = partial(_sent_s, view.period_s)
+            sent_by.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
+    ages = tuple(
+        curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i) for i, name in enumerate(names)
+    )
+    numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
+    rows: list[list[Cell]] = [
+        [load.node, ", ".join(outputs[i] for i in own.outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
+        for own, load in zip(sensors, view.once(loads))
+    ]
+    blocks: tuple[Block, ...] = (
+        Figure(title="Which node sent", y_label="node", series=tuple(sent_by), markers=marks, integer_y=True, note=numbered),
+        Figure(
+            title="Age of each node's newest sample", y_label="age", y_unit="samples", series=ages, markers=marks, integer_y=True
+        ),
+        Table(
+            title="Network load", columns=["node", "outputs", "packets", "lost", "packets/s", "bit/s"], rows=rows,
+            note="Sensor packets as sent, lost ones included, with their headers.",
+        ),
+    )  # fmt: skip
+    return Section(title="Sensor nodes", place=40, blocks=blocks)
+
+
+def _with_reason(reasons: tuple[int, ...], draws: Records) -> npt.NDArray[np.bool_]:
+    return np.isin(draws["reason"], reasons)
+
+
+def _sent_s(period_s: float, draws: Records) -> npt.NDArray[np.float64]:
+    return np.asarray((draws["tick"] - draws["age"]) * period_s, dtype=np.float64)
+
+
+def can_bus(view: RunView) -> Section | None:
     """Return the section of a run with such a bus."""
     found = view.once(bus_of)
     if found is None:
@@ -31,9 +101,6 @@ def section(view: RunView) -> Section | None:
         f"periods would take {100 * found.stated_load:.1f} %.",
         blocks=(_table(found), *_by_node(found), _time_line(view.run.arrays[BUS.name], found)),
     )  # fmt: skip
-
-
-SECTIONS = (section,)
 
 
 def _table(found: BusLoad) -> Table:
@@ -100,3 +167,6 @@ def _bars(
     """Return pieces of a line at one height; all series of the figure have the same instants, or a gap would be bridged."""
     inside = ((begin[:, None] <= grid) & (grid <= end[:, None])).any(axis=0)
     return Series(label=label, x=grid / 1e9, y=np.where(inside, float(row), np.nan), colour=row, faint=faint)
+
+
+SECTIONS = (sensor_nodes, can_bus)

@@ -10,9 +10,9 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Badge, Table
 from hil.pages.many_runs import compare_page
-from hil.pages.run.run_page import render_report
-from hil.pages.run.sections.summary import events
-from hil.pages.run.sections.time_panels import markers, output_panels
+from hil.pages.run_page import render_report
+from hil.pages.sections.summary import events
+from hil.pages.sections.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.pages.runs import run_of

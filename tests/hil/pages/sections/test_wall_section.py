@@ -14,8 +14,8 @@ from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Scene, Shape
 from hil.pages.html.svg import draw_scene, scene_legend
-from hil.pages.run.run_page import render_report
-from hil.pages.run.sections.wall import section as wall_section
+from hil.pages.run_page import render_report
+from hil.pages.sections.wall import section as wall_section
 from hil.runtime.virtual import simulate
 from tests.hil.pages.runs import run_of
 

@@ -11,11 +11,11 @@ from hil.measure.network_paths import network_paths
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
-from hil.pages.run.run_page import render_report
-from hil.pages.run.sections.nodes import newest_ages
-from hil.pages.run.sections.nodes import section as nodes_section
-from hil.pages.run.sections.statistics import network_table
-from hil.pages.run.sections.theory import section as theory_section
+from hil.pages.run_page import render_report
+from hil.pages.sections.statistics import network_table
+from hil.pages.sections.theory import section as theory_section
+from hil.pages.sections.traffic import newest_ages
+from hil.pages.sections.traffic import sensor_nodes as nodes_section
 from hil.runtime.virtual import simulate
 
 
