@@ -20,7 +20,7 @@ from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, RecordObservers, TeeSink, published, together
+from hil.log.write.sinks import PayloadWriter, TeeSink, published, together
 from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
@@ -142,7 +142,7 @@ def run_session(
     ):
         outcome: dict[str, Any] = {}
         if clock == "virtual":
-            outcome = run_in_virtual_time(loop, sink, TeeSink(sink, RecordObservers(observers)) if observers else sink, onlooker)
+            outcome = run_in_virtual_time(loop, sink, TeeSink(sink, observers) if observers else sink, onlooker)
         else:
             changes = None if onlooker is None else onlooker.changes
             outcome = run_in_real_time(loop, on, sink, external, wait_s, observers, changes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -189,18 +190,16 @@ def sweep_parameters(
         name = sha256("\n".join(points.changes(number)).encode()).hexdigest()[:16]
         store = SweepStore(folder / f"{name}.jsonl", experiment, columns_of(experiment)) if folder is not None else None
         try:
-            found = run_sweep(
-                experiment,
-                range(first_seed, first_seed + runs),
-                workers=workers,
-                progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
-                store=store,
-            )
+            with store or nullcontext():
+                found = run_sweep(
+                    experiment,
+                    range(first_seed, first_seed + runs),
+                    workers=workers,
+                    progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
+                    store=store,
+                )
         except HilError as error:
             raise HilError(f"{', '.join(points.changes(number))}: {error}") from error
-        finally:
-            if store is not None:
-                store.close()
         if found.interrupted:
             return made(interrupted=found.interrupted)
         done.append(found.values)

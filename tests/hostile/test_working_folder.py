@@ -34,10 +34,11 @@ assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2
 LIVE = """
 import sys
 sys.path.remove("")  # as of a command: children take over a -P of their parent
+from contextlib import closing
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.pages.live.desk import Composer
-with Composer() as composer:
+with closing(Composer()) as composer:
     composer.changed(compose(load_experiment("dc-motor-local")), 0, "network.ca.law", {"kind": "constant", "age": 0})
 """
 PLUG_IN = """

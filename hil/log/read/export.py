@@ -20,13 +20,13 @@ import csv
 import heapq
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
 from datetime import datetime
 from functools import partial
 from importlib.util import find_spec
+from operator import attrgetter
 from pathlib import Path
-from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any, Final, Literal
 from zipfile import ZIP_DEFLATED, ZipFile
 
@@ -49,37 +49,14 @@ if TYPE_CHECKING:
     from transport.links.can_identifiers import Identifiers
 
 
-class NpzFile:
-    """A file for `numpy.load`, as `numpy.savez_compressed` would write it.
-
-    Arrays into one `.npz` file, piece by piece: no array is ever whole in memory.
-
-    Args:
-        path: the file, which is replaced.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._zip = ZipFile(path, "w", ZIP_DEFLATED)
-
-    def add(self, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterator[np.ndarray[Any, Any]]) -> None:
-        """Add an array.
-
-        Args:
-            name: under which it is read.
-            dtype: of all parts.
-            shape: of the array.
-            parts: its rows, in order.
-        """
-        with self._zip.open(f"{name}.npy", "w", force_zip64=True) as file:
-            _head(file, dtype, shape)
-            for part in parts:
-                file.write(np.ascontiguousarray(part, dtype).tobytes())
-
-    def __enter__(self) -> NpzFile:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
-        self._zip.close()
+def _add_array(
+    archive: ZipFile, name: str, dtype: np.dtype[Any], shape: tuple[int, ...], parts: Iterable[np.ndarray[Any, Any]]
+) -> None:
+    """Add an array as `numpy.savez_compressed` would, its rows piece by piece: no array is ever whole in memory."""
+    with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+        _head(file, dtype, shape)
+        for part in parts:
+            file.write(np.ascontiguousarray(part, dtype).tobytes())
 
 
 def _head(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
@@ -156,7 +133,7 @@ def _events(run: Run) -> Iterator[Sequence[Any]]:
 
 
 def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
-    with written_whole(paths[0], replace=replace) as part, NpzFile(part) as file:
+    with written_whole(paths[0], replace=replace) as part, ZipFile(part, "w", ZIP_DEFLATED) as file:
         for topic in topics:
             name, numbers = _plain_name(topic), run.numbers(topic)
             fields = [field for field in numbers.dtype.names or () if not run.schemas[topic].raw or field != "data"]
@@ -165,10 +142,10 @@ def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) 
                 lengths = np.concatenate([np.empty(0, np.uint32), *(_lengths(piece) for piece in run.pieces(topic, ROWS))])
                 most = int(lengths.max(initial=0))
                 padded = (_padded(piece, most) for piece in run.pieces(topic, ROWS))
-                file.add(f"{name}_data", np.dtype(np.uint8), (len(lengths), most), padded)
-                file.add(f"{name}_length", lengths.dtype, lengths.shape, iter([lengths]))
+                _add_array(file, f"{name}_data", np.dtype(np.uint8), (len(lengths), most), padded)
+                _add_array(file, f"{name}_length", lengths.dtype, lengths.shape, [lengths])
             packed = (_of_fields(piece, dtype) for piece in pieces(numbers, ROWS))
-            file.add(name, dtype, numbers.shape, packed)
+            _add_array(file, name, dtype, numbers.shape, packed)
 
 
 def _lengths(piece: StructuredArray) -> np.ndarray[Any, np.dtype[np.uint32]]:
@@ -209,11 +186,7 @@ def _can_messages(run: Run, topics: Sequence[str]) -> Iterator[Any]:
 
     The framing is that of ``transport.links.can_link``, with the ``fd`` and ``base`` of the session's own link if that was CAN.
     """
-    return heapq.merge(*(_of_topic(run, topic) for topic in topics), key=_stamp)
-
-
-def _stamp(message: Any) -> float:
-    return float(message.timestamp)
+    return heapq.merge(*(_of_topic(run, topic) for topic in topics), key=attrgetter("timestamp"))
 
 
 def _of_topic(run: Run, topic: str) -> Iterator[Any]:

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Chunk
 
 from hil.errors import HilError
-from hil.log.write.packed_records import MAGIC as MAGIC
+from hil.log.write.mcap_records import MAGIC as MAGIC
 
 _FRAME: Final = struct.Struct("<BQ")
 _HEAD: Final = struct.Struct("<BQH")

@@ -7,15 +7,14 @@ import os
 import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 from hil.errors import HilError
 from hil.log.events import to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write.mcap_records import Packed
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
-from hil.log.write.packed_records import Packed
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import PayloadWriter, Record, Sink
 
@@ -222,9 +221,7 @@ class McapSink(Sink):
     def __enter__(self) -> McapSink:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -19,8 +19,8 @@ import zstandard
 
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.write import mcap_records as mcap
+from hil.log.write.mcap_records import BEHIND, HEAD, MAGIC, Layouts, Packed
 from hil.log.write.open_chunk import Messages, OpenChunk
-from hil.log.write.packed_records import BEHIND, HEAD, MAGIC, Layouts, Packed
 
 Index = Literal["full", "chunk"]
 """How much of an index a log has."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.log.append_column import AppendColumn
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
-from hil.log.write.packed_records import (
+from hil.log.write.mcap_records import (
     BEGIN,
     BEHIND,
     HEAD,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import select
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from struct import iter_unpack
 from typing import Final
@@ -240,21 +240,15 @@ def rehearse(channels: Mapping[str, Channel]) -> None:
     Args:
         channels: the session's table.
     """
-    with suppress(OSError, HilError):
-        _rehearse(channels)
-
-
-def _rehearse(channels: Mapping[str, Channel]) -> None:
-    read_fd, write_fd = os.pipe()
-    try:
+    with suppress(OSError, HilError), ExitStack() as stack:
+        read_fd, write_fd = os.pipe()
+        stack.callback(os.close, read_fd)
         _burst(write_fd, channels)
         nothing = Provenance(
             experiment="", experiment_text="", resolved={}, seed=0, clock="real", link="", versions={}, commit=""
         )  # fmt: skip
         with McapSink(os.devnull, channels, nothing, now=lambda: 0.0) as sink:
             pump(read_fd, sink, channels)
-    finally:
-        os.close(read_fd)
 
 
 def _burst(fd: int, channels: Mapping[str, Channel]) -> None:

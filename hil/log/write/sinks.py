@@ -109,57 +109,26 @@ class MemorySink(Sink):
         """See ``Sink``."""
 
 
-class TeeSink:
-    """Gives every record to several sinks, for instance to a file and to the summary.
+class TeeSink(Sink):
+    """Gives every record to a sink, and to whoever looks at its topic.
 
     Args:
-        *sinks: each gets what it wants.
+        sink: keeps the records.
+        observers: each gets time and payload of its topic's records, for a live view.
     """
 
-    def __init__(self, *sinks: Sink) -> None:
-        self.sinks = sinks
+    def __init__(self, sink: Sink, observers: Mapping[str, PayloadWriter]) -> None:
+        self._observers = observers
+        self._sink = sink
 
     def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
-        puts = [put for put in (sink.channel(topic) for sink in self.sinks) if put is not None]
-        if len(puts) < 2:
-            return puts[0] if puts else None
-
-        def put_all(t_ns: int, payload: bytes) -> None:
-            for put in puts:
-                put(t_ns, payload)
-
-        return put_all
-
-    def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
-    ) -> None:
-        """See ``Sink``."""
-        for sink in self.sinks:
-            sink.event(t_ns, kind, message, tick=tick, severity=severity, **data)
+        put, look = self._sink.channel(topic), self._observers.get(topic)
+        return put or look if put is None or look is None else _both(look, put)
 
     def commit(self) -> None:
         """See ``Sink``."""
-        for sink in self.sinks:
-            sink.commit()
-
-
-class RecordObservers(Sink):
-    """Hands records to functions by topic, for a live view.
-
-    Args:
-        taps: each gets time and payload of its topic's records.
-    """
-
-    def __init__(self, taps: Mapping[str, PayloadWriter]) -> None:
-        self._taps = taps
-
-    def channel(self, topic: str) -> PayloadWriter | None:
-        """See ``Sink``."""
-        return self._taps.get(topic)
-
-    def commit(self) -> None:
-        """See ``Sink``."""
+        self._sink.commit()
 
 
 @contextmanager

@@ -26,21 +26,12 @@ from hil.runtime.real.machine import die_with_parent
 
 
 class Composer:
-    """Composes changed loops, one at a time, in a process of its own; it is started at the first.
-
-    Use it as a context manager: leaving it ends the process at once.
-    """
+    """Composes changed loops, one at a time, in a process of its own; it is started at the first, and `close` ends it at once."""
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
         self._process: Any = None
         self._pipe: Any = None
-
-    def __enter__(self) -> Composer:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the process, whatever it does."""

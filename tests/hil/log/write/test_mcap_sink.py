@@ -32,7 +32,7 @@ from tests.waiting import LIMIT_S
 def write(path: Path, ticks: int = 500) -> tuple[McapSink, MemorySink]:
     memory = MemorySink(TABLE)
     with McapSink(path, TABLE, provenance()) as sink:
-        record(TeeSink(sink, memory), ticks)
+        record(TeeSink(sink, {topic: put for topic in memory.times if (put := memory.channel(topic))}), ticks)
         sink.summary({"metrics": {"sse": 1.5}})
     return sink, memory
 

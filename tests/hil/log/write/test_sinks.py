@@ -78,11 +78,12 @@ def test_a_topic_that_does_not_exist_is_refused() -> None:
         MemorySink(TABLE, topics={"/plant/stat"})
 
 
-def test_a_tee_gives_every_record_to_every_sink_that_wants_it() -> None:
+def test_a_tee_gives_every_record_to_its_sink_and_to_who_looks_at_the_topic() -> None:
     everything, states = MemorySink(TABLE), MemorySink(TABLE, topics={"/plant/state", "/events"})
-    tee = TeeSink(everything, states)
-    assert TeeSink(states).channel("/network/sc") is None
-    record(tee, 150)
+    observers = {topic: put for topic in states.times if (put := states.channel(topic))}
+    assert TeeSink(states, {}).channel("/network/sc") is None
+    assert TeeSink(MemorySink(TABLE, topics=[]), observers).channel("/events") is observers["/events"]
+    record(TeeSink(everything, observers), 150)
     run, part = Run.from_memory(everything), Run.from_memory(states)
     assert_same_arrays(part.arrays, {"/plant/state": run.arrays["/plant/state"]})
     assert part.events == run.events and len(run.events) == 2
