@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.log.append_column import whole
 from hil.log.topics import STATE
@@ -39,14 +40,11 @@ class Haptics:
     def of(self, view: RunView) -> dict[str, float | None]:
         """Return the numbers of one run."""
         name = view.signals.tracked[0]
-        depth = np.asarray(whole(view.run.arrays[MEASUREMENT], name), dtype=np.float64)
-        depth = _length(view.signals)[0] * depth[np.isfinite(depth)]
-        force = np.abs(view.applied())
-        force = force[np.isfinite(force)]
+        depth = _length(view.signals)[0] * _finite(whole(view.run.arrays[MEASUREMENT], name))
+        force = _finite(np.abs(view.applied()))
         last = depth[-max(round(LAST_SHARE * depth.size), 1) :]
         states = view.run.arrays[STATE.name]
-        given = whole(states, "given") if "given" in (states.dtype.names or ()) else np.zeros(0)
-        given = given[np.isfinite(given)]
+        given = _finite(whole(states, "given") if "given" in (states.dtype.names or ()) else np.zeros(0))
         return {
             "final_depth": float(last.mean()) if last.size else None,
             "largest_depth": float(depth.max()) if depth.size else None,
@@ -54,6 +52,10 @@ class Haptics:
             "largest_force": float(force.max()) if force.size else None,
             "energy_given": 1e3 * float(given.max()) if given.size else None,
         }
+
+
+def _finite(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    return values[np.isfinite(values)]
 
 
 def _length(signals: Signals) -> tuple[float, str]:

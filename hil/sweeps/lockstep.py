@@ -93,9 +93,9 @@ def _sends_all(loop: Loop) -> bool:
     return every and ordered and all(sensor.trigger.kind == "every-slot" for sensor in sensors)
 
 
-def measures_in_lockstep(loop: Loop) -> bool:
-    """Return whether all measures of an experiment can be computed for many runs at once."""
-    return all(isinstance(measure, BatchMeasure) for measure in measures_of(loop.experiment))
+def swept_at_once(loop: Loop) -> bool:
+    """Return whether the runs of a loop can be computed at once, and all measures of its experiment for many runs."""
+    return supports_batch(loop) and all(isinstance(measure, BatchMeasure) for measure in measures_of(loop.experiment))
 
 
 def measured_alone(loop: Loop) -> str:

@@ -28,7 +28,7 @@ from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins.user_modules import is_ours
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
-from hil.sweeps.lockstep import measured_alone, measures_in_lockstep, run_batch, runs_per_batch, supports_batch, view_of_batch
+from hil.sweeps.lockstep import measured_alone, run_batch, runs_per_batch, swept_at_once, view_of_batch
 from hil.sweeps.sweep import Sweep, SweepStore
 
 MOST_JOBS = 512
@@ -70,8 +70,7 @@ def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[
     for name, value in alone.items():
         other = found[name]
         if not (value == other or (isnan(value) and isnan(other))):
-            at_once = supports_batch(loop) and measures_in_lockstep(loop)
-            why = "start_batch(), ages_of_batch() or of_batch()" if at_once else "what is left of it when pickled"
+            why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
             raise HilError(
                 f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
                 f"{alone['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"
@@ -110,7 +109,7 @@ def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
     Where the loop can be run in lockstep, all seeds are computed at once; the numbers are the same, bit for bit.
     """
-    if supports_batch(loop) and measures_in_lockstep(loop):
+    if swept_at_once(loop):
         size = runs_per_batch(loop)
         return [row for i in range(0, len(seeds), size) for row in _in_one_chunk(loop, seeds[i : i + size])]
     return run_one_by_one(loop, seeds)
@@ -201,7 +200,7 @@ def run_sweep(
     alone = run_one_by_one(replace(loop, watched=None), [seeds[0]])[0] if foreign_parts(loop) else None
     if alone is not None:
         refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])
-    together = supports_batch(loop) and measures_in_lockstep(loop)
+    together = swept_at_once(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.slots <= WORTH_WORKERS:
         workers = Workers(backend="serial")
     try:

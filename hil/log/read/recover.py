@@ -184,7 +184,7 @@ class _Copy:
                 if opcode == Opcode.MESSAGE:
                     self._message(channel, content[at:after])
             report.chunks += 1
-            if writer.open_bytes >= FLUSH_BYTES:
+            if writer.chunk.size >= FLUSH_BYTES:
                 writer.flush()
         elif record.opcode == Opcode.MESSAGE:
             message = struct.pack("<BQ", record.opcode, len(record.body)) + record.body

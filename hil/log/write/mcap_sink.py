@@ -12,7 +12,7 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.log.events import to_json
 from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.mcap_records import Packed
+from hil.log.write.mcap_records import Layouts, Packed
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.provenance import Provenance
@@ -122,7 +122,7 @@ class McapSink(Sink):
         if not set(topics) <= set(self._channels):
             return None
         writer = self._writer
-        add = writer.records_of([self._packed(topic) for topic in topics])
+        add = writer.chunk.adds(Layouts([self._packed(topic) for topic in topics]))
         return add if self._now is None else lambda t_ns, values: add(writer.start_ns + t_ns, values)
 
     def _packed(self, topic: str) -> Packed:
@@ -142,7 +142,7 @@ class McapSink(Sink):
     @property
     def dropped(self) -> int:
         """Records that are not in the file."""
-        return self._dropped + self._writer.refused
+        return self._dropped + self._writer.chunk.refused
 
     def drop(self, records: int) -> None:
         """Count records that were lost on their way here."""
@@ -150,13 +150,13 @@ class McapSink(Sink):
 
     def commit(self) -> None:
         """See ``Sink``; ends a chunk when it is due."""
-        if self._writer.open_bytes >= self._flush_bytes:
+        if self._writer.chunk.size >= self._flush_bytes:
             self._flush()
         elif self._now is not None:
             now = self._now()
             if now - self._flushed_at >= FLUSH_S:
                 self._flushed_at = now
-                if self._writer.open_messages:
+                if len(self._writer.chunk):
                     self._flush()
 
     def summary(self, values: Mapping[str, Any]) -> None:
@@ -177,7 +177,7 @@ class McapSink(Sink):
             except OSError as error:
                 self._fail(error)
         self._closed = True
-        self._writer.refuse()
+        self._writer.chunk.closed = True
         self._disk.close()
 
     def discard(self) -> None:
@@ -203,7 +203,7 @@ class McapSink(Sink):
     def _flush(self) -> None:
         if self.error is not None or self._closed:
             return
-        messages = self._writer.open_messages
+        messages = len(self._writer.chunk)
         try:
             self._writer.flush()
         except OSError as error:
@@ -213,7 +213,7 @@ class McapSink(Sink):
 
     def _fail(self, error: OSError, messages: int = 0) -> None:
         self._dropped += messages
-        self._writer.refuse()
+        self._writer.chunk.closed = True
         self.failed_ns = self._writer.end_ns
         self.error = f"{self.path}: {error.strerror or error}"
         self.failed()

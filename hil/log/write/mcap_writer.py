@@ -10,16 +10,16 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, Final, Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 import zstandard
 
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.write import mcap_records as mcap
-from hil.log.write.mcap_records import BEHIND, HEAD, MAGIC, Layouts, Packed
+from hil.log.write.mcap_records import BEHIND, HEAD, MAGIC
 from hil.log.write.open_chunk import Messages, OpenChunk
 
 Index = Literal["full", "chunk"]
@@ -101,6 +101,7 @@ class McapWriter:
         room: bytes of the longest chunk, see `Compressor`.
 
     Attributes:
+        chunk: the open chunk, which takes messages.
         start_ns: log time of time 0 of `messages_of`.
         behind_ns: how much after its log time happened what comes next, likewise.
     """
@@ -131,7 +132,7 @@ class McapWriter:
         self._start: int | None = None
         self._end = 0
         self._opening: list[bytes] = []  # schemas and channels that stand at the begin of the open chunk
-        self._open = OpenChunk()
+        self.chunk = OpenChunk()
         self.start_ns = self.behind_ns = 0
         self._write(MAGIC)
         self._write(mcap.header(profile, library))
@@ -175,7 +176,7 @@ class McapWriter:
 
         The log time counts from `start_ns`, and the publish time lies `behind_ns` after it.
         """
-        take, pack, opcode = self._open.add, HEAD.pack, mcap.MESSAGE
+        take, pack, opcode = self.chunk.add, HEAD.pack, mcap.MESSAGE
 
         def add(t_ns: int, payload: bytes) -> None:
             log_ns = self.start_ns + t_ns if t_ns > 0 else self.start_ns
@@ -184,17 +185,6 @@ class McapWriter:
 
         return add
 
-    def records_of(self, records: Sequence[Packed]) -> Callable[[int, Sequence[Any]], None]:
-        """Return the function that adds one message of each of these channels, packed at once.
-
-        It takes time in ns, and the numbers of the first record, of the second, and so on; the bytes of a frame stand behind
-        its numbers.
-
-        Args:
-            records: in order; one of them at most has a frame.
-        """
-        return self._open.adds(Layouts(records))
-
     def add_framed(self, channel_id: int, message: bytes) -> None:
         """Add a message as it stood in another file, head included, to the open chunk.
 
@@ -202,31 +192,12 @@ class McapWriter:
             channel_id: its channel here.
             message: opcode, length, channel, and so on.
         """
-        self._open.add(channel_id, message[:9] + channel_id.to_bytes(2, "little") + message[11:])
-
-    @property
-    def open_bytes(self) -> int:
-        """Bytes of the messages in the open chunk."""
-        return self._open.size
-
-    @property
-    def open_messages(self) -> int:
-        """Messages in the open chunk."""
-        return len(self._open)
+        self.chunk.add(channel_id, message[:9] + channel_id.to_bytes(2, "little") + message[11:])
 
     @property
     def end_ns(self) -> int:
         """Time of the newest message in a chunk that has ended, counted from `start_ns`; 0 if there is none."""
         return max(self._end - self.start_ns, 0)
-
-    @property
-    def refused(self) -> int:
-        """Messages that came after `refuse`."""
-        return self._open.refused
-
-    def refuse(self) -> None:
-        """Take no message any more: count them."""
-        self._open.closed = True
 
     def flush(self) -> None:
         """End the open chunk, if it has a message, and let everything go to the disk."""
@@ -234,11 +205,11 @@ class McapWriter:
         self._stream.flush()
 
     def _end_chunk(self) -> None:
-        if not self._open.size:
+        if not self.chunk.size:
             return
         opening = b"".join(self._opening)
         self._opening.clear()
-        data, messages, first, last = self._open.end(opening)
+        data, messages, first, last = self.chunk.end(opening)
         packed = self._compress(data)
         at = self._stream.tell()
         self._write(mcap.chunk(first, last, data, COMPRESSION, packed))

@@ -98,7 +98,10 @@ class OpenChunk:
         self.size += size
 
     def adds(self, layouts: Layouts) -> Callable[[int, Sequence[Any]], None]:
-        """Return the function that takes a row: its time in ns, 0 where it is less, and its values."""
+        """Return the function that takes a row: its time in ns, 0 where it is less, and its values.
+
+        They are the numbers of the first record, of the second, and so on; the bytes of a frame stand behind its numbers.
+        """
         at, messages = layouts.frame_at, layouts.messages
 
         def add(t_ns: int, values: Sequence[Any]) -> None:

@@ -17,7 +17,7 @@ from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.sweeps import lockstep, seeds
 from hil.sweeps.batch_delivery import lawful
-from hil.sweeps.lockstep import measures_in_lockstep, run_batch, supports_batch
+from hil.sweeps.lockstep import run_batch, supports_batch, swept_at_once
 from hil.sweeps.seeds import run_one_by_one, run_seeds
 from transport.laws.trace import TraceAge
 
@@ -76,7 +76,7 @@ def test_every_shipped_experiment_is_in_one_of_the_lists() -> None:
 @pytest.mark.parametrize("name", ["vtol-fault-published", "multisensor-event", "smjls-robust-published"])
 def test_what_is_not_served_is_run_seed_by_seed(name: str) -> None:
     loop = loop_of(name, "duration=1")
-    assert not (supports_batch(loop) and measures_in_lockstep(loop))
+    assert not swept_at_once(loop)
     same_bits(loop, range(2))
 
 
@@ -94,7 +94,7 @@ SLOW = {  # their designs take 10 s
 def test_a_shipped_experiment_has_the_bits_of_the_plain_engine(name: str) -> None:
     early = ("duration=8", "disturbance.0.at=5") if name.startswith("dc-motor") else ()  # instead of 50 s and 30 s
     loop = loop_of(name, *((f"duration={SHORT[name]}",) if name in SHORT else early))
-    assert supports_batch(loop) and measures_in_lockstep(loop)
+    assert swept_at_once(loop)
     same_bits(loop, range(2))
 
 
@@ -239,7 +239,7 @@ def test_gains_over_historical_data_take_the_same_samples(uses: str, phases: int
     elif "iid" not in law:
         K *= mask_of(nodes, 3, uses)[:, :, None]
     loop = loop_with(K)
-    assert supports_batch(loop) and measures_in_lockstep(loop) and run_batch(loop, range(3)).known.all()
+    assert swept_at_once(loop) and run_batch(loop, range(3)).known.all()
     same_bits(loop, range(3))
 
 
@@ -293,7 +293,7 @@ def test_a_sweep_in_lockstep_calls_no_plain_engine(monkeypatch: pytest.MonkeyPat
 def test_a_measure_without_a_batch_form_is_said_once() -> None:
     mine = loop_of("dc-motor-hinf", "duration=1", 'report.measures=["tracking", "haptics"]')
     reported = lockstep.measured_alone(mine)
-    assert reported.startswith("1 of 2 measures run at once; haptics runs alone") and not measures_in_lockstep(mine)
+    assert reported.startswith("1 of 2 measures run at once; haptics runs alone") and not swept_at_once(mine)
     assert lockstep.measured_alone(loop_of("dc-motor-hinf", "duration=1")) == ""
     silent = loop_of("vtol-fault", "duration=1", 'report.measures=["tracking", "haptics"]')
     assert not supports_batch(silent) and lockstep.measured_alone(silent) == "", "no measure is at fault where the loop is"
