@@ -90,7 +90,8 @@ class AppendColumn:
             self._count = 0
         parts = [*self._rest, self._waiting[: self._count].copy()]
         if self._file is not None and self._written:
-            mapped = _mapped(self._file, self._written * int(self.dtype.itemsize), self.dtype)
+            length = self._written * int(self.dtype.itemsize)
+            mapped = np.frombuffer(mmap.mmap(self._file, length, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ), self.dtype)
             parts.insert(0, mapped.copy() if short else mapped)
         parts = [part for part in parts if len(part)]
         if not parts:
@@ -111,10 +112,6 @@ def _nameless(folder: str | os.PathLike[str] | None) -> int:
             return os.dup(file.fileno())
     with tempfile.TemporaryFile() as file:
         return os.dup(file.fileno())
-
-
-def _mapped(file: int, length: int, dtype: np.dtype[Any]) -> Column:
-    return np.frombuffer(mmap.mmap(file, length, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ), dtype)
 
 
 def pieces(array: np.ndarray[Any, np.dtype[T]], rows: int = ROWS) -> Iterator[np.ndarray[Any, np.dtype[T]]]:

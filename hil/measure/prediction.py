@@ -111,7 +111,7 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
     columns = [list(signals.outputs).index(name) for name in signals.tracked]
-    starts = {"sse": 0, "sse_after_5s": _first_slot_after(loop, AFTER_S)}
+    starts = {"sse": 0, "sse_after_5s": -(-round(AFTER_S * 1e9) // loop.experiment.period_ns)}
     starts = {name: start for name, start in starts.items() if start < slots}
     one_unit = signals.tracked_unit() is not None
     groups = [signals.tracked] if one_unit else [(name,) for name in signals.tracked]
@@ -216,7 +216,3 @@ def _moments(
         integral=integrates(controller), initial=loop.chains.initial(), x0=x0, drive=drive, target=target,
         tracked=tracked, sums_from=sums_from,
     )  # fmt: skip
-
-
-def _first_slot_after(loop: Loop, begin_s: float) -> int:
-    return -(-round(begin_s * 1e9) // loop.experiment.period_ns)

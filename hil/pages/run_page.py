@@ -46,7 +46,7 @@ def render_report(view: RunView) -> str:
         kicker="hilrig · run report",
         subtitle=description,
         badges=verdicts(run, summary),
-        tiles=_tiles(view, summary["metrics"]),
+        tiles=[_tile(view, each, summary["metrics"][each.name]) for each in quantities_of(view.once(run_measures), view.signals)],
         facts=_facts(view, summary),
         footer=f"Written by hilrig {run.versions.get('hilrig', '')} from the log alone. Drag across a plot to zoom all "
         "time axes, double-click to reset.",
@@ -90,10 +90,6 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
     return found
 
 
-def _tiles(view: RunView, metrics: Mapping[str, Any]) -> list[Tile]:
-    return [_tile(view, quantity, metrics[quantity.name]) for quantity in _quantities(view)]
-
-
 def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
     label = quantity.title[:1].upper() + quantity.title[1:]
     if value is None and quantity.needs and not any(mark.label == quantity.needs for mark in view.marks):
@@ -101,10 +97,6 @@ def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
     if value is None and quantity.absent:
         return Tile(label=label, value=None, unit=quantity.unit, note=quantity.absent, state="warning")
     return Tile(label=label, value=_rounded(value), unit=quantity.unit, note=quantity.note)
-
-
-def _quantities(view: RunView) -> tuple[Quantity, ...]:
-    return quantities_of(view.once(run_measures), view.signals)
 
 
 def _rounded(value: float | None) -> float | str | None:
@@ -160,7 +152,7 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
         view: the run.
         drawn: whether its output is drawn too.
     """
-    summary = view.once(page_summary)
+    summary, panels = view.once(page_summary), output_panels(view) if drawn else []
     titles, units = summary["titles"], summary["units"]
     numbers = {with_unit(titles.get(key, key), units.get(key, "")): value for key, value in summary["metrics"].items()}
     said = sorted(verdicts(view.run, summary), key=lambda badge: _WORST.index(badge.state))
@@ -169,13 +161,9 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
     verdict = replace(wrong[0], label=", ".join(badge.label for badge in wrong)) if wrong else certificate or said[0]
     return LoggedRun(
         name=name, page=page, cells=(str(summary["experiment"]), str(summary["seed"]), str(summary["clock"])),
-        verdict=replace(verdict, detail=""), numbers=numbers, output=_small(view) if drawn else None,
+        verdict=replace(verdict, detail=""), numbers=numbers,
+        output=replace(panels[0], markers=(), sync=None, height_px=130, note="") if panels else None,
     )  # fmt: skip
-
-
-def _small(view: RunView) -> Figure | None:
-    panels = output_panels(view)
-    return replace(panels[0], markers=(), sync=None, height_px=130, note="") if panels else None
 
 
 def runs_page(folder: str, runs: Sequence[LoggedRun]) -> str:

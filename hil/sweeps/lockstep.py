@@ -73,15 +73,12 @@ def supports_batch(loop: Loop) -> bool:
         and not any(shared.table.kind == "can" for shared in loop.rig.media)  # its way back depends on what is sent
         and _sends_all(loop)
         and law_supports_batch(loop.rig.ca_law)
-        and _answers_together(loop)
+        and isinstance(loop.controller, BatchController)
+        and loop.controller.start_batch(loop.model, 1) is not None
         and isinstance(e.plant, BatchPlant)
         and e.plant.start_batch(1) is not None
         and e.limits.passivity is None
     )
-
-
-def _answers_together(loop: Loop) -> bool:
-    return isinstance(loop.controller, BatchController) and loop.controller.start_batch(loop.model, 1) is not None
 
 
 def _sends_all(loop: Loop) -> bool:

@@ -74,14 +74,6 @@ class Curve(Struct, frozen=True, kw_only=True):
     place: int = 9
 
 
-def _no_curves(fields: Sequence[str], outputs: Sequence[str]) -> Sequence[Curve]:
-    return ()
-
-
-def _always(logged: Logged) -> bool:
-    return True
-
-
 class Topic(Struct, frozen=True, kw_only=True):
     """A topic of the log.
 
@@ -106,9 +98,9 @@ class Topic(Struct, frozen=True, kw_only=True):
     fields: Callable[[Logged], tuple[Field, ...]]
     filled_by: str
     since: str
-    logged: Callable[[Logged], bool] = _always
+    logged: Callable[[Logged], bool] = lambda logged: True
     values: Callable[[SlotRecord], Sequence[Any] | None] | None = None
-    curves: Callable[[Sequence[str], Sequence[str]], Sequence[Curve]] = _no_curves
+    curves: Callable[[Sequence[str], Sequence[str]], Sequence[Curve]] = lambda fields, outputs: ()
     paged: bool = False
     frames: bool = False
 

@@ -47,21 +47,6 @@ Messages = dict[int, Placed]
 """The messages of a chunk by their channels, which come in the order of their first messages."""
 
 
-class Ended(NamedTuple):
-    """A chunk that takes no more.
-
-    Attributes:
-        data: its bytes.
-        messages: where in them its messages stand.
-        first, last: the smallest and the largest log time, ns.
-    """
-
-    data: bytes
-    messages: Messages
-    first: int
-    last: int
-
-
 class OpenChunk:
     """Rows of messages in the order in which they will stand in the file.
 
@@ -121,11 +106,14 @@ class OpenChunk:
 
         return add
 
-    def end(self, opening: bytes) -> Ended:
-        """Return the chunk; the next one is open then.
+    def end(self, opening: bytes) -> tuple[bytes, Messages, int, int]:
+        """Return the chunk, which takes no more; the next one is open then.
 
         Args:
             opening: what stands before the first message.
+
+        Returns:
+            its bytes, where in them its messages stand, and the smallest and the largest log time, ns.
         """
         rows, layouts = self._rows, self._layouts
         kinds = np.fromiter(map(id, layouts), np.uint64, len(layouts))
@@ -148,7 +136,7 @@ class OpenChunk:
         layouts.clear()
         self.size = 0
         when = np.concatenate(times)
-        return Ended(data.tobytes(), _by_channel(np.concatenate(where), when), int(when.min()), int(when.max()))
+        return data.tobytes(), _by_channel(np.concatenate(where), when), int(when.min()), int(when.max())
 
 
 def _by_channel(where: Integers, times: Integers) -> Messages:

@@ -32,7 +32,8 @@ class Payload:
         Args:
             columns: heading and cells of each; floats that are not finite become empty.
         """
-        self._tables.append([{"name": name, "values": [_told(cell) for cell in cells]} for name, cells in columns])
+        told = [(name, [None if isinstance(c, float) and not math.isfinite(c) else c for c in cells]) for name, cells in columns]
+        self._tables.append([{"name": name, "values": values} for name, values in told])
         return len(self._tables) - 1
 
     def add(self, values: npt.NDArray[np.float64]) -> int:
@@ -64,10 +65,6 @@ class Payload:
         content = {"arrays": self._arrays, "figures": self.figures, "tables": self._tables}
         text = json.dumps(content, separators=(",", ":"), allow_nan=False)
         return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _told(cell: Any) -> Any:
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell
 
 
 Still: TypeAlias = Bars | Histogram | Matrix | Scene
