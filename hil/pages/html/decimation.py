@@ -62,35 +62,21 @@ def _argument_per_run(y: Float, starts: Index, extreme: Any) -> Index:
     return hits[first].astype(np.intp)
 
 
-def step_ends(y: Float) -> Index:
-    """Return the indices at which a held curve changes, and its last one: a step curve needs no more.
-
-    >>> step_ends(np.array([0.0, 0.0, 1.0, 1.0, 1.0]))
-    array([0, 2, 4])
-    """
-    changed = _changed(y)
-    changed[-1:] = True
-    return np.flatnonzero(changed).astype(np.intp)
-
-
-def _changed(y: Float) -> npt.NDArray[np.bool_]:
-    """Return where a held curve has another value than before, its first one included; a gap is a value."""
-    changed = np.ones(y.size, dtype=np.bool_)
-    changed[1:] = ~((y[1:] == y[:-1]) | (np.isnan(y[1:]) & np.isnan(y[:-1])))
-    return changed
-
-
 def reduced(blocks: Blocks, *, step: bool, whole: int = WHOLE, buckets: int = BUCKETS) -> tuple[Float, Float, int]:
     """Return what a page keeps of a curve that is read block by block, and how many samples it had.
 
-    The same points as `bucket_extremes` (and `step_ends` before it) would keep of the curve in one piece: of every block those
-    that may be kept are picked first, and what is picked is reduced once more.
+    The same points as `bucket_extremes` would keep of the curve in one piece: of every block those that may be kept are picked
+    first, and what is picked is reduced once more. A held curve needs no more than where it changes, and its last sample.
 
     Args:
         blocks: gives x and y of one block after the other, from the begin each time it is called; x does not decrease.
         step: the curve holds its value until the next x.
         whole: a curve of up to so many points is kept as it is.
         buckets: that a longer one is reduced to.
+
+    >>> held = np.array([0.0, 0.0, 1.0, 1.0, 1.0])
+    >>> reduced(lambda: iter([(np.arange(5.0), held)]), step=True)
+    (array([0., 2., 4.]), array([0., 1., 1.]), 5)
     """
     samples, first, last = 0, 0.0, 0.0
     for x, _ in blocks():
@@ -98,20 +84,21 @@ def reduced(blocks: Blocks, *, step: bool, whole: int = WHOLE, buckets: int = BU
             first, last = float(x[0]) if not samples else first, float(x[-1])
             samples += x.size
     span, points = last - first, 0
+    whole = whole if 0.0 < span < np.inf else samples
     kept: list[tuple[Float, Float]] = []
     picked: list[tuple[Float, Float]] = []
     for x, y in _ends(blocks(), samples) if step else blocks():
         finite = np.where(np.isfinite(y), y, np.nan)
         points += x.size
-        if points <= whole or not span > 0.0:
+        if points <= whole:
             kept.append((x, finite))
-        if x.size and span > 0.0:
+        if x.size and samples > whole:
             some = _extremes(x, finite, buckets, first, span)
             gap = np.isnan(finite)
             before = np.flatnonzero(gap[1:] & ~gap[:-1])  # without it a gap behind a gap would not begin
             some = np.union1d(some, before)
             picked.append((x[some], finite[some]))
-    if points <= whole or not span > 0.0:
+    if points <= whole:
         return *_joined(kept), samples
     x, y = _joined(picked)
     last_cut = _extremes(x, y, buckets, first, span)
@@ -124,7 +111,9 @@ def _ends(blocks: Iterator[tuple[Float, Float]], samples: int) -> Iterator[tuple
     for x, y in blocks:
         y = np.where(np.isfinite(y), y, np.nan)
         both = np.concatenate((before, y))
-        own, seen = _changed(both)[before.size :], seen + x.size
+        changed = np.ones(both.size, dtype=np.bool_)
+        changed[1:] = ~((both[1:] == both[:-1]) | (np.isnan(both[1:]) & np.isnan(both[:-1])))  # a gap is a value
+        own, seen = changed[before.size :], seen + x.size
         if seen == samples and own.size:
             own[-1] = True
         yield x[own], y[own]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import partial
 from html import escape
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.signals import with_unit
-from hil.pages.html.decimation import BUCKETS, WHOLE, bucket_extremes, step_ends
+from hil.pages.html.decimation import BUCKETS, WHOLE, bucket_extremes, reduced
 from hil.pages.html.figures import (
     Badge,
     Bars,
@@ -23,7 +24,6 @@ from hil.pages.html.figures import (
     Link,
     Matrix,
     Scene,
-    Series,
     Table,
     Text,
     Tile,
@@ -103,8 +103,10 @@ def _figure(figure: Figure, payload: Payload) -> str:
     curves, whole, drawn = [], 0, 0
     for i, series in enumerate(figure.series):
         x, y = _arrays(series.label, series.x, series.y)
-        keep = _kept(x, y, series)
-        whole, drawn = max(whole, series.samples or x.size), max(drawn, keep.size if "step" not in series.style else 0)
+        samples, step = series.samples, "step" in series.style
+        if samples is None:
+            x, y, samples = reduced(partial(iter, [(x, y)]), step=step)
+        whole, drawn = max(whole, samples), max(drawn, 0 if step else x.size)
         curves.append(
             {
                 "label": series.label,
@@ -113,8 +115,8 @@ def _figure(figure: Figure, payload: Payload) -> str:
                 "faint": series.faint,
                 "halo": series.halo,
                 "marked": series.marked,
-                "x": payload.add(x[keep]),
-                "y": payload.add(y[keep]),
+                "x": payload.add(x),
+                "y": payload.add(y),
             }
         )
     bands = []
@@ -150,8 +152,8 @@ def _figure(figure: Figure, payload: Payload) -> str:
         }
     )
     if drawn and drawn < whole:
-        reduced = f"Drawn as the minimum and maximum of {text_of(BUCKETS)} intervals of {text_of(whole)} samples."
-        note = f"{note} {reduced}".strip()
+        fewer = f"Drawn as the minimum and maximum of {text_of(BUCKETS)} intervals of {text_of(whole)} samples."
+        note = f"{note} {fewer}".strip()
     label = escape(f"{figure.title}: {', '.join(s.label for s in figure.series)}", quote=True)
     place = f'data-figure="{number}" style="min-height:{figure.height_px}px"'
     body = f'<div class="plot" role="img" aria-label="{label}" {place}></div>'
@@ -166,15 +168,6 @@ def _arrays(
         shapes = f"x has shape {x_values.shape}, y {y_values.shape}"
         raise ValueError(f"series {label!r}: {shapes}, expected one dimension and equal length")
     return x_values, np.where(np.isfinite(y_values), y_values, np.nan)
-
-
-def _kept(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64], series: Series) -> npt.NDArray[np.intp]:
-    if series.samples is not None:
-        return np.arange(x.size, dtype=np.intp)
-    if "step" not in series.style:
-        return _reduced(x, y)
-    ends = step_ends(y)
-    return ends[_reduced(x[ends], y[ends])]
 
 
 def _reduced(x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.intp]:

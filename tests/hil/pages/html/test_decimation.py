@@ -2,7 +2,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.pages.html.decimation import bucket_extremes, step_ends
+from hil.pages.html.decimation import bucket_extremes
 
 
 @settings(max_examples=60, deadline=None)
@@ -35,9 +35,3 @@ def test_gap_survives_decimation() -> None:
 
 def test_equal_instants_are_all_kept() -> None:
     assert bucket_extremes(np.full(5000, 2.0), np.arange(5000.0), 10).size == 5000
-
-
-def test_step_curve_keeps_its_changes_and_nothing_else() -> None:
-    y = np.repeat([0.0, 1.0, np.nan, 2.0], 250)
-    assert step_ends(y).tolist() == [0, 250, 500, 750, 999]
-    assert step_ends(np.array([])).size == 0
