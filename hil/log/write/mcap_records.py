@@ -15,12 +15,13 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
-from typing import Final, NamedTuple
+from typing import Final
 
 import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from hil.log.records import CDR_HEADER, Schema
 from hil.log.write.pipe_block import ByFrameLength
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(0x01, 0x09)
@@ -189,24 +190,6 @@ def places(channels: Sequence[int], begins: Sequence[int]) -> Integers:
     return np.array(channels, np.uint64) << BEGIN | np.array(begins, np.uint64)
 
 
-class Packed(NamedTuple):
-    """How the records of a channel are packed.
-
-    Attributes:
-        channel_id: the channel.
-        before: bytes of the payload before the numbers.
-        codes: the numbers, as `struct` writes them.
-        values: how many numbers.
-        frame: whether the u32 length of a frame and the frame follow.
-    """
-
-    channel_id: int
-    before: bytes
-    codes: str
-    values: int
-    frame: bool
-
-
 Made = tuple[Callable[..., bytes], Layout]
 """What packs a row, its time twice and then its values, and the layout of the row."""
 
@@ -215,7 +198,7 @@ class Layouts:
     """The layouts of some records in a row, one for every length of the frame among them.
 
     Args:
-        records: in order; one of them at most has a frame.
+        records: channel and schema of each, in order; one of them at most has a frame.
 
     Attributes:
         messages: how many.
@@ -224,29 +207,30 @@ class Layouts:
         of: what packs a row with a frame of a length, and its layout.
     """
 
-    def __init__(self, records: Sequence[Packed]) -> None:
+    def __init__(self, records: Sequence[tuple[int, Schema]]) -> None:
         self._records = tuple(records)
         self.messages = len(self._records)
-        made = ByFrameLength([(record.values, record.frame) for record in self._records], self._make)
+        made = ByFrameLength([(len(schema.codes), schema.raw) for _, schema in self._records], self._make)
         self.count, self.frame_at, self.of = made.count, made.frame_at, made.of
 
     def _make(self, length: int) -> Made:
         mould, codes, begins = b"", "qq", []
         copies: list[tuple[int, int, int]] = []  # to where in the messages, from where to where in a row
-        for number, before, own, _, frame in self._records:
+        for number, schema in self._records:
+            own, frame = schema.codes + (f"{-schema.dtype.itemsize % 4}x" if schema.raw else ""), schema.raw
             begins.append(len(mould))
             copies.append((len(mould) + TIMES_AT, 0, _TIMES))
-            at, width = len(mould) + MESSAGE_OVERHEAD + len(before), struct.calcsize(f"<{own}")
+            at, width = len(mould) + MESSAGE_OVERHEAD + len(CDR_HEADER), struct.calcsize(f"<{own}")
             begin = struct.calcsize(f"<{codes}")
             copies.append((at, begin, begin + width))
             tail = struct.pack("<I", length) if frame else b""
             if frame:
                 copies.append((at + width + len(tail), begin + width, begin + width + length))
-            behind = len(before) + width + len(tail) + length * frame
-            mould += HEAD.pack(MESSAGE, BEHIND + behind, number, 0, 0, 0) + before + bytes(width) + tail
+            behind = len(CDR_HEADER) + width + len(tail) + length * frame
+            mould += HEAD.pack(MESSAGE, BEHIND + behind, number, 0, 0, 0) + CDR_HEADER + bytes(width) + tail
             mould += bytes(length * frame)
             codes += own + (f"{length}s" if frame else "")
-        where = places([record.channel_id for record in self._records], begins)
+        where = places([number for number, _ in self._records], begins)
         row = struct.Struct(f"<{codes}")
         return row.pack, Layout(where, len(mould), row.size, 0, _spreader(mould, copies, row.size))
 

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from hil.errors import HilError
 from hil.log.events import to_json
-from hil.log.records import CDR_HEADER, EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.mcap_records import Layouts, Packed
+from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write.mcap_records import Layouts
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.provenance import Provenance
@@ -122,13 +122,8 @@ class McapSink(Sink):
         if not set(topics) <= set(self._channels):
             return None
         writer = self._writer
-        add = writer.chunk.adds(Layouts([self._packed(topic) for topic in topics]))
+        add = writer.chunk.adds(Layouts([(self._ids[topic], self._channels[topic].schema) for topic in topics]))
         return add if self._now is None else lambda t_ns, values: add(writer.start_ns + t_ns, values)
-
-    def _packed(self, topic: str) -> Packed:
-        schema = self._channels[topic].schema
-        codes = f"{schema.codes}{-schema.dtype.itemsize % 4}x" if schema.raw else schema.codes
-        return Packed(self._ids[topic], CDR_HEADER, codes, len(schema.codes), schema.raw)
 
     def begin(self, wall_ns: int) -> None:
         """See ``Dated``; the file says it in the metadata ``clock``."""

@@ -58,27 +58,25 @@ class Compressor:
 
     Args:
         room: bytes up to which a chunk finds all memory taken; longer ones take more when they come.
+
+    Attributes:
+        contexts: those of zstd, by the binary digits of a length.
     """
 
     def __init__(self, room: int = 0) -> None:
-        self._contexts: dict[int, zstandard.ZstdCompressor] = {}
+        self.contexts: dict[int, zstandard.ZstdCompressor] = {}
         for digits in range(SHORTEST, max(room - 1, 0).bit_length() + 1):
             for data in _touching(1 << digits):
                 self._context(digits).compress(data)
-
-    @property
-    def memory(self) -> int:
-        """Bytes that zstd has taken."""
-        return sum(context.memory_size() for context in self._contexts.values())
 
     def compress(self, data: bytes) -> bytes:
         """Return a frame of zstd."""
         return self._context(max(SHORTEST, (len(data) - 1).bit_length())).compress(data)
 
     def _context(self, digits: int) -> zstandard.ZstdCompressor:
-        context = self._contexts.get(digits)
+        context = self.contexts.get(digits)
         if context is None:
-            context = self._contexts[digits] = zstandard.ZstdCompressor()
+            context = self.contexts[digits] = zstandard.ZstdCompressor()
         return context
 
 

@@ -45,7 +45,7 @@ class PipeSink:
         self._together = min(MOST_TOGETHER, max(1, TOGETHER_NS // period_ns)) if period_ns else 1
         self._left = self._together  # ticks until the next write
         os.set_blocking(fd, False)
-        widen(fd)
+        _widen(fd)
 
     def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
@@ -188,14 +188,11 @@ class PipeSink:
         self._unreported += count
 
 
-def widen(fd: int) -> int:
-    """Give a pipe 1 MiB, or as much as the system allows; returns its size in bytes."""
+def _widen(fd: int) -> None:
+    """Give a pipe 1 MiB, or as much as the system allows; a socket or a file does as well."""
     for size in (PIPE_BYTES, PIPE_BYTES >> 2):
         try:
-            return fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, size)
+            fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, size)
+            return
         except OSError:
             continue
-    try:
-        return fcntl.fcntl(fd, fcntl.F_GETPIPE_SZ)
-    except OSError:
-        return 0  # no pipe: a socket or a file does as well

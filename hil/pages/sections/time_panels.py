@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from hil.log import topics
 from hil.log.append_column import pieces
-from hil.log.run import Run
 from hil.log.topics import ROWS, STATE
 from hil.measure.measure import run_measures
 from hil.measure.network_paths import network_paths
@@ -206,7 +205,7 @@ def _delay_panel(view: RunView, side: str, way: tuple[str, str, str, str, str, s
     series, draws, measured = [], run.arrays.get(f"/network/{side}"), run.arrays.get(topic)
     numbered = draws is not None and "node" in (draws.dtype.names or ())
     if draws is not None and not numbered and any((piece["age"][_own(piece)] >= 0).any() for piece in pieces(draws)):
-        law = _is_age_law(run, side)
+        law = "sent" not in view.once(page_summary)["network"][side]["fates"]  # a packet law sends each
         look: tuple[str, LineStyle] = ("drawn by the law", "step") if law else ("age at arrival, by packet", "points")
         series.append(curve(draws, _drawn_age, label=look[0], style=look[1], where=_own, colour=1, halo=law))
     if measured is not None and len(measured):
@@ -251,13 +250,6 @@ def _age(field: str, received: str, records: Records) -> npt.NDArray[np.float64]
 
 def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:
     return np.asarray(np.maximum(timing[field], 0.1), dtype=np.float64)
-
-
-def _is_age_law(run: Run, side: str) -> bool:
-    codes = run.codes.get("reason", [])
-    if "sent" not in codes:
-        return True
-    return not any((piece["reason"] == codes.index("sent")).any() for piece in pieces(run.arrays[f"/network/{side}"]))
 
 
 def _equal(a: Records, b: Records, name: str) -> bool:
