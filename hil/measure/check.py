@@ -53,7 +53,7 @@ def check_measure(measure: object, view: RunView) -> list[str]:
     names = [quantity.name for quantity in quantities_of([measure], view.signals)]
     if not names:
         raise AssertionError("a measure has at least one quantity")
-    for what, one in (("a run", view), ("a run without records", without_records(view))):
+    for what, one in (("a run", view), ("a run without records", view.without_records())):
         found = _numbers(measure, one, what)
         if set(found) != set(names):
             raise AssertionError(f"{what}: of(view) gives {sorted(found)}, quantities(signals) name {sorted(names)}")
@@ -75,11 +75,6 @@ def check_measure(measure: object, view: RunView) -> list[str]:
     else:
         said.append(f"{name} is no BatchMeasure (no of_batch): a sweep runs seed by seed")
     return said
-
-
-def without_records(view: RunView) -> RunView:
-    """Return a run as if it had ended at once."""
-    return replace(view, run=struct_replace(view.run, arrays={topic: a[:0] for topic, a in view.run.arrays.items()}, events=[]))
 
 
 def check_own_measures(experiment: Experiment, view: Callable[[], RunView]) -> None:

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
+from msgspec.structs import replace as struct_replace
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
@@ -92,6 +93,10 @@ class RunView:
         alone = replace(self, signals=self.signals.only(name))
         object.__setattr__(alone, "_made", self._made)
         return alone
+
+    def without_records(self) -> RunView:
+        """Return a run as if it had ended at once."""
+        return replace(self, run=struct_replace(self.run, arrays={name: a[:0] for name, a in self.run.arrays.items()}, events=[]))
 
     def disturbed_at_s(self) -> float | None:
         """Return when the first input disturbance began as the experiment states it, s; None without one."""

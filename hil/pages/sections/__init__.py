@@ -11,7 +11,6 @@ from importlib import import_module
 from pkgutil import iter_modules
 from typing import Final, Protocol, TypeAlias, runtime_checkable
 
-from hil.measure.check import without_records
 from hil.measure.measure import run_measures
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Section
@@ -59,7 +58,7 @@ def check_section(plug_in: object, view: RunView) -> list[str]:
     name = type(plug_in).__name__
     if not isinstance(plug_in, DrawsSection):
         return [f"{name} is no DrawsSection (no section(view)): it draws no figure"]
-    for what, one in (("a run without records", without_records(view)), ("a run", view)):
+    for what, one in (("a run without records", view.without_records()), ("a run", view)):
         found = asked(f"{what}: section(view)", plug_in.section, one)
         shown = "nothing" if found is None else repr(asked(what, plain_section, found).title)
     return [f"{name} is a DrawsSection: the page of a run has its section, here {shown}"]

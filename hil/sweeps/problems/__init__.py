@@ -46,15 +46,18 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     pulse: float
     tried: tuple[str, ...]
 
+    @property
+    def named(self) -> str:
+        """The experiment as `load_experiment` takes it."""
+        return str(folder() / self.experiment) if self.experiment.endswith(".toml") else self.experiment
+
     def load(self, controller: str | None = None) -> Experiment:
         """Return the experiment, at rest but for one pulse, with another controller where one is given.
 
         Raises:
             HilError: the controller does not fit.
         """
-        path = folder() / self.experiment
-        named: str | Path = path if self.experiment.endswith(".toml") else self.experiment
-        plain = load_experiment(named)
+        plain = load_experiment(self.named)
         zeros, pulse = [0.0] * len(plain.plant.outputs), [self.pulse] * len(plain.plant.inputs)
         sets = [
             "allow_uncertified=true",
@@ -63,7 +66,7 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             f"disturbance=[{{at={PULSE_AT_S},samples=1,value={pulse}}}]",
         ]
         sets += [] if controller is None else [f"controller={controller}"]
-        return load_experiment(named, sets)
+        return load_experiment(self.named, sets)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -138,9 +141,8 @@ def lower_bound(problem: Problem) -> float | None:
     The pulse is an impulse of the discrete loop, met in a long run; the sum of squared errors after it has no end. Only for one
     input and one sensor node: over two inputs the bound is of both impulses together.
     """
-    path = folder() / problem.experiment
     try:
-        target = tracking_target(str(path) if problem.experiment.endswith(".toml") else problem.experiment)
+        target = tracking_target(problem.named)
     except HilError:
         return None
     if target.B.shape[1] != 1:
