@@ -27,6 +27,8 @@ BINS = 70
 FEWEST_SOJOURNS = 20
 LONGEST = 16
 DIRECTIONS: Mapping[str, tuple[str, str]] = {"sc": ("sensor to controller", "τ"), "ca": ("controller to actuator", "d")}
+MEASURED: Mapping[str, tuple[str, str, str]] = {"sc": (ROWS.name, "tau", "sample_ns"), "ca": (APPLIED.name, "d", "d")}
+"""Topic and field of the age that the receiver of a direction measured, and a field that is negative where it had none."""
 
 
 def against_laws(view: RunView) -> Section | None:
@@ -40,8 +42,8 @@ def against_laws(view: RunView) -> Section | None:
         ages: Sequence[int] = law.mode_ages if isinstance(law, ChainLaw | SemiMarkovLaw) else range(0)
         plain = isinstance(law, RecordedLaw) or list(ages) == list(range(len(found["mode_counts"])))
         what = f"{symbol} (samples)" if plain else "mode of the law"
-        blocks.append(_frequencies(found, law, f"{_capital(way)}: mode frequencies", what))
-        blocks.append(_transitions(found, law, f"{_capital(way)}: transitions", symbol if plain else "mode"))
+        blocks.append(_frequencies(found, law, f"{capital(way)}: mode frequencies", what))
+        blocks.append(_transitions(found, law, f"{capital(way)}: transitions", symbol if plain else "mode"))
         blocks += _sojourns(path, way, symbol)
     blocks += [block for side in DIRECTIONS if (block := _measured_ages(view.run, network, paths, side)) is not None]
     return Section(title="Network against its law", place=50, columns=2, blocks=tuple(blocks)) if blocks else None
@@ -81,7 +83,7 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
     heads = [fate.replace("-", " ") for fate in fates]
     rows = [
         [
-            _capital(way),
+            capital(way),
             found["through"],
             verdict(found, path.law),
             found["lost"],
@@ -159,7 +161,7 @@ def _sojourns(path: NetworkPath, way: str, symbol: str) -> list[Block]:
         hazard = hazards(sojourn, longest)
         stays = np.concatenate(([1.0], np.cumprod(1.0 - hazard)))
         stated = np.append(hazard * stays[:-1], stays[-1])
-        title, x_label = f"{_capital(way)}: how long mode {mode} lasted", f"slots with {symbol} in mode {mode}"
+        title, x_label = f"{capital(way)}: how long mode {mode} lasted", f"slots with {symbol} in mode {mode}"
         names = [*(str(n) for n in range(1, longest + 1)), f"> {longest}"]
         note = f"{text_of(int(mine.size))} whole sojourns."
         blocks.append(
@@ -172,17 +174,17 @@ def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[Network
     """Ages as their receiver measured them, where no law has them as its modes: packet laws, media."""
     if not ("sent" in network[side]["fates"] or any(path.medium for path in paths if path.side == side)):
         return None
-    array, field = (run.arrays.get(ROWS.name), "tau") if side == "sc" else (run.arrays.get(APPLIED.name), "d")
+    topic, field, known = MEASURED[side]
+    array = run.arrays.get(topic)
     if array is None or not len(array):
         return None
-    known = "sample_ns" if side == "sc" else "d"
     counts = np.zeros(0, dtype=np.int64)
     for piece in pieces(array):
         more = np.bincount(piece[field][piece[known] >= 0], minlength=len(counts))
         more[: len(counts)] += counts
         counts = more
     way, symbol = DIRECTIONS[side]
-    title, shares = f"{_capital(way)}: age of what was used", counts / max(counts.sum(), 1)
+    title, shares = f"{capital(way)}: age of what was used", counts / max(counts.sum(), 1)
     return _shares(title, shares, None, f"{symbol} (samples)", label="measured")
 
 
@@ -241,5 +243,6 @@ def _histogram(values: npt.NDArray[np.float64], marks: Mapping[str, float | None
     )
 
 
-def _capital(text: str) -> str:
+def capital(text: str) -> str:
+    """Return a text that begins with a capital; the rest stays."""
     return text[:1].upper() + text[1:]

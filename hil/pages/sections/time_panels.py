@@ -15,14 +15,14 @@ import numpy.typing as npt
 
 from hil.log import topics
 from hil.log.append_column import pieces
-from hil.log.topics import ROWS, STATE
+from hil.log.topics import STATE
 from hil.measure.measure import run_measures
 from hil.measure.network_paths import network_paths
 from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.pages.html.decimation import Float, reduced
 from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
-from hil.pages.sections.statistics import network_table
+from hil.pages.sections.statistics import DIRECTIONS, MEASURED, capital, network_table
 
 Records: TypeAlias = npt.NDArray[np.void]
 All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]
@@ -182,7 +182,7 @@ def _input_panels(view: RunView) -> list[Figure]:
 
 def delays(view: RunView) -> Section:
     """Return the delays of both directions over time, and a row for each emulated network."""
-    panels = [panel for way in DELAYS.items() if (panel := _delay_panel(view, *way)) is not None]
+    panels = [panel for side in DIRECTIONS if (panel := _delay_panel(view, side)) is not None]
     return Section(
         title="Delays",
         place=30,
@@ -192,16 +192,9 @@ def delays(view: RunView) -> Section:
     )
 
 
-DELAYS: Mapping[str, tuple[str, str, str, str, str, str]] = {
-    "sc": ("Sensor to controller delay τ", "τ", ROWS.name, "tau", "sample_ns", "measured by the controller"),
-    "ca": ("Controller to actuator delay d", "d", APPLIED, "d", "d", "measured at the actuator"),
-}
-"""By direction: title, symbol, topic and field of the age that the receiver measured, field that says it had one, in words."""
-
-
-def _delay_panel(view: RunView, side: str, way: tuple[str, str, str, str, str, str]) -> Figure | None:
+def _delay_panel(view: RunView, side: str) -> Figure | None:
     """Return the age that a direction's law drew, and the age that the receiver measured; None where neither was logged."""
-    run, (title, symbol, topic, field, received, where) = view.run, way
+    run, (way, symbol), (topic, field, known) = view.run, DIRECTIONS[side], MEASURED[side]
     series, draws, measured = [], run.arrays.get(f"/network/{side}"), run.arrays.get(topic)
     numbered = draws is not None and "node" in (draws.dtype.names or ())
     if draws is not None and not numbered and any((piece["age"][_own(piece)] >= 0).any() for piece in pieces(draws)):
@@ -209,10 +202,12 @@ def _delay_panel(view: RunView, side: str, way: tuple[str, str, str, str, str, s
         look: tuple[str, LineStyle] = ("drawn by the law", "step") if law else ("age at arrival, by packet", "points")
         series.append(curve(draws, _drawn_age, label=look[0], style=look[1], where=_own, colour=1, halo=law))
     if measured is not None and len(measured):
-        series.append(curve(measured, partial(_age, field, received), label=where, style="step", colour=0))
+        where = "measured by the controller" if side == "sc" else "measured at the actuator"
+        series.append(curve(measured, partial(_age, field, known), label=where, style="step", colour=0))
     return Figure(
-        title=title, y_label=symbol, y_unit="samples", series=tuple(series), markers=view.once(markers), integer_y=True,
-        height_px=165, note="Zoom in to see single slots." if len(run.arrays[APPLIED]) > DENSE else "",
+        title=f"{capital(way)} delay {symbol}", y_label=symbol, y_unit="samples", series=tuple(series),
+        markers=view.once(markers), integer_y=True, height_px=165,
+        note="Zoom in to see single slots." if len(run.arrays[APPLIED]) > DENSE else "",
     ) if series else None  # fmt: skip
 
 
@@ -244,8 +239,8 @@ def _drawn_age(draws: Records) -> npt.NDArray[np.float64]:
     return np.where(draws["age"] >= 0, draws["age"], np.nan).astype(np.float64)
 
 
-def _age(field: str, received: str, records: Records) -> npt.NDArray[np.float64]:
-    return np.where(records[received] >= 0, records[field], np.nan).astype(np.float64)
+def _age(field: str, known: str, records: Records) -> npt.NDArray[np.float64]:
+    return np.where(records[known] >= 0, records[field], np.nan).astype(np.float64)
 
 
 def _at_least(field: str, timing: Records) -> npt.NDArray[np.float64]:
