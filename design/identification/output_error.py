@@ -191,14 +191,22 @@ def identify_axis(records: Sequence[Record]) -> AxisFit:
         )
     g, p = best.gain, best.pole
 
-    def interval(value: float, by_gain: float, by_pole: float) -> Interval:
-        slope = np.array([by_gain, by_pole])
-        error = math.sqrt(max(variance * float(slope @ unit[:2, :2] @ slope), 0.0))
+    ((gg, gp), (_, pp)) = (variance * unit[:2, :2]).tolist()
+
+    def interval(value: float, error: float) -> Interval:
         return Interval(value=value, error=error, low=value - width * error, high=value + width * error)
 
+    def over_gain(top: float, of_top: float, with_gain: float) -> Interval:
+        """Fieller's interval (1954) of top / g: every r for which top - r g may be 0; it covers where g is known badly, too."""
+        square, value = width * width, top / g
+        a, b, c = g * g - square * gg, g * top - square * with_gain, top * top - square * of_top
+        half = math.sqrt(max(b * b - a * c, 0.0)) / a
+        error = math.sqrt(max(of_top - 2.0 * value * with_gain + value * value * gg, 0.0)) / g
+        return Interval(value=value, error=error, low=b / a - half, high=b / a + half)
+
     return AxisFit(
-        gain=interval(g, 1.0, 0.0), pole=interval(p, 0.0, 1.0), inertia=interval(1.0 / g, -1.0 / g**2, 0.0),
-        damping=interval(p / g, -p / g**2, 1.0 / g), noise_sd=math.sqrt(variance), samples=samples, plain=plain, start=start,
+        gain=interval(g, math.sqrt(gg)), pole=interval(p, math.sqrt(pp)), inertia=over_gain(1.0, 0.0, 0.0),
+        damping=over_gain(p, pp, gp), noise_sd=math.sqrt(variance), samples=samples, plain=plain, start=start,
         residuals=residual_test(best.left, size), starts=best.starts,
     )  # fmt: skip
 

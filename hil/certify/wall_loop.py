@@ -13,6 +13,7 @@ from design.controllers import packet_samples
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
+from hil.certify.motion_test import SEED
 from plants.parts.protocols import HasPassiveElements
 
 if TYPE_CHECKING:
@@ -63,6 +64,14 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     if not verdict.certified:
         return limited_to_model(loop.plant, replace(verdict, digest=loop.digest))
     said = tuple(f"{e.name}: {'cuts the force off' if e.largest else 'only takes energy'}, as the plant says" for e in elements)
+    depth = float(loop.plant.start(np.random.default_rng(SEED)).measure()[0])
+    if depth > 0.0:
+        # as if a hand had pushed it there in one sample more, while no force was felt: that sample dissipates as much
+        stored = f"{device.total_damping_n_s_per_m * depth**2 / loop.model.period_s:.4g} J"
+        begins = f"the device begins {depth:.4g} m behind the surface, and up to {stored} that is stored there comes back once"
+        if loop.damped:
+            return undecided(loop, "passivity", f"{begins}; undecided with the force that the passivity controller adds then")
+        said += (begins,)
     certified = replace(verdict, digest=loop.digest, assumptions=(*verdict.assumptions, *said))
     return limited_to_model(loop.plant, certified, knows={e.name for e in elements})
 

@@ -86,6 +86,21 @@ def test_what_is_behind_a_motor_that_saturates_and_not_covered_is_named():
     assert cut_off(Wall(material=1), Coupler(taps_m_per_n=(0.1, 0.05, 0.06)), 5.0)
 
 
+def test_a_device_that_begins_behind_the_surface_gets_back_what_is_stored_there_and_no_more():
+    changes = {"plant.initial_angle_rad": 0.1, "plant.hand.push.force_n": 0.0}
+    experiment = experiment_of("omni-push", duration=5.0, **changes)
+    loop = compose(experiment)
+    assert loop.verdict is not None and loop.verdict.certified
+    (said,) = [text for text in loop.verdict.assumptions if "begins 0.1 m behind the surface" in text]
+    most = float(said.partition("up to ")[2].split()[0])
+    assert most == pytest.approx(1.9857 * 0.1**2 / 0.05, rel=1e-3)
+    given = simulate(loop, 0).arrays["/plant/state"]["given"].max()
+    assert 0.01 < given <= most
+    damped = experiment_of("omni-push", **changes, **{"limits.passivity": {"damping_n_s_per_m": 30.0}}, allow_uncertified=True)
+    found = compose(damped).verdict
+    assert found is not None and found.state == "undecided" and "behind the surface" in found.reason
+
+
 def test_ends_that_equalise_are_judged_at_the_delay_that_they_wait_for():
     """With rows and gains for an age of 7 they wait for 7 slots, though the law has none above 5: taps for ten fail at twelve."""
     ten = compose(load_experiment("omni-wifi")).controller.coupler
