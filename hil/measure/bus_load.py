@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -149,9 +148,3 @@ def bus_of(view: RunView) -> BusLoad | None:
 
 def _ms(ns: int | None) -> float | None:
     return None if ns is None or ns < 0 else ns / 1e6
-
-
-def bus_summary(view: RunView) -> dict[str, Any] | None:
-    """Return the bus of a run as JSON values, None where it has none."""
-    found = view.once(bus_of)
-    return None if found is None else asdict(found)

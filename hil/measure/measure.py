@@ -149,11 +149,7 @@ class MeasureOfFunction:
 
     def __init__(self, function: Callable[[RunView], float | None]) -> None:
         self._function, self._name = function, function.__name__
-
-    @property
-    def title(self) -> str:
-        """The function's name."""
-        return self._name.replace("_", " ")
+        self.title = self._name.replace("_", " ")
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
         """Return its one number."""

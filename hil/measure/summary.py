@@ -5,6 +5,7 @@ The latter says whether the run can be believed.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any, TypeAlias
 
@@ -196,10 +197,10 @@ def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
 def _bus(view: RunView) -> dict[str, Any]:
     if BUS.name not in view.run.arrays:
         return {}
-    from hil.measure.bus_load import bus_summary  # the analysis of a bus is loaded where there is one
+    from hil.measure.bus_load import bus_of  # the analysis of a bus is loaded where there is one
 
-    found = bus_summary(view)
-    return {} if found is None else {"bus": found}
+    found = view.once(bus_of)
+    return {} if found is None else {"bus": dataclasses.asdict(found)}
 
 
 def run_metrics(run: Run, experiment: Experiment | None = None, rig: RigSpec | None = None) -> dict[str, Any]:

@@ -209,7 +209,8 @@ class Desk:
             self.draft = Draft(number, wish.path, "computing")
             try:
                 if wish.do == "check":
-                    claims = [self._claim(side, wish) for side in sides]
+                    after = [self._composer.changed(_loop_of(s, wish.path), s.next_slot(), wish.path, wish.value) for s in sides]
+                    claims = [side.claim(loop) for side, loop in zip(sides, after)]
                     self.draft = Draft(number, wish.path, "ready", "", claims)
                 elif wish.do == "apply":
                     slots = self._arm(sides, wish.path, wish.value)
@@ -226,10 +227,6 @@ class Desk:
                 self.refused += 1
                 text = str(error) if isinstance(error, HilError) else f"{wish.path or wish.do}: {words(error)}"
                 self.draft = Draft(number, wish.path, "refused", text[:1000])
-
-    def _claim(self, side: Side, wish: Wish) -> dict[str, Any]:
-        after = self._composer.changed(_loop_of(side, wish.path), side.next_slot(), wish.path, wish.value)
-        return side.claim(after)
 
     def _arm(self, sides: Sequence[Side], path: str, value: Any) -> list[int]:
         """Arm a change in every run for a slot that none has reached when it is composed, the same where it can be."""
