@@ -133,6 +133,11 @@ class Schema:
             set_(self, "pack", partial(Struct(f"<4s{codes}").pack, CDR_HEADER))
 
     @property
+    def floats(self) -> list[str]:
+        """Names of its fields of type float64, in order."""
+        return [field.name for field in self.fields if field.type == "float64"]
+
+    @property
     def codes(self) -> str:
         """The numbers of a record as `struct` writes them, behind the CDR header."""
         return "".join(_CODES[f.type] for f in self.fields if f.type != "uint8[]")

@@ -101,8 +101,7 @@ def _of_run(path: Path, run: Run, plant: dict[str, Any], u_name: str, y_name: st
     applied, measured = run.arrays[APPLIED], run.arrays[MEASUREMENT]
     for topic, array, name in ((APPLIED, applied, u_name), (MEASUREMENT, measured, y_name)):
         if name not in (array.dtype.names or ()):
-            known = ", ".join(f.name for f in run.schemas[topic].fields if f.type == "float64")
-            raise HilError(f"{path}: topic {topic} has no signal {name!r}; it has {known}")
+            raise HilError(f"{path}: topic {topic} has no signal {name!r}; it has {', '.join(run.schemas[topic].floats)}")
     if not len(applied) or not len(measured):
         raise HilError(f"{path}: holds no slot")
     first, slots = int(applied["tick"][0]), int(applied["tick"][-1]) - int(applied["tick"][0]) + 1
@@ -197,7 +196,7 @@ def read_mode_record(path: Path, names: tuple[str, str] = (FAULT, DETECTED)) -> 
         raise HilError(f"{path}: holds no slot of {STATE.name}, which has the modes")
     for name in names:
         if name not in (table.dtype.names or ()):
-            known = ", ".join(field.name for field in run.schemas[STATE.name].fields if field.type == "float64")
+            known = ", ".join(run.schemas[STATE.name].floats)
             raise HilError(f"{path}: {STATE.name} has no mode {name!r}, as a log of vtol-fault has; it has {known}")
     gaps = np.flatnonzero(np.diff(table["tick"]) != 1)
     if gaps.size:

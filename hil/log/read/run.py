@@ -25,8 +25,6 @@ from hil.log.run import Run as Run
 from hil.log.topics import MEASUREMENT, REFERENCE, TOPICS, Logged
 from hil.log.write.provenance import FORMAT
 
-_SIGNALS = (MEASUREMENT.name, REFERENCE.name)
-
 
 def check_topics(schemas: Mapping[str, Schema]) -> None:
     """Check that every topic that the registry knows has the fields that do not depend on the plant; a log may lack a topic.
@@ -42,9 +40,7 @@ def check_topics(schemas: Mapping[str, Schema]) -> None:
         for field in TOPICS[topic].fields(Logged()):
             if found.get(field.name) != field.type:
                 raise HilError(f"topic {topic}: field {field.name}: is {found.get(field.name, 'missing')}, expected {field.type}")
-    outputs, reference = (
-        [f.name for f in schemas[topic].fields if f.type == "float64"] if topic in schemas else None for topic in _SIGNALS
-    )
+    outputs, reference = (schemas[topic].floats if topic in schemas else None for topic in (MEASUREMENT.name, REFERENCE.name))
     if None not in (outputs, reference) and outputs != reference:
         raise HilError(f"topic {REFERENCE.name}: signals {', '.join(reference or ())}, expected those that are measured")
 
@@ -174,13 +170,16 @@ class _Reading:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
                 self._events += decode_events(payloads, len(self._events))
                 continue
-            columns = self._columns.get(number)
-            if columns is None:
-                columns = self._columns[number] = Columns(_schema(content, channel), self._folder, start_of(content))
+            columns = self._columns_of(number, channel)
             try:
                 columns.add(messages)
             except HilError as error:
                 raise HilError(f"topic {channel.topic}: {error}") from error
+
+    def _columns_of(self, number: int, channel: Channel) -> Columns:
+        if number not in self._columns:
+            self._columns[number] = Columns(_schema(self.content, channel), self._folder, start_of(self.content))
+        return self._columns[number]
 
     def run(self) -> Run:
         """Return what was read."""
@@ -192,8 +191,7 @@ class _Reading:
                 continue
             if channel.topic in found:
                 raise HilError(f"topic {channel.topic}: occurs twice in the file")
-            columns = self._columns.pop(number, None) or Columns(_schema(content, channel))
-            found[channel.topic] = columns
+            columns = found[channel.topic] = self._columns_of(number, channel)
             try:
                 columns.finish()
             except HilError as error:

@@ -99,17 +99,13 @@ def panels(schemas: Mapping[str, Schema], topics: Sequence[str] | None = None) -
         topics: only these; all by default.
     """
     measured = schemas.get(MEASUREMENT.name)
-    outputs = [] if measured is None else _floats(measured)
+    outputs = [] if measured is None else measured.floats
     curves = [
         (name, curve)
         for name, topic in TOPICS.items() if name in schemas and (topics is None or name in topics)
-        for curve in topic.curves(_floats(schemas[name]), outputs)
+        for curve in topic.curves(schemas[name].floats, outputs)
     ]  # fmt: skip
     found: dict[str, list[tuple[str, Curve]]] = {}
     for name, curve in sorted(curves, key=lambda each: each[1].place):
         found.setdefault(curve.panel, []).append((name, curve))
     return found
-
-
-def _floats(schema: Schema) -> list[str]:
-    return [field.name for field in schema.fields if field.type == "float64"]
