@@ -93,6 +93,28 @@ def beyond_the_end(e: Experiment) -> str:
     )
 
 
+def whole_from_s(e: Experiment) -> float | None:
+    """Return when the last fault of a checked experiment is over and nothing of it is left, s.
+
+    None where that is not known: a restart or a bus may take longer than the fault, a fault may last to the end of the run, and
+    behind one that lasts as long as the watchdog the rig is in its safe state.
+
+    Args:
+        e: the experiment.
+
+    >>> from hil.experiment import load_experiment
+    >>> whole_from_s(load_experiment("dc-motor-hinf", ["fault=[{at=3,for=0.5,kind='cut',link='sc'}]"]))
+    3.5
+    """
+    over = 0
+    for fault in e.fault:
+        first, end = fault.slots(float(e.period))
+        if fault.kind not in ("cut", "corrupt", "freeze") or end >= e.slots or end - first >= e.limits.watchdog_slots:
+            return None
+        over = max(over, end)
+    return over * float(e.period)
+
+
 def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
     """Return the time line of a checked experiment. A controller that is off the bus receives nothing either.
 

@@ -112,15 +112,39 @@ def test_a_restart_forgets_the_newest_sample() -> None:
         assert packet is not None and (packet.sample_ns < 0) == (k == FIRST)
 
 
-def test_a_loop_with_faults_is_not_certified_computed_at_once_or_predicted() -> None:
-    assert loop_of(MOTOR).verdict.certified  # type: ignore[union-attr]
-    with pytest.raises(ExperimentError, match=r"certified without what happens on the time line \(1 fault\); undecided with it"):
-        loop_of(faulty("cut", 'link = "sc"').replace("allow_uncertified = true", ""))
+def test_a_loop_with_faults_is_not_computed_at_once_or_predicted() -> None:
     loop = loop_of(faulty("cut", 'link = "sc"'))
-    assert loop.verdict is not None and loop.verdict.state == "undecided"
-    assert loop.verdict.digest != loop_of(MOTOR).verdict.digest  # type: ignore[union-attr]
+    assert loop.verdict is not None and loop.verdict.digest != loop_of(MOTOR).verdict.digest  # type: ignore[union-attr]
     assert supports_batch(loop_of(MOTOR)) and not supports_batch(loop)
     assert theory_section(view_of(simulate(loop, 0), loop.experiment)) is None
+
+
+@pytest.mark.parametrize("kind", ["cut", "corrupt", "freeze"])
+def test_behind_faults_that_end_a_linear_loop_is_as_stable_as_without_them(kind: str) -> None:
+    text = faulty(kind, 'link = "ca"').replace("allow_uncertified = true", "")
+    verdict, without = loop_of(f'{text}[[fault]]\nat = 1\nfor = 1\nkind = "cut"\nlink = "sc"').verdict, loop_of(MOTOR).verdict
+    assert verdict is not None and without is not None and verdict.certified and verdict.number == without.number
+    assert verdict.reason == f"behind 2 faults on the time line, from 2 s on: {without.reason}"
+    assert {*verdict.assumptions} - {*without.assumptions} == {"the watchdog does not trip while a fault lasts"}
+
+
+@pytest.mark.parametrize(
+    ("name", "fault", "sets"),
+    [
+        ("dc-motor-hinf", "at=1,for=2,kind='cut',link='sc'", ["duration=3", "limits.watchdog_slots=100"]),  # to the run's end
+        ("dc-motor-hinf", "at=1,for=1,kind='cut',link='ca'", ["duration=3", "limits.watchdog_slots=20"]),  # the watchdog trips
+        ("dc-motor-hinf", "at=1,for=0.5,kind='controller-restart'", ["duration=3", "limits.watchdog_slots=100"]),
+        ("dc-motor-hinf", "at=1,for=0.5,kind='bus-off',link='ca'", ["duration=3", "limits.watchdog_slots=100"]),
+        ("dc-motor-hinf-friction", "at=1,for=0.1,kind='cut',link='sc'", ["duration=3", "limits.watchdog_slots=100"]),
+        ("smjls-robust", "at=1,for=0.1,kind='cut',link='sc'", ["duration=3", "limits.watchdog_slots=100"]),  # modes are seen late
+        ("omni-1khz", "at=1,for=0.1,kind='cut',link='sc'", ["duration=3", "limits.watchdog_slots=900"]),  # passivity
+    ],
+)
+def test_a_fault_that_may_leave_something_behind_makes_a_verdict_undecided(name: str, fault: str, sets: list[str]) -> None:
+    assert compose(load_experiment(name, sets)).verdict.certified  # type: ignore[union-attr]
+    experiment = load_experiment(name, [*sets, f"fault=[{{{fault}}}]"])
+    with pytest.raises(ExperimentError, match=r"certified without what happens on the time line \(1 fault\); undecided with it"):
+        compose(experiment)
 
 
 def test_faults_of_the_table_are_reported_by_their_path() -> None:
