@@ -58,12 +58,20 @@ class Departure(Struct, frozen=True, kw_only=True):
     slots: int
 
 
-def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED) -> Track:
-    """Return what a plant does under given inputs, (k, m), driven as a rig drives it; it ends where a number is not finite."""
-    run, still = plant.start(np.random.default_rng(seed)), (0.0,) * inputs.shape[1]
+def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED, disturbances: Array | None = None) -> Track:
+    """Return what a plant does, driven as a rig drives it; it ends where a number is not finite.
+
+    Args:
+        plant: what runs.
+        period_ns: length of a slot, ns.
+        inputs: (k, m).
+        seed: of the plant's random numbers.
+        disturbances: what comes on top of the inputs, (k, m); by default nothing.
+    """
+    run, beside = plant.start(np.random.default_rng(seed)), np.zeros(inputs.shape) if disturbances is None else disturbances
     states, outputs, applied = [run.state], [run.measure()], []
-    for u in inputs.tolist():
-        run.advance(period_ns, tuple(u), still)
+    for u, w in zip(inputs.tolist(), beside.tolist()):
+        run.advance(period_ns, tuple(u), tuple(w))
         y, x = run.measure(), run.state
         states.append(x)
         outputs.append(y)
