@@ -14,13 +14,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from design.as_printed.chapter6 import DELAY, LAMBDA, PERIOD_S, printed_attenuation
-from design.controllers.rendered_wall import WallController, wave_coupler
+from design.controllers.rendered_wall import Coupler, WallController, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HapticLoop, HeldDevice, push_response
 from design.passivity.material_chain import boundaries, material_chain, memory_statistic, true_chain
-from design.passivity.synthesis import ceiling_n_per_m
+from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -32,6 +32,27 @@ CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06
 DISTINGUISHABLE = 0.01
 """Relative difference of two stiffnesses below which they cannot be distinguished."""
+
+
+SIDE_M = 0.02
+STEP_M = 0.15 * math.pi * SIDE_M
+"""Of the squares of the wall's pattern, and of the avatar in a sample."""
+
+
+def loop_of(device: HeldDevice, coupler: Coupler) -> HapticLoop:
+    """Return the published loop, three samples of delay on each side, with a coupler."""
+    return HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
+
+
+def safe_coupler(device: HeldDevice) -> Coupler:
+    """Return the stiffest coupler for 0 to 8 samples of delay."""
+    return stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=device.damping_n_s_per_m).coupler
+
+
+def distortion_norm(coupler: Coupler, cutoff_hz: float, *, mixed: bool = True) -> float:
+    """Return the distortion (6.12) of the published loop, N/m, over the mixed wall under Lambda, or over material 1 alone."""
+    materials, law = (MATERIALS, LAMBDA) if mixed else (MATERIALS[:1], ((1.0,),))
+    return hinf_norm(distortion(materials, law, coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff_hz))
 
 
 def equations(device: HeldDevice) -> dict[str, Any]:
@@ -48,15 +69,15 @@ def equations(device: HeldDevice) -> dict[str, Any]:
     )  # fmt: skip
     zeros = material_chain(apart, 3, 0.002)
     wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
-    moved = HapticLoop(device=device, coupler=wave, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
     printed = printed_attenuation(MATERIALS, LAMBDA, wave, cutoff_hz=CUTOFF_HZ, gamma=LEVEL_N_PER_M)
-    meant = hinf_norm(distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ))
+    meant = distortion_norm(wave, CUTOFF_HZ)
     ceiling = ceiling_n_per_m(PERIOD_S, device.damping_n_s_per_m, DELAY)
     felt = [1.0 / (1.0 / m.stiffness_n_per_m + 1.0 / ceiling) for m in MATERIALS]
     return {
         "far": float(np.abs(np.linalg.eigvals(A)).max()), "angle": float(B[0]),
         "rows": float(np.abs(law.sum(axis=1) - 1.0).max()), "entry": float(law.min()),
-        "touch": float(zeros[0, 1] + zeros[1, 0]), "radius": moved.jump_system(MATERIALS, zeros, DELAY, 0).radius(),
+        "touch": float(zeros[0, 1] + zeros[1, 0]),
+        "radius": loop_of(device, wave).jump_system(MATERIALS, zeros, DELAY, 0).radius(),
         **_closed_loop(device), "force": max(map(_force_error, range(3))), "split": _split_error(wave.taps_m_per_n),
         "certifies": "certifies" if printed.holds else "does not certify", "share": LEVEL_N_PER_M / meant, "norm": meant,
         "felt": (felt[0] - felt[1]) / felt[0], "ceiling": ceiling,
@@ -158,8 +179,6 @@ EQUATIONS = (
 # fmt: on
 
 
-SIDE_M = 0.02
-STEP_M = 0.15 * math.pi * SIDE_M
 MODES_610 = (1, 2, 1, 2, 1, 0)  # {2, 3, 2, 3, 2, 1}
 LEVEL = 1e-3
 

@@ -11,7 +11,7 @@ from design.controllers.rendered_wall import Coupler, WallController, static_cou
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import square_rows
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HapticLoop, HeldDevice
+from design.passivity.loop import HeldDevice
 from design.passivity.material_chain import paced_chain
 from design.passivity.own_give import felt_n_per_m, sparing
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
@@ -20,6 +20,7 @@ from design.passivity.varying_delay import lags
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.thesis.chapter6.equation_rows import SIDE_M, distortion_norm, loop_of, safe_coupler
 from hil.thesis.statements import Statement, above, below, exactly, says
 
 CUTOFF_HZ = 3.0
@@ -90,14 +91,10 @@ def _own(device: HeldDevice) -> dict[str, Any]:
 
 def _search(device: HeldDevice) -> dict[str, Any]:
     """The level that (6.14) gives to three triples (A_c, B_c, C_c), and the norm of the system that it stands for."""
-    b = device.damping_n_s_per_m
-    wave = wave_coupler(PERIOD_S, b, DELAY)
-    triples = (
-        wave, Coupler(taps_m_per_n=tuple(2.0 * c for c in wave.taps_m_per_n)),
-        stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=b).coupler,
-    )  # fmt: skip
+    wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
+    triples = wave, Coupler(taps_m_per_n=tuple(2.0 * c for c in wave.taps_m_per_n)), safe_coupler(device)
     printed = [hinf_norm(printed_distortion(MATERIALS, LAMBDA, c, cutoff_hz=CUTOFF_HZ)) for c in triples]
-    meant = [hinf_norm(distortion(MATERIALS, LAMBDA, c, period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ)) for c in triples]
+    meant = [distortion_norm(c, CUTOFF_HZ) for c in triples]
     return {"levels": max(printed) - min(printed), "norms": max(meant) / min(meant)}
 
 
@@ -114,11 +111,10 @@ def _later(device: HeldDevice) -> dict[str, Any]:
     b = device.damping_n_s_per_m
     moving = stiffest_coupler(lags([1, 2], [1]), period_s=PERIOD_S, damping_n_s_per_m=b, varying=True)
     chain, material = paced_chain(
-        square_rows(0.02), 3, [speed * PERIOD_S for speed in SPEEDS],
+        square_rows(SIDE_M), 3, [speed * PERIOD_S for speed in SPEEDS],
         [[0.0] * (least - 1) + [1.0 / (most - least + 1)] * (most - least + 1) for least, most in STAYS],
     )  # fmt: skip
-    safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=b).coupler
-    loop = HapticLoop(device=device, coupler=safe, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
+    loop = loop_of(device, safe_coupler(device))
     return {
         "zones": state("omni-push", zones), "for_b": state("omni-push", zones, f"controller.coupler.damping_n_s_per_m={b}"),
         "moving": state("omni-push", *random, 'controller.coupler={method="stiffest",varying=true}'),

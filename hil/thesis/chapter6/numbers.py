@@ -19,12 +19,11 @@ from design.as_printed.chapter6 import (
 from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HapticLoop, HeldDevice, push_response
-from design.passivity.synthesis import stiffest_coupler
-from design.passivity.transparency import distortion, distortion_bound
+from design.passivity.loop import HeldDevice, push_response
+from design.passivity.transparency import distortion_bound
 from hil.pages.html.figures import Figure, Series
 from hil.thesis.chapter import Chapter, Plot, Stage
-from hil.thesis.chapter6.equation_rows import EQUATIONS, WALL, equations, wall
+from hil.thesis.chapter6.equation_rows import EQUATIONS, WALL, distortion_norm, equations, loop_of, safe_coupler, wall
 from hil.thesis.chapter6.material_rows import LATER, OWN, materials
 from hil.thesis.chapter6.statement_rows import IDENTIFICATION, SLIDE, STATEMENTS, identification, slide, statements
 from hil.thesis.statements import Statement, above, below, exactly, says
@@ -38,11 +37,6 @@ def published_device() -> HeldDevice:
     """Return the device of (6.2) without a hand."""
     omni = Omni()
     return HeldDevice(mass_kg=omni.inertia, damping_n_s_per_m=omni.damping)
-
-
-def loop_of(device: HeldDevice, coupler: Coupler) -> HapticLoop:
-    """Return the published loop, three samples of delay on each side, with a coupler."""
-    return HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
 
 
 def passivity(device: HeldDevice) -> dict[str, Any]:
@@ -63,24 +57,16 @@ def passivity(device: HeldDevice) -> dict[str, Any]:
 def transparency(device: HeldDevice) -> dict[str, Any]:
     """Return the numbers of Section 6.4."""
     wave, cutoff = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY), CUTOFF_HZ
-
-    def norm(coupler: Coupler) -> float:
-        return hinf_norm(distortion(MATERIALS[:1], [[1.0]], coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff))
-
     creep = loop_of(device, Coupler(taps_m_per_n=wave.taps_m_per_n, integrator_m_per_n=0.0025))
     depth = push_response(creep, MATERIALS[0], DELAY, 0, 1.0, 4000)
     return {
-        "meant": hinf_norm(distortion(MATERIALS, LAMBDA, wave, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff)),
+        "meant": distortion_norm(wave, cutoff),
         "printed": hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff)),
-        "off": MATERIALS[0].stiffness_n_per_m, "best": norm(wave), "without": norm(static_coupler(0.0)),
+        "off": MATERIALS[0].stiffness_n_per_m, "best": distortion_norm(wave, cutoff, mixed=False),
+        "without": distortion_norm(static_coupler(0.0), cutoff, mixed=False),
         "bound": distortion_bound(MATERIALS[0], period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff),
         "drift": float(depth[4000] - depth[2000]),
     }  # fmt: skip
-
-
-def safe_coupler(device: HeldDevice) -> Coupler:
-    """Return the stiffest coupler for 0 to 8 samples of delay."""
-    return stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=device.damping_n_s_per_m).coupler
 
 
 def push(device: HeldDevice) -> dict[str, Any]:

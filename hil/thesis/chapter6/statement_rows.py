@@ -20,7 +20,6 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.condition import damping_needed
 from design.passivity.loop import HeldDevice
 from design.passivity.material_chain import material_chain
-from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -30,10 +29,9 @@ from hil.pages.html.figures import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 from hil.thesis.chapter import Plot
+from hil.thesis.chapter6.equation_rows import SIDE_M, STEP_M, distortion_norm, safe_coupler
 from hil.thesis.statements import Statement, above, below, exactly, mean, says, within
 
-SIDE_M = 0.02
-STEP_M = 0.15 * math.pi * SIDE_M
 CUTOFF_HZ = 0.3
 ABSENT_M_PER_N = 100.0
 """Compliance of a coupler behind which there is next to no wall."""
@@ -52,15 +50,15 @@ def statements(device: HeldDevice) -> dict[str, Any]:
     repeated = material_chain(_repeated(pattern), 3, STEP_M)
     leaving = (1.0 - np.diag(slower)) / (1.0 - np.diag(once))
     wave = wave_coupler(PERIOD_S, b, DELAY)
-    safe = stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=b).coupler
-    needed = damping_needed(safe, PERIOD_S, range(9)).damping_n_s_per_m
+    needed = damping_needed(safe_coupler(device), PERIOD_S, range(9)).damping_n_s_per_m
     absent = static_coupler(ABSENT_M_PER_N)
     proper = Coupler(taps_m_per_n=(PERIOD_S / (2.0 * b), -0.05))
     return {
         "b": b, "least_b": 0.99 * b, "needed": needed, "repeated": float(np.abs(repeated - once).max()), "leaving": leaving,
         "least": leaving.min(), "most": leaving.max(), "ages": _equalised(),
         "bare": min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS),
-        "nearer": _distortion(absent) / _distortion(wave), "farther": ABSENT_M_PER_N / wave.static_compliance_m_per_n,
+        "nearer": distortion_norm(absent, 3.0, mixed=False) / distortion_norm(wave, 3.0, mixed=False),
+        "farther": ABSENT_M_PER_N / wave.static_compliance_m_per_n,
         "meets": "meets (6.9)" if meets_printed_condition(proper, b) else "misses (6.9)", **_attenuation(wave),
     }  # fmt: skip
 
@@ -72,10 +70,6 @@ def _repeated(pattern: Pattern) -> Pattern:
         for i in (0, 1) for j in (0, 1) for p in pattern.patches
     )  # fmt: skip
     return Pattern(width_m=2 * w, height_m=2 * h, patches=patches)
-
-
-def _distortion(coupler: Coupler) -> float:
-    return hinf_norm(distortion(MATERIALS[:1], [[1.0]], coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=3.0))
 
 
 def _equalised() -> float:
