@@ -27,109 +27,6 @@ if TYPE_CHECKING:
 TILES = 6
 
 
-def tables(run: Run) -> dict[str, pandas.DataFrame]:
-    """Return a `pandas.DataFrame` per topic, with the session time in s as its index and the units in ``attrs``.
-
-    Raises:
-        HilError: if pandas is not installed.
-    """
-    from hil.notebook import data_frame
-
-    found = {}
-    for topic, array in run.arrays.items():
-        columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
-        found[topic] = data_frame({"t_s": seconds(array), **columns}, _units(run, topic)).set_index("t_s")
-    return found
-
-
-def datasets(run: Run) -> dict[str, xarray.Dataset]:
-    """Return an `xarray.Dataset` per topic over the coordinate ``t_s``, in s, with the unit of every variable.
-
-    Raises:
-        HilError: if xarray is not installed.
-    """
-    try:
-        import xarray
-    except ImportError as error:
-        raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
-
-    found = {}
-    for topic, array in run.arrays.items():
-        units = _units(run, topic)
-        variables = {
-            name: ("t_s", array[name], {"units": units.get(name, "")})
-            for name in array.dtype.names or () if name != TIME_FIELD
-        }  # fmt: skip
-        found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
-    return found
-
-
-def figure(run: Run, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-    """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
-
-    Args:
-        run: a log that was read, or a run in memory.
-        path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
-        width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
-
-    Raises:
-        HilError: if matplotlib is not installed, or for another ending.
-    """
-    from hil.notebook import drawn
-
-    return drawn(partial(_paint, run), path, width_mm, height_mm)
-
-
-def _paint(run: Run, sheet: Figure) -> None:
-    view = view_of(run)
-    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
-    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
-    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
-    for axis, name in zip(rows, outputs):
-        if reference is not None:
-            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
-        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
-        axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
-        axis.legend(frameon=False)
-    if applied is not None:
-        inputs = signal_names(run, APPLIED)
-        for number, name in enumerate(inputs):
-            axis = rows[-1]
-            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
-        rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
-        if len(inputs) > 1:
-            rows[-1].legend(frameon=False)
-    rows[-1].set_xlabel("time (s)")
-
-
-def cell(run: Run, summary: dict[str, Any], line: str) -> str:
-    """Return a session as HTML: one line, its numbers as tiles, and the plot where matplotlib is installed.
-
-    Args:
-        run: what ran.
-        summary: its summary.
-        line: the session in one line.
-    """
-    from html import escape  # its table of names is large
-
-    from hil.notebook import as_svg
-
-    titles, units = summary["titles"], summary["units"]
-    found = [(k, v) for k, v in summary["metrics"].items() if isinstance(v, float)][:TILES]
-    tiles = "".join(
-        '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
-        f'<div style="font-size:80%;opacity:.7">{escape(titles[name])}</div><b>{value:.5g}</b> {escape(units[name])}</div>'
-        for name, value in found
-    )
-    svg = as_svg(partial(_paint, run))
-    return f'<div><p>{escape(line)}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
-
-
-def _units(run: Run, topic: str) -> dict[str, str]:
-    schema = run.schemas.get(topic)
-    return {f.name: f.unit for f in schema.fields} if schema is not None else {}
-
-
 class Session(Struct, frozen=True, kw_only=True):
     """What a finished run leaves behind.
 
@@ -166,19 +63,69 @@ class Session(Struct, frozen=True, kw_only=True):
         return self.run.arrays
 
     def to_pandas(self) -> dict[str, pandas.DataFrame]:
-        """Return the arrays as tables of pandas; see `tables`."""
-        return tables(self.run)
+        """Return a `pandas.DataFrame` per topic, with the session time in s as its index and the units in ``attrs``.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        from hil.notebook import data_frame
+
+        found = {}
+        for topic, array in self.arrays.items():
+            columns = {name: array[name] for name in array.dtype.names or () if name != TIME_FIELD}
+            found[topic] = data_frame({"t_s": seconds(array), **columns}, _units(self.run, topic)).set_index("t_s")
+        return found
 
     def to_xarray(self) -> dict[str, xarray.Dataset]:
-        """Return the arrays as data sets of xarray; see `datasets`."""
-        return datasets(self.run)
+        """Return an `xarray.Dataset` per topic over the coordinate ``t_s``, in s, with the unit of every variable.
+
+        Raises:
+            HilError: if xarray is not installed.
+        """
+        try:
+            import xarray
+        except ImportError as error:
+            raise HilError("to_xarray: xarray is not installed; pip install 'hilrig[notebook]'") from error
+
+        found = {}
+        for topic, array in self.arrays.items():
+            units = _units(self.run, topic)
+            variables = {
+                name: ("t_s", array[name], {"units": units.get(name, "")})
+                for name in array.dtype.names or () if name != TIME_FIELD
+            }  # fmt: skip
+            found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
+        return found
 
     def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
-        """Return outputs, reference and inputs as a figure of matplotlib, and write it to a file; see `figure`."""
-        return figure(self.run, path, width_mm=width_mm, height_mm=height_mm)
+        """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
+
+        Args:
+            path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
+            width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+
+        Raises:
+            HilError: if matplotlib is not installed, or for another ending.
+        """
+        from hil.notebook import drawn
+
+        return drawn(partial(_paint, self.run), path, width_mm, height_mm)
 
     def _repr_html_(self) -> str:
-        return cell(self.run, self.summary, repr(self))
+        """Return the session in one line, its numbers as tiles, and the plot where matplotlib is installed."""
+        from html import escape  # its table of names is large
+
+        from hil.notebook import as_svg
+
+        titles, units = self.summary["titles"], self.summary["units"]
+        found = [(k, v) for k, v in self.summary["metrics"].items() if isinstance(v, float)][:TILES]
+        tiles = "".join(
+            '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
+            f'<div style="font-size:80%;opacity:.7">{escape(titles[name])}</div><b>{value:.5g}</b> {escape(units[name])}</div>'
+            for name, value in found
+        )
+        svg = as_svg(partial(_paint, self.run))
+        return f'<div><p>{escape(repr(self))}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
 
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]
@@ -186,3 +133,30 @@ class Session(Struct, frozen=True, kw_only=True):
         value_text = "" if value is None else f", {s['titles'][number]} {value:.5g}"
         safety = ", stopped by safety" if s.get("safety") else ""
         return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{value_text}{safety}>"
+
+
+def _paint(run: Run, sheet: Figure) -> None:
+    view = view_of(run)
+    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
+    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
+    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+    for axis, name in zip(rows, outputs):
+        if reference is not None:
+            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+        axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
+        axis.legend(frameon=False)
+    if applied is not None:
+        inputs = signal_names(run, APPLIED)
+        for number, name in enumerate(inputs):
+            axis = rows[-1]
+            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+        rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        if len(inputs) > 1:
+            rows[-1].legend(frameon=False)
+    rows[-1].set_xlabel("time (s)")
+
+
+def _units(run: Run, topic: str) -> dict[str, str]:
+    schema = run.schemas.get(topic)
+    return {f.name: f.unit for f in schema.fields} if schema is not None else {}

@@ -48,8 +48,8 @@ def test_mine(hil):
 
 PLOT = """
 from hil.log.read.run import read_run
-from hil.session.finished import figure
-figure(read_run("a.mcap"), "figures/a.svg")
+from hil.session import Session
+Session(log=lambda: read_run("a.mcap"), summary={}, status=0).plot("figures/a.svg")
 """
 
 COMMANDS = {
