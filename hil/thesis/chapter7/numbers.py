@@ -10,8 +10,7 @@ from hil.thesis.chapter7.estimate import ESTIMATED, estimated_delay
 from hil.thesis.chapter7.figures import SMITH, motor_plots, smith, vtol_plots
 from hil.thesis.chapter7.friction import EXPERIMENT_ROWS, experiment, fit
 from hil.thesis.chapter7.further import INTEGRAL, STAYS, TRADE_OFF, UNCERTAIN, integral_action, stays, trade_off, uncertain
-from hil.thesis.chapter7.local import LOCAL_DESIGNS, local_designs
-from hil.thesis.chapter7.models import MODELS, models
+from hil.thesis.chapter7.models import LOCAL_DESIGNS, MODELS, local_designs, models
 from hil.thesis.chapter7.tables import TABLE_7_1_ROWS, TABLE_7_2_ROWS, motor_table, vtol_table
 
 

@@ -18,7 +18,6 @@ from plants import DCMotor, Departure, LinearPlant
 
 pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
 
-INTEGRAL = {"kind": "designed", "objective": "h2", "information": "applied", "integral": 0.05}
 NO_AGES = {"kind": "local", "gain": [[-0.05, -0.006]]}
 AGES = {"kind": "send-all", "selection": "constant", "gains": [[[[-0.05, -0.006]]], [[[-0.04, -0.006]]]]}
 AT_ONCE = {"kind": "constant", "age": 0}
@@ -65,7 +64,7 @@ def test_runs_end_within_the_bound_and_it_is_not_idle(name: str, changes: dict[s
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("dc-motor-h2", {"plant.driver": {"saturation_v": 0.058}, "controller": INTEGRAL}),
+        ("dc-motor-ours-integral", {"plant.driver": {"saturation_v": 0.058}, "controller.integral_limit": []}),
         ("dc-motor-h2", {"plant.encoder": {"step_rad": 0.0038}, "controller": {"kind": "local", "gain": [[-0.6]]}}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND, "controller": AGES}),
         ("dc-motor-two-nodes", {"network.nodes.angle.trigger": BAND | {"kind": "error"}, "controller": NO_AGES}),

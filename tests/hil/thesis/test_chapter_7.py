@@ -22,8 +22,7 @@ from hil.thesis.chapter7.friction import (
     misfit,
 )
 from hil.thesis.chapter7.further import LEVELS, TRADE_OFF, trade_off
-from hil.thesis.chapter7.local import LOCAL_DESIGNS, local_designs, peak
-from hil.thesis.chapter7.models import H2, MODELS, VTOL_LOCAL, models, motor, vtol
+from hil.thesis.chapter7.models import H2, LOCAL_DESIGNS, MODELS, VTOL_LOCAL, local_designs, models, motor, peak, vtol
 from hil.thesis.chapter7.tables import (
     PERIODS_S,
     TABLE_7_1_ROWS,
