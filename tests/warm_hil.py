@@ -35,7 +35,8 @@ MODULES = (
 
 
 def hil_command(
-    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil"
+    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil",
+    terminal: str = "",
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 
@@ -45,6 +46,7 @@ def hil_command(
         env: its environment; that of this process by default.
         timeout: after which it is killed, s.
         program: "pytest" for pytest in its place.
+        terminal: device that takes standard output in place of a file.
 
     Raises:
         subprocess.TimeoutExpired: it took longer.
@@ -52,7 +54,7 @@ def hil_command(
     with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
         given = dict(os.environ if env is None else env)
         asked = {"program": program, "words": words, "cwd": str(cwd), "env": given, "timeout": timeout}
-        asked |= {"out": out.name, "err": err.name}
+        asked |= {"out": terminal or out.name, "err": err.name}
         server = _server()
         assert server.stdin is not None and server.stdout is not None
         print(json.dumps(asked), file=server.stdin, flush=True)

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,28 +15,24 @@ from hil.cli.completion import SHELLS, script
 from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
 
-ASKED = """
-import os
-from hil.cli import main
-for words in {lines!r}:
-    os.environ.update(_HIL_COMPLETE="bash_complete", COMP_WORDS=words, COMP_CWORD=str(words.count(" ")))
-    try:
-        main([])
-    except SystemExit as end:
-        assert not end.code, end.code
-    print("--", flush=True)
-"""
+Offered = Callable[..., list[list[str]]]
 
 
-def offered(*lines: str) -> list[list[str]]:
-    """Return for each line what is offered for its last word, as bash asks for it; one process answers them all."""
-    done = subprocess.run(
-        [sys.executable, "-c", ASKED.format(lines=lines)], capture_output=True, text=True, check=True, timeout=120
-    )
-    return [[line.partition(",")[2] for line in part.splitlines() if line] for part in done.stdout.split("--\n")[:-1]]
+@pytest.fixture
+def offered(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> Offered:
+    """Return for each line what is offered for its last word, as bash asks for it."""
+
+    def asked(line: str) -> list[str]:
+        for name, value in (("_HIL_COMPLETE", "bash_complete"), ("COMP_WORDS", line), ("COMP_CWORD", str(line.count(" ")))):
+            monkeypatch.setenv(name, value)
+        status, out, _ = cli()
+        assert status == 0
+        return [each.partition(",")[2] for each in out.splitlines() if each]
+
+    return lambda *lines: list(map(asked, lines))
 
 
-def test_commands_experiments_and_keys_are_offered() -> None:
+def test_commands_experiments_and_keys_are_offered(offered: Offered) -> None:
     commands, experiments, keys, laws, nothing = offered(
         "hil re", "hil run dc-motor-h", "hil run dc-motor-hinf --set plant.", "hil sweep dc-motor-hinf --set network.sc.law",
         "hil run no-such --set plant.",
@@ -76,7 +73,7 @@ def test_bash_takes_the_script(tmp_path: Path) -> None:
     assert "_hil_completion hil" in done.stdout and done.stdout.splitlines()[-1] == "plant.gain="
 
 
-def test_completion_runs_nothing_that_an_experiment_names(tmp_path: Path) -> None:
+def test_completion_runs_nothing_that_an_experiment_names(offered: Offered, tmp_path: Path) -> None:
     ran = tmp_path / "ran"
     (tmp_path / "evil.py").write_text(f"open({str(ran)!r}, 'w').close()\n")
     motor = shipped()["dc-motor-hinf"].read_text()
@@ -88,7 +85,7 @@ def test_completion_runs_nothing_that_an_experiment_names(tmp_path: Path) -> Non
     assert {"plant.file=", "plant.measured="} <= set(keys)
 
 
-def test_completion_offers_no_key_that_a_shell_would_run(tmp_path: Path) -> None:
+def test_completion_offers_no_key_that_a_shell_would_run(offered: Offered, tmp_path: Path) -> None:
     keys = ("$(touch ran)", "`touch ran`", "a;touch ran", "x\\nplain,$(touch ran)", "\\u001b[2J", "a b", "*")
     lines = "".join(f'"{key}" = 1\n' for key in keys)
     experiment = tmp_path / "e.toml"

@@ -13,7 +13,6 @@ import pytest
 from click.testing import CliRunner
 
 from design.requests.tracking import LocalDesigned, solve_tracking
-from hil.cli import cli
 from hil.cli.design import command
 from hil.cli.design_answers import design_local
 from hil.compose.loop import compose
@@ -24,7 +23,7 @@ from hil.experiment import load_experiment
 from plants import LinearRun, Signal, StateSpace
 from plants.parts.actuators import Friction
 from tests.bench.design import GOALS, bench_design
-from tests.warm_hil import hil_command
+from tests.hil.cli.conftest import Hil, run_main
 
 
 def run(*arguments):
@@ -225,10 +224,9 @@ def test_every_plant_between_is_covered(names):
         np.testing.assert_allclose(found.M @ delta @ N, change, atol=1e-10)
 
 
-def test_command_line_turns_refusal_into_status_2_and_writes_nothing(tmp_path):
-    path = tmp_path / "x.json"
-    done = hil_command("design", "dc-motor", "--gain-bound", "0", "-o", str(path), cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr.startswith("hil: design: gain_bound") and not path.exists()
+def test_command_line_turns_refusal_into_status_2_and_writes_nothing(cli: Hil, tmp_path: Path) -> None:
+    status, _, err = cli("design", "dc-motor", "--gain-bound", "0", "-o", "x.json")
+    assert status == 2 and err.startswith("hil: design: gain_bound") and not (tmp_path / "x.json").exists()
 
 
 @pytest.mark.slow
@@ -255,8 +253,8 @@ def test_what_fits_no_law_loads_no_scipy_stats() -> None:
 
 def test_a_plant_of_ones_own_is_designed_for_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    assert CliRunner().invoke(cli, ["new", "plant", "trolley"], catch_exceptions=False).exit_code == 0
-    done = CliRunner().invoke(cli, ["design", "trolley:Trolley", "--starts", "1", "-o", "gains.json"], catch_exceptions=False)
+    assert run_main("new", "plant", "trolley") == 0
+    done = run("trolley:Trolley", "--starts", "1", "-o", "gains.json")
     assert done.exit_code == 0 and json.loads(Path("gains.json").read_text())["verdict"]["state"] == "certified"
     with pytest.raises(HilError, match=r"trolley\.py has no 'Wagon'; it has Trolley"):
-        CliRunner().invoke(cli, ["design", "trolley:Wagon"], catch_exceptions=False)
+        run("trolley:Wagon")

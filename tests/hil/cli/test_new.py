@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import re
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from hil.cli.guide import pages
 from hil.cli.new import PARTS, files_of
 from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
+from tests.warm_hil import hil_command
 
 NAMES = {"plant": "cart", "controller": "pd", "law": "calm", "measure": "effort", "experiment": "first-try"}
 
@@ -25,8 +25,7 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         assert f"hil run mine/{name.replace('-', '_')}.toml" in out
         status, _, err = cli("run", f"mine/{name.replace('-', '_')}.toml")
         assert status == 0, err
-    tests = [sys.executable, "-P", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "mine"]
-    done = subprocess.run(tests, capture_output=True, text=True)
+    done = hil_command("-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "mine", cwd=tmp_path, program="pytest")
     assert done.returncode == 0, done.stdout + done.stderr
     written = "".join(path.read_text() for path in Path("mine").glob("test_*.py"))
     assert f"{len(re.findall('^def test_', written, re.M))} passed" in done.stdout

@@ -76,7 +76,7 @@ def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
-    late = "print('loops', file=sys.stderr, flush=True)\n            while True: pass"
+    late = "print('loops', file=sys.stderr, flush=True)\n            import time\n            while True: time.sleep(0.01)"
     with ended(started(prepared(tmp_path, late))) as process:
         assert process.stderr is not None and process.stderr.readline() == "loops\n"
         process.send_signal(number)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import pty
 import re
-import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
+from threading import Thread
 
 import pytest
 from hypothesis import given
@@ -19,6 +18,7 @@ from hil.cli.terminal import LONGEST, message_lines, visible
 from hil.experiment import shipped
 from hil.pages.html.figures import Cell, Table
 from tests.hil.cli.conftest import Hil
+from tests.warm_hil import hil_command
 
 GOOD = shipped()["dc-motor-hinf"].read_text()
 
@@ -49,33 +49,30 @@ def test_a_table_that_folds_loses_no_word(
     assert max(map(len, shown.splitlines())) <= max(columns, 55)
 
 
-ON_A_TERMINAL = """
-from hil.cli import main
-try:
-    main([{arguments}])
-except SystemExit as end:
-    assert not end.code, end.code
-"""
-
-
 @pytest.mark.parametrize("arguments", [
-    '"laws", "dc-motor-packets"', '"list", "links"', '"can", "analyse", "dc-motor-busy-can", "--duration", "1"',
-    '"guide", "glossary"',
-])  # fmt: skip
+    ("laws", "dc-motor-hinf"), ("list", "links"), ("can", "analyse", "dc-motor-busy-can", "--duration", "0.1"),
+    ("guide", "glossary"),
+], ids=lambda words: words[0])  # fmt: skip
 @pytest.mark.parametrize("plain", [True, False])
-def test_no_color_is_no_escape_code(arguments: str, plain: bool) -> None:
+def test_no_color_is_no_escape_code(tmp_path: Path, arguments: tuple[str, ...], plain: bool) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm", "PAGER": "cat", "COLUMNS": "80"}
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-c", ON_A_TERMINAL.format(arguments=arguments)]
-    with subprocess.Popen(command, stdout=theirs, env=environment | ({"NO_COLOR": "1"} if plain else {})) as process:
-        os.close(theirs)
-        shown = b""
+    shown: list[bytes] = []
+
+    def keep() -> None:
         with suppress(OSError):  # the end of a pseudo terminal
             while part := os.read(ours, 65536):
-                shown += part
+                shown.append(part)
+
+    reader = Thread(target=keep)
+    reader.start()
+    environment |= {"NO_COLOR": "1"} if plain else {}
+    done = hil_command(*arguments, cwd=tmp_path, env=environment, terminal=os.ttyname(theirs))
+    os.close(theirs)
+    reader.join()
     os.close(ours)
-    assert process.returncode == 0 and len(shown) > 300
-    assert (b"\x1b[" in shown) is not plain
+    assert done.returncode == 0 and len(b"".join(shown)) > 300
+    assert (b"\x1b[" in b"".join(shown)) is not plain
 
 
 @pytest.mark.parametrize("words", [
