@@ -36,7 +36,7 @@ MODULES = (
 
 def hil_command(
     *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil",
-    terminal: str = "",
+    terminal: str = "", errors_too: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 
@@ -46,7 +46,8 @@ def hil_command(
         env: its environment; that of this process by default.
         timeout: after which it is killed, s.
         program: "pytest" for pytest in its place.
-        terminal: device that takes standard output in place of a file.
+        terminal: device that takes standard output in place of a file; it is the controlling one of its process.
+        errors_too: standard error goes there, too.
 
     Raises:
         subprocess.TimeoutExpired: it took longer.
@@ -54,7 +55,7 @@ def hil_command(
     with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
         given = dict(os.environ if env is None else env)
         asked = {"program": program, "words": words, "cwd": str(cwd), "env": given, "timeout": timeout}
-        asked |= {"out": terminal or out.name, "err": err.name}
+        asked |= {"out": terminal or out.name, "err": (errors_too and terminal) or err.name, "own_session": bool(terminal)}
         server = _server()
         assert server.stdin is not None and server.stdout is not None
         print(json.dumps(asked), file=server.stdin, flush=True)
@@ -96,11 +97,13 @@ def _become(asked: dict[str, Any]) -> None:
 
     status: Any = 1
     try:
+        if asked["own_session"]:
+            os.setsid()  # the terminal that it opens next is its own
         os.chdir(asked["cwd"])
         os.environ.clear()
         os.environ.update(asked["env"])
         for number, name in enumerate((os.devnull, asked["out"], asked["err"])):
-            opened = os.open(name, os.O_WRONLY if number else os.O_RDONLY)
+            opened = os.open(name, os.O_RDWR if number else os.O_RDONLY)  # a terminal that may not be read is nobody's own
             os.dup2(opened, number)
             os.close(opened)
         sys.stdin, sys.stdout, sys.stderr = (open(number, mode) for number, mode in enumerate("rww"))  # noqa: SIM115

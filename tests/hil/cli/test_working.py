@@ -6,13 +6,17 @@ import os
 import pty
 import signal
 import subprocess
-import sys
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from select import select
 
 import pytest
 
-from tests.waiting import LIMIT_S, ended, until
+from tests.waiting import LIMIT_S, until
+from tests.warm_hil import hil_command
 
 LARGE = """
 name = "large"
@@ -52,15 +56,22 @@ ca.law = {{ kind = "markov", matrix = {CLIMBING} }}
 """784 modes of 56 states: no eigenvalue is looked for, and sums of powers take some twenty seconds."""
 
 
-def in_a_terminal(folder: Path, *arguments: str) -> tuple[subprocess.Popen[str], int]:
-    """Start ``hil ARGUMENTS`` in a terminal; return the process and the terminal's other end."""
+@contextmanager
+def in_a_terminal(folder: Path, *arguments: str) -> Iterator[tuple[Future[subprocess.CompletedProcess[str]], int]]:
+    """Run ``hil ARGUMENTS`` in a terminal of its own beside the block; give its end to come, and the terminal's other side."""
     ours, theirs = pty.openpty()
-    started = subprocess.Popen(
-        [sys.executable, "-m", "hil", *arguments], cwd=folder, stdin=theirs, stdout=theirs, stderr=theirs, text=True,
-        env={**os.environ, "TERM": "xterm", "COLUMNS": "120"}, start_new_session=True,
-    )  # fmt: skip
-    os.close(theirs)
-    return started, ours
+    environment = {**os.environ, "TERM": "xterm", "COLUMNS": "120"}
+    with ThreadPoolExecutor(1) as beside:
+        asked = partial(hil_command, cwd=folder, env=environment, terminal=os.ttyname(theirs), errors_too=True)
+        done = beside.submit(asked, *arguments)
+        try:
+            yield done, ours
+        finally:
+            if not done.done():
+                os.killpg(os.tcgetpgrp(ours), signal.SIGKILL)
+            done.result()
+            os.close(theirs)
+            os.close(ours)
 
 
 def read(terminal: int) -> str:
@@ -90,30 +101,25 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
     (tmp_path / "designed.toml").write_text(LARGE.format(controller='"designed"\nobjective = "h2"', tail=1.1))
     (tmp_path / "crowded.toml").write_text(CROWDED)
     made = set(tmp_path.iterdir())
-    process, terminal = in_a_terminal(tmp_path, *arguments)
-    seen = ""
+    with in_a_terminal(tmp_path, *arguments) as (done, terminal):
+        seen = ""
 
-    def shown() -> bool:
-        nonlocal seen
-        seen += read(terminal)
-        assert process.poll() is None, seen
-        return title in seen
+        def shown() -> bool:
+            nonlocal seen
+            seen += read(terminal)
+            assert not done.done(), seen
+            return title in seen
 
-    try:
-        with ended(process):
-            until(shown, f"{title!r} on the terminal")
-            os.killpg(process.pid, signal.SIGINT)
-            until(lambda: read(terminal) == "" and process.poll() is not None, "its end", LIMIT_S)
-            assert process.returncode == 130
-    finally:
-        os.close(terminal)
+        until(shown, f"{title!r} on the terminal")
+        group = os.tcgetpgrp(terminal)
+        os.write(terminal, b"\x03")  # as Ctrl-C comes: to every process of the command
+        until(lambda: read(terminal) == "" and done.done(), "its end", LIMIT_S)
+        assert done.result().returncode == 130
     with pytest.raises(ProcessLookupError):
-        os.killpg(process.pid, 0)  # nothing that it started is left
+        os.killpg(group, 0)  # nothing that it started is left
     assert set(tmp_path.iterdir()) == made
 
 
 def test_nothing_is_drawn_where_no_browser_looks(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "design", "wall", "--delay", "0", "--json"], cwd=tmp_path, capture_output=True, text=True
-    )
+    done = hil_command("design", "wall", "--delay", "0", "--json", cwd=tmp_path)
     assert done.returncode == 0 and done.stderr == ""
