@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.bench.pair import Pair, open_pair
+from hil.bench import Pair, open_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import die_with_parent, go_real_time

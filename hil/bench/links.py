@@ -19,7 +19,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, cast
 
-from hil.bench.pair import Pair, open_pair
+from hil.bench import Pair, open_pair
 from hil.bench.plain_links import UNIX, ZENOH, PlainSocket, PlainZenoh
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.real.child import python_module

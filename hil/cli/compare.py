@@ -170,7 +170,7 @@ def _table(said: str) -> str:
     Raises:
         HilError: no table, or none with a kind.
     """
-    from hil.files.regular import read_regular
+    from hil.files import read_regular
     from hil.files.toml_text import parse_toml, toml_value
 
     path = Path(said)

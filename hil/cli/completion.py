@@ -81,7 +81,7 @@ def _static(path: Path) -> dict[str, Any]:
     from hil.experiment import MAX_BYTES
     from hil.experiment.rig_tables import Limits
     from hil.experiment.tables import Experiment, Links, Report, Timing
-    from hil.files.regular import read_regular
+    from hil.files import read_regular
     from hil.files.toml_text import parse_toml
     from hil.plugins import registry
     from hil.plugins.fields import fields_of

@@ -106,7 +106,7 @@ def _ask(run: Run, file: Path, uri: str) -> None:
 
 def _signed(file: Path, key: Path) -> Run:
     """Return the log, read from the very file whose signature was checked."""
-    from hil.files.regular import open_regular
+    from hil.files import open_regular
     from hil.files.signature import BadSignature, check_signature
     from hil.log.read.run import read_run
 

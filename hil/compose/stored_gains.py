@@ -21,7 +21,7 @@ from design.verdict import digest
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment, parse_table
 from hil.experiment.table import plain
-from hil.files.regular import read_regular
+from hil.files import read_regular
 from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController
 from hil.rig.loop import Gains
 

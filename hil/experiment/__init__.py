@@ -16,7 +16,7 @@ from hil.experiment.check import Checker
 from hil.experiment.table import Seconds as Seconds
 from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment as Experiment
-from hil.files.regular import read_regular
+from hil.files import read_regular
 from hil.files.toml_text import DEEPEST, parse_toml
 from hil.plugins import registry
 

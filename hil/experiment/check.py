@@ -18,7 +18,7 @@ from hil.experiment.nodes import Medium, Node
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
-from hil.files.regular import read_regular
+from hil.files import read_regular
 from hil.files.toml_text import parse_toml
 from hil.plugins import registry
 from hil.plugins.registry import OBJECT

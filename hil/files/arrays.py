@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
-from hil.files.regular import open_regular, read_regular
+from hil.files import open_regular, read_regular
 
 _CHILD: Final = Path(__file__).with_name("mat_child.py")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.files.regular import open_regular
+from hil.files import open_regular
 
 if TYPE_CHECKING:
     import can

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.files.outputs import written_whole
-from hil.files.regular import read_regular
+from hil.files import read_regular
+from hil.files.outputs import File, new_files, written_whole
 from transport.links.certificates import FILE, cryptography_needed, revoked_names
 from transport.links.link import TransportError
 from transport.links.private_directory import MOST_BYTES, read_secret
@@ -26,9 +26,6 @@ with cryptography_needed():
 
 AUTHORITY: Final = "hilrig test CA"
 ENDS: Final = ("rig", "controller")
-File = tuple[Path, bytes, int]
-"""Path, contents, mode."""
-
 _NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _TAKEN: Final = ("ca", "frames", "signing")
 
@@ -68,8 +65,9 @@ def _write(folder: Path, hosts: Sequence[str], days: int) -> list[Path]:
     begin = datetime.now(UTC) - BEFORE
     end = begin + timedelta(days=days)
     root, issuer = ec.generate_private_key(ec.SECP256R1()), _name(AUTHORITY)
-    own = _certificate(issuer, issuer, root, begin, end, 0).sign(root, hashes.SHA256())
-    files = [(folder / "ca.pem", own.public_bytes(Encoding.PEM), 0o644), (folder / "ca.key", _pem(root), 0o600)]
+    builder = _certificate(issuer, issuer, root.public_key(), begin, end).add_extension(_basic(0), critical=True)
+    own = builder.sign(root, hashes.SHA256()).public_bytes(Encoding.PEM)
+    files = [(folder / "ca.pem", own, 0o644), (folder / "ca.key", _pem(root), 0o600)]
     for name in ENDS:
         files += end_files(folder, name, root, issuer, hosts, begin, end)
     return new_files([*files, (folder / "frames.key", os.urandom(16).hex().encode() + b"\n", 0o600)])
@@ -93,19 +91,19 @@ def end_files(
     names: list[x509.GeneralName] = [_general(host) for host in dict.fromkeys(("localhost", "127.0.0.1", "::1", *hosts))]
     key = ec.generate_private_key(ec.SECP256R1())
     usage = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH])
-    builder = _certificate(issuer, _name(name), key, begin, end, None)
+    builder = _certificate(issuer, _name(name), key.public_key(), begin, end).add_extension(_basic(None), critical=True)
     builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False).add_extension(usage, critical=False)
     signed = builder.sign(root, hashes.SHA256()).public_bytes(Encoding.PEM)
     return [(folder / f"{name}.pem", signed, 0o644), (folder / f"{name}.key", _pem(key), 0o600)]
 
 
-def _certificate(
-    issuer: x509.Name, called: x509.Name, key: ec.EllipticCurvePrivateKey, begin: datetime, end: datetime, path_length: int | None
-) -> x509.CertificateBuilder:
-    builder = x509.CertificateBuilder(issuer_name=issuer, subject_name=called, public_key=key.public_key())
-    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
-    basic = x509.BasicConstraints(ca=path_length is not None, path_length=path_length)
-    return builder.add_extension(basic, critical=True)
+def _certificate(issuer: x509.Name, called: x509.Name, public: Any, begin: datetime, end: datetime) -> x509.CertificateBuilder:
+    builder = x509.CertificateBuilder(issuer_name=issuer, subject_name=called, public_key=public)
+    return builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
+
+
+def _basic(path_length: int | None) -> x509.BasicConstraints:
+    return x509.BasicConstraints(ca=path_length is not None, path_length=path_length)
 
 
 def _name(common: str) -> x509.Name:
@@ -125,19 +123,6 @@ def _general(host: str) -> x509.GeneralName:
 
 def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
     return key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-
-
-def new_files(files: Sequence[File]) -> list[Path]:
-    """Make files that are not there yet, and return their paths.
-
-    Raises:
-        OSError: one is there, or cannot be written.
-    """
-    for path, data, mode in files:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
-        with open(descriptor, "wb") as file:
-            file.write(data)
-    return [path for path, _, _ in files]
 
 
 def authority_key(folder: Path, what: str) -> tuple[ec.EllipticCurvePrivateKey, x509.Certificate]:
@@ -269,9 +254,7 @@ def renew_certificates(folder: Path, days: int = 365) -> list[Path]:
 
 
 def _renewed(old: x509.Certificate, root: ec.EllipticCurvePrivateKey, begin: datetime, end: datetime) -> x509.Certificate:
-    key: Any = old.public_key()
-    builder = x509.CertificateBuilder(issuer_name=old.issuer, subject_name=old.subject, public_key=key)
-    builder = builder.serial_number(x509.random_serial_number()).not_valid_before(begin).not_valid_after(end)
+    builder = _certificate(old.issuer, old.subject, old.public_key(), begin, end)
     for extension in old.extensions:
         builder = builder.add_extension(extension.value, extension.critical)
     return builder.sign(root, hashes.SHA256())

@@ -10,11 +10,14 @@ import os
 import secrets
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from hil.errors import HilError
+
+File = tuple[Path, bytes, int]
+"""Path, contents, mode."""
 
 
 @contextmanager
@@ -64,6 +67,19 @@ def _put(part: Path, target: Path) -> None:
         # A file system without hard links, such as that of a memory stick: the name is taken first.
         os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
         part.replace(target)
+
+
+def new_files(files: Sequence[File]) -> list[Path]:
+    """Make files that are not there yet, and return their paths.
+
+    Raises:
+        OSError: one is there, or cannot be written.
+    """
+    for path, data, mode in files:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+        with open(descriptor, "wb") as file:
+            file.write(data)
+    return [path for path, _, _ in files]
 
 
 PAGE = b"<!doctype html"  # as our pages begin

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.files.outputs import written_whole
-from hil.files.regular import read_regular
+from hil.files import read_regular
+from hil.files.outputs import new_files, written_whole
 from transport.links.certificates import cryptography_needed
 from transport.links.private_directory import read_secret
 
@@ -133,20 +133,16 @@ def make_signing_key(folder: Path) -> list[Path]:
 
     key = Ed25519PrivateKey.generate()
     files = (
-        ("signing.key", 0o600, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())),
-        ("signing.pub", 0o644, key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)),
+        (folder / "signing.key", key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()), 0o600),
+        (folder / "signing.pub", key.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo), 0o644),
     )
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if any(os.path.lexists(folder / name) for name, _, _ in files):
+        if any(os.path.lexists(path) for path, _, _ in files):
             raise HilError(f"{folder}: has a signing key already; it is not replaced")
-        for name, mode, data in files:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-            with open(os.open(folder / name, flags, mode), "wb") as file:
-                file.write(data)
+        return new_files(files)
     except OSError as error:
         raise HilError(f"{error.filename or folder}: cannot be written: {error.strerror}") from error
-    return [folder / name for name, _, _ in files]
 
 
 def signature_of(log: Path) -> Path:

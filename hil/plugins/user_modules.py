@@ -19,7 +19,7 @@ from types import FunctionType, ModuleType
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.files.regular import read_regular
+from hil.files import read_regular
 from hil.plugins.process_guard import WATCH, ProcessState, refuse_calls_from
 
 MAX_BYTES: Final = 1_000_000

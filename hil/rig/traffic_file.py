@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from hil.errors import HilError
 from hil.experiment.nodes import TrafficTable
 from hil.experiment.table import Seconds
-from hil.files.regular import open_regular
+from hil.files import open_regular
 from transport.can_bus_model import CanFrame
 from transport.errors import FieldError
 from transport.wire import frame_length

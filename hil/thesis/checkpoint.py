@@ -23,7 +23,7 @@ import design
 import plants
 import transport
 from hil.errors import HilError
-from hil.files.regular import refuse_irregular
+from hil.files import refuse_irregular
 from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
 from hil.thesis.chapter import Part, Plot
 from hil.thesis.judgement import Approximately, Between, Check, Drawn, Equals, NotJudged, Row

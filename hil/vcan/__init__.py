@@ -8,11 +8,14 @@ of it runs without site-packages.
 
 from __future__ import annotations
 
+import shutil
+import socket
 from collections.abc import Callable
 from functools import partial
 
-from hil.vcan import kernel, native, uml
-from hil.vcan.supervise import RUNNER_FAILED, TIMED_OUT, RunnerError, Wanted, run
+from hil.vcan import kernel, uml
+from hil.vcan.guest import LINKS
+from hil.vcan.supervise import RUNNER_FAILED, TIMED_OUT, RunnerError, Wanted, run, say, unshare, works
 
 __all__ = ["RUNNER_FAILED", "TIMED_OUT", "RunnerError", "Wanted", "run_beside_vcan", "what_would_run"]
 
@@ -50,14 +53,14 @@ def start(wanted: Wanted) -> list[str]:
 def ways(wanted: Wanted) -> list[tuple[str, Start]]:
     """Return the ways to a vcan0 that are allowed, best first."""
     small: tuple[str, Start] = ("uml", partial(uml.argv, find=kernel.small))
-    real: list[tuple[str, Start]] = [("native", native.argv), small, ("debian", partial(uml.argv, find=kernel.debian))]
+    real: list[tuple[str, Start]] = [("native", native), small, ("debian", partial(uml.argv, find=kernel.debian))]
     return [way for way in ([small] if wanted.virtual_time else real) if wanted.backend in ("auto", way[0])]
 
 
 def what_would_run() -> tuple[bool, str, str]:
     """Return whether ``hil vcan`` works here, what it takes, and what helps where it does not; builds nothing."""
     try:
-        native.argv(Wanted(command=("true",)))
+        native(Wanted(command=("true",)))
     except RunnerError as why:
         refused = str(why)
     else:
@@ -70,3 +73,59 @@ def what_would_run() -> tuple[bool, str, str]:
     except RunnerError as why:
         return False, f"{refused}, and no user-mode kernel can be built yet", str(why)
     return True, f"a user-mode kernel, as {refused}; the first use builds it, some minutes", ""
+
+
+def native(wanted: Wanted) -> list[str]:
+    """Return what to execute so that the command runs beside a vcan0 of this kernel.
+
+    Where new namespaces are refused, a vcan0 that is there already must do, which others may use too.
+
+    Raises:
+        RunnerError: this kernel has none.
+    """
+    if not hasattr(socket, "AF_CAN"):
+        raise RunnerError("this Python has no AF_CAN")
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError as why:
+        raise RunnerError(f"this kernel has no CAN ({why.strerror})") from why
+    try:
+        return _in_a_namespace(wanted)
+    except RunnerError:
+        if not _vcan0_is_there():
+            raise
+    if wanted.verbose:
+        say("the vcan0 that is there, real time")
+    return ["env", "VCAN_BACKEND=native", *wanted.command]
+
+
+def _in_a_namespace(wanted: Wanted) -> list[str]:
+    """Return what to execute for a vcan0 of the command's own."""
+    if not shutil.which("ip"):
+        raise RunnerError("ip is missing (apt-get install iproute2)")
+    private = [*unshare("net", "pid", "mount"), "--mount-proc"]
+    if not works([*private, "sh", "-ec", LINKS]):
+        raise RunnerError("this kernel makes no vcan here (as root: modprobe vcan)")
+    if wanted.verbose:
+        say("this kernel's own vcan, real time")
+    # /sys belongs to a network namespace, too; a container may refuse the mount, and little needs it.
+    # The shell stays as the namespace's first process, which signals do not end and which orphans fall to.
+    script = f"""\
+set -e
+mount -t sysfs sysfs /sys 2>/dev/null || :
+{LINKS}
+set +e
+VCAN_BACKEND=native "$@"
+exit $?
+"""
+    return [*private, "sh", "-c", script, "sh", *wanted.command]
+
+
+def _vcan0_is_there() -> bool:
+    """Whether a vcan0 can be bound."""
+    try:
+        with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as s:
+            s.bind(("vcan0",))
+    except OSError:
+        return False
+    return True

@@ -7,8 +7,15 @@ import shlex
 import site
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Final
 
-from hil.vcan.native import LINKS
+# vcan0 takes classic and FD frames (MTU 72). Multicast on lo is what zenoh and udp_multicast expect of a machine.
+LINKS: Final = """\
+ip link set lo up multicast on
+ip route add 224.0.0.0/4 dev lo
+ip link add dev vcan0 type vcan
+ip link set vcan0 mtu 72 up
+"""
 
 WORK = "/run/hil-vcan"  # where the guest sees the runner's work directory
 

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.files.regular import open_regular, read_regular
+from hil.files import open_regular, read_regular
 from hil.vcan import guest
 from hil.vcan.kernel import Kernel
 from hil.vcan.supervise import RUNNER_FAILED, RunnerError, Wanted, die_with_parent, say, unshare

@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from hil.errors import HilError
-from hil.files.regular import refuse_irregular
+from hil.files import refuse_irregular
 from hil.log.read.mcap_walk import MAGIC, Budget, Record, framed, parse, parse_attachment, unpack_chunk
 
 

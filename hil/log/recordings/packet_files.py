@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.errors import HilError
+from hil.files import open_regular
 from hil.files.arrays import read_columns
-from hil.files.regular import open_regular
 from hil.log.recordings.recording import ROUND_TRIP, THERE, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
 

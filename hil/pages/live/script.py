@@ -11,7 +11,7 @@ import msgspec
 
 from hil.compose.changed import refuse_in_real_time
 from hil.errors import HilError
-from hil.files.regular import read_regular
+from hil.files import read_regular
 from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
 from hil.rig.loop import Loop

@@ -15,7 +15,7 @@ from typing import Any, Never
 import pytest
 
 from hil import vcan
-from hil.vcan import RunnerError, Wanted, kernel, native, supervise, uml, what_would_run
+from hil.vcan import RunnerError, Wanted, kernel, supervise, uml, what_would_run
 from hil.vcan.kernel import Kernel
 from tests.hil.cli.conftest import Hil
 
@@ -77,7 +77,7 @@ def test_status_is_125_with_a_line_for_each_way_where_there_is_none(cli: Hil, mo
 
 def test_a_kernel_with_vcan_gives_the_command_a_network_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Can)
-    monkeypatch.setattr(native, "works", lambda argv: True)
+    monkeypatch.setattr(vcan, "works", lambda argv: True)
     monkeypatch.setattr(supervise, "works", lambda argv: True)
     argv = vcan.start(Wanted(command=("candump", "vcan0")))
     assert argv[0] == "unshare" and {"--net", "--pid", "--mount"} < set(argv) and argv[-2:] == ["candump", "vcan0"]
@@ -91,7 +91,7 @@ def test_where_namespaces_are_refused_the_vcan0_that_is_there_must_do(monkeypatc
     assert vcan.start(PLAIN) == ["env", "VCAN_BACKEND=native", "true"]
     monkeypatch.setattr(Can, "bind", NoCan.__init__)
     with pytest.raises(RunnerError, match="refuses new net, pid, mount namespaces"):
-        native.argv(PLAIN)
+        vcan.native(PLAIN)
 
 
 def test_a_kernel_is_booted_on_what_the_command_needs_of_tmp(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
