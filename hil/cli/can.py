@@ -110,7 +110,7 @@ def _of_traffic(
     from hil.runtime.streams import rng_for
     from transport.can_bus_model import BitRates
     from transport.errors import FieldError
-    from transport.links.hil_channel import rate
+    from transport.links.can_open import rate
 
     try:
         traffic = read_traffic(path)

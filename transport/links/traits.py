@@ -43,11 +43,6 @@ def on_can(interface: str, channel: str, hops: str) -> str:
     return f"anyone on the CAN bus {channel}"
 
 
-def on_zenoh_certificates(authority: str, name: str) -> str:
-    """Return who could command a rig over zenoh where both ends show certificates."""
-    return f"holders of a certificate of {authority} that is called {name}"
-
-
 def on_zenoh(endpoint: str, options: dict[str, str]) -> str:
     """Return who could command a rig over zenoh without certificates.
 
@@ -234,23 +229,21 @@ def _zenoh(uri: str) -> LinkTraits:
         folder, names = options.get("keys", ""), {role: options.get(role, role) for role in ("rig", "controller")}
         own = {role: options.get("cert", f"{folder}/{name}.pem").replace("{role}", role) for role, name in names.items()}
         shown = Certificates(ca=options.get("ca") or f"{folder}/ca.pem", own=own, names=names)
-    commanders = on_zenoh(endpoint, options) if shown is None else on_zenoh_certificates(shown.ca, shown.names["controller"])
+        commanders = f"holders of a certificate of {shown.ca} that is called {names['controller']}"
+    else:
+        commanders = on_zenoh(endpoint, options)
     return LinkTraits(
         commanders=commanders, own_threads=True, takes=frozenset(get_args(KeyTable)), certificates=shown,
         names_certificates=bool(options.keys() & {"keys", "ca", "cert", "key"}),
     )  # fmt: skip
 
 
-def _local(uri: str) -> LinkTraits:
-    return LinkTraits(commanders=NO_ONE_ELSE, one_process=True, in_process=True)
-
-
-def _memory(uri: str) -> LinkTraits:
-    return LinkTraits(commanders=NO_ONE_ELSE, one_process=True)
+def _in_process(uri: str) -> LinkTraits:
+    return LinkTraits(commanders=NO_ONE_ELSE, one_process=True, in_process=scheme_of(uri) == "local")
 
 
 _OURS: Final[Mapping[str, Callable[[str], LinkTraits]]] = {
-    "can": _can, "local": _local, "memory": _memory, "zenoh": _zenoh,
+    "can": _can, "local": _in_process, "memory": _in_process, "zenoh": _zenoh,
 }  # fmt: skip
 
 
