@@ -20,7 +20,7 @@ from hil.errors import HilError
 from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
 from hil.rig.packet_ages import Receiver, ages_of, delays_of
-from transport.law_fit.region import AgeRegion, confidence_region
+from transport.law_fit.proportions import AgeRegion, confidence_region
 from transport.laws.protocols import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
 from transport.law_tests import law_p_value, mode_counts, transition_counts
-from transport.laws.delay_states import mode_shares, mode_transitions
+from transport.laws.delay_states import long_run, mode_transitions
 from transport.laws.protocols import ChainLaw, NetworkLaw
 from transport.wire import sensor_length
 
@@ -80,7 +80,7 @@ def expected_transitions(law: NetworkLaw | None) -> npt.NDArray[np.float64] | No
 
 def expected_frequencies(law: NetworkLaw | None) -> npt.NDArray[np.float64] | None:
     """Return the stationary frequency of every mode that the law states, None where it states none."""
-    return _stated(law, mode_shares)
+    return _stated(law, lambda law: None if (found := long_run(law)) is None else found[0])
 
 
 def _stated(law: NetworkLaw | None, of: Callable[[object], npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64] | None:

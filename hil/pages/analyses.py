@@ -16,8 +16,7 @@ from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineSty
 from hil.pages.html.page import Page
 from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
-from transport.law_fit.proportions import LAGS, REJECT
-from transport.law_fit.region import arrivals
+from transport.law_fit.proportions import LAGS, REJECT, arrivals
 
 POINTS = 400
 MOST_BARS = 12

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import DELIVERED, NO_MODE, OVERFLOW
-from transport.laws.delay_states import delay_states, measured_ages, mode_bursts, mode_shares
+from transport.laws.delay_states import delay_states, long_run, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
 from transport.laws.packet_chain import arrival_ages, slots_late
 from transport.laws.protocols import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
@@ -68,7 +68,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
         kind: name of its plug-in; that of its class by default.
     """
     law, kind = prepare(law), kind or type(law).__name__
-    stationary, bursts = mode_shares(law), mode_bursts(law)
+    stationary, bursts = long_run(law) or (np.zeros(0), np.zeros(0))
     method: Literal["exact", "simulated"] = "exact"
     overflow = 0.0
     loss, mean_latency_s = 0.0, math.nan
@@ -105,8 +105,8 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
     return LawAnalysis(
         kind=kind,
         mode_ages=() if ages is None else tuple(ages),
-        stationary=() if stationary is None else tuple(stationary.tolist()),
-        mean_bursts=() if bursts is None else tuple(bursts.tolist()),
+        stationary=tuple(stationary.tolist()),
+        mean_bursts=tuple(bursts.tolist()),
         age_shares=tuple(shares.tolist()),
         mean_age=float(shares @ np.arange(len(shares))) + older * len(shares) if len(shares) else math.inf,
         older=older,

@@ -15,7 +15,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws.age_draws import ChainDraws
+from transport.laws.draws import ChainDraws
 from transport.laws.stochastic_matrix import (
     Ages,
     Row,
@@ -145,14 +145,6 @@ class ConstantAge:
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the one-mode chain, (1, 1)."""
         return np.ones((1, 1))
-
-    def stationary(self) -> NDArray[np.float64]:
-        """Return the stationary law over modes, (1,)."""
-        return np.ones(1)
-
-    def mean_bursts(self) -> NDArray[np.float64]:
-        """Return the mean number of slots that a mode lasts, (1,): without end."""
-        return np.array([np.inf])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -288,9 +280,8 @@ class MarkovAge(ChainAge):
 
     Reference: section 7.2, (7.34).
 
-    >>> law = MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3)))
-    >>> law.mean_bursts().round(4).tolist()
-    [2.0, 1.4286]
+    >>> MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3))).stationary().round(4).tolist()
+    [0.5833, 0.4167]
     """
 
     kind: ClassVar[str] = "markov"
@@ -316,7 +307,3 @@ class MarkovAge(ChainAge):
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return the chain, (n, n)."""
         return np.array(self.matrix)
-
-    def mean_bursts(self) -> NDArray[np.float64]:
-        """Return the mean number of slots that a mode lasts, (n,): 1/(1 - p_ii)."""
-        return mean_holding(self.transition_matrix())

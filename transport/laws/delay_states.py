@@ -142,30 +142,17 @@ def mode_transitions(law: object) -> Numbers | None:
     return np.asarray(law.transition_matrix(), dtype=np.float64)
 
 
-def mode_shares(law: object) -> Numbers | None:
-    """Return the share of slots in every mode, (n,); None for a law that does not say.
+def long_run(law: object) -> tuple[Numbers, Numbers] | None:
+    """Return the share of slots in every mode, and the mean number of slots that it lasts, (n,); None where a law does not say.
 
     Raises:
-        ValueError: it is not unique, because the chain has several closed classes.
+        ValueError: the shares are not unique, because the chain has several closed classes.
     """
     if isinstance(law, LongRunLaw):
-        return np.asarray(law.stationary(), dtype=np.float64)
+        return np.asarray(law.stationary(), dtype=np.float64), np.asarray(law.mean_bursts(), dtype=np.float64)
     if isinstance(law, SemiMarkovLaw):
-        from transport.laws.sojourn import mean_sojourn
+        from transport.laws.semi_markov import shares_and_stays  # loaded where a mode lasts
 
-        weights = stationary_row(law.matrix) * np.array([mean_sojourn(s) for s in law.sojourn])
-        return np.asarray(weights / weights.sum(), dtype=np.float64)
+        return shares_and_stays(law)
     matrix = mode_transitions(law)
-    return None if matrix is None else stationary_row(matrix)
-
-
-def mode_bursts(law: object) -> Numbers | None:
-    """Return the mean number of slots that a mode lasts, (n,); None for a law that does not say."""
-    if isinstance(law, LongRunLaw):
-        return np.asarray(law.mean_bursts(), dtype=np.float64)
-    if isinstance(law, SemiMarkovLaw):
-        from transport.laws.sojourn import mean_sojourn
-
-        return np.array([mean_sojourn(s) for s in law.sojourn])
-    matrix = mode_transitions(law)
-    return None if matrix is None else mean_holding(matrix)
+    return None if matrix is None else (stationary_row(matrix), mean_holding(matrix))

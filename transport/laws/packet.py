@@ -14,11 +14,11 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws.draws import LATEST, PacketDraws
 from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, first_arrivals, packet_chain
-from transport.laws.packet_draws import LATEST, PacketDraws
 from transport.laws.protocols import SLOT_TOLERANCE
-from transport.laws.stochastic_matrix import chain_ages, mean_holding, several_of_many, stationary_row
+from transport.laws.stochastic_matrix import chain_ages, several_of_many, stationary_row
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -190,10 +190,6 @@ class PacketLaw:
         """Return the stationary law over the channel's modes, (modes,)."""
         return stationary_row(self.transition_matrix())
 
-    def mean_bursts(self) -> NDArray[np.float64]:
-        """Return the mean number of slots that a mode of the channel lasts, (modes,)."""
-        return mean_holding(self.transition_matrix())
-
     @property
     def loss_probability(self) -> float:
         """Share of packets that are lost, in the long run."""
@@ -212,7 +208,7 @@ Slots = NDArray[np.int32]
 
 
 def delays(latency_s: Seconds, period_s: float, deadline_s: float) -> NDArray[np.int64]:
-    """Return the delays in slots of finite latencies, the same shape; see `transport.laws.packet_draws.PacketDraws`."""
+    """Return the delays in slots of finite latencies, the same shape; see `transport.laws.draws.PacketDraws`."""
     slots = np.ceil((latency_s - deadline_s) / period_s - SLOT_TOLERANCE)
     return np.clip(slots, 0, LATEST).astype(np.int64)
 

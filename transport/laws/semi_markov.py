@@ -95,12 +95,14 @@ class SemiMarkovAge(ChainAge):
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the share of slots spent in every mode, (n,): nu_i E h_i / sum_j nu_j E h_j, nu P = nu."""
-        weights = stationary_row(self.matrix) * self.mean_bursts()
-        return np.asarray(weights / weights.sum(), dtype=np.float64)
+        return shares_and_stays(self)[0]
 
-    def mean_bursts(self) -> NDArray[np.float64]:
-        """Return the mean number of slots that a mode lasts, (n,)."""
-        return np.array([mean_sojourn(law) for law in self.sojourn])
+
+def shares_and_stays(law: SemiMarkovLaw) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the share of slots spent in every mode, (n,), and the mean number of slots that it lasts, (n,)."""
+    stays = np.array([mean_sojourn(sojourn) for sojourn in law.sojourn])
+    weights = stationary_row(law.matrix) * stays
+    return np.asarray(weights / weights.sum(), dtype=np.float64), stays
 
 
 def augmented_chain(law: SemiMarkovLaw, longest: int = 1000, least: int = 1) -> AugmentedChain:

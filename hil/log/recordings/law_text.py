@@ -6,8 +6,7 @@ from typing import Any
 
 from hil.files.toml_text import toml_lines
 from transport.law_fit import LawFit
-from transport.law_fit.proportions import LAGS, REJECT
-from transport.law_fit.region import arrivals
+from transport.law_fit.proportions import LAGS, REJECT, arrivals
 
 WORDS = {
     "constant": "a constant latency",

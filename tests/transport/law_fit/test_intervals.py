@@ -20,8 +20,7 @@ from transport.law_fit.age_models import fit_ages
 from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
 from transport.law_fit.packet_record import PacketRecord
 from transport.law_fit.profile_intervals import angles_of, critical, minimum, profile_intervals, values_of
-from transport.law_fit.proportions import clopper_pearson, wilson
-from transport.law_fit.region import arrivals, confidence_region
+from transport.law_fit.proportions import arrivals, clopper_pearson, confidence_region, wilson
 from transport.laws.age import MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.stochastic_matrix import chain_ages

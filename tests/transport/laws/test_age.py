@@ -18,6 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
+from transport.laws.delay_states import long_run
 from transport.laws.protocols import load_files, slots_served
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
 from transport.laws.sojourn import (
@@ -188,7 +189,7 @@ def test_modes_may_share_an_age() -> None:
 def test_stationary_law_of_the_published_chain() -> None:
     assert stationary_row(LAMBDA) @ np.array(LAMBDA) == pytest.approx(stationary_row(LAMBDA), abs=1e-14)
     assert MarkovAge(matrix=PI).stationary() == pytest.approx([7 / 12, 5 / 12])
-    assert MarkovAge(matrix=LAMBDA).mean_bursts() == pytest.approx([2.5, 1.25, 1 / 0.9])
+    assert long_run(MarkovAge(matrix=LAMBDA))[1] == pytest.approx([2.5, 1.25, 1 / 0.9])
 
 
 def test_closed_classes_and_transient_modes() -> None:

@@ -33,6 +33,7 @@ from transport.draws import (
     SENT,
 )
 from transport.errors import FieldError
+from transport.laws.delay_states import long_run
 from transport.laws.latency import LatencySpec, described, latency, seconds
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.protocols import load_files, prepare, slots_served
@@ -263,7 +264,7 @@ def test_the_gilbert_elliott_channel_loses_in_bursts() -> None:
     law = PacketLaw(latency=0.0, loss=CHANNEL)
     assert law.stationary() == pytest.approx([6 / 7, 1 / 7])
     assert law.loss_probability == pytest.approx(0.02 * 6 / 7 + 0.7 / 7)
-    assert law.mean_bursts() == pytest.approx([20, 1 / 0.3])
+    assert long_run(law)[1] == pytest.approx([20, 1 / 0.3])
 
 
 LAWS = st.builds(

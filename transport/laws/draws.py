@@ -1,21 +1,53 @@
-"""What becomes of the packet of every slot: the packet law at work, slot by slot."""
+"""Network laws at work, slot by slot: the ages that a law with at most one step of memory draws, and what becomes of packets."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from transport.draws import COPIED, LOST, NO_MODE, SENT, Draw
-from transport.laws.latency import latency
 from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import BLOCK, cumulative
 
 if TYPE_CHECKING:
     from transport.laws.packet import PacketLaw
+
+State = tuple[int, int]
+"""Mode, and its age in slots."""
+
+
+class ChainDraws:
+    """A running chain: one uniform number a slot says which mode is next.
+
+    Args:
+        first: cumulative row of the mode in slot 0, see `cumulative`.
+        rows: cumulative rows, one for every mode.
+        ages: of the modes, slots.
+        rng: the stream of the law.
+    """
+
+    def __init__(self, first: list[float], rows: Sequence[list[float]], ages: Sequence[int], rng: np.random.Generator) -> None:
+        self._row, self._rows, self._rng = first, list(rows), rng
+        self._states: Final[list[State]] = list(enumerate(ages))
+        self._left = self._block()  # now: slot 0 does not pay for it
+
+    def _block(self) -> list[float]:
+        uniform: list[float] = self._rng.random(BLOCK).tolist()
+        uniform.reverse()
+        return uniform
+
+    def draw(self) -> State:
+        """Return mode and age of the next slot."""
+        if not self._left:
+            self._left = self._block()
+        mode = bisect_right(self._row, self._left.pop())
+        self._row = self._rows[mode]
+        return self._states[mode]
+
 
 LATEST: Final = 1_000_000_000
 """Slots; heavy tails reach further, the log's 32-bit ages do not."""
@@ -31,6 +63,8 @@ class PacketDraws:
     """
 
     def __init__(self, law: PacketLaw, rng: np.random.Generator, period_s: float, deadline_s: float) -> None:
+        from transport.laws.latency import latency  # loaded where packets have latencies
+
         latencies = latency(law.latency)
         self._latency = latencies.in_order()
         self._copy_latency = latencies.sampler()
