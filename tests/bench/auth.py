@@ -11,7 +11,7 @@ from hil.runtime.time.clock import monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, encode_control, encode_sensor, memory_pair
 from transport.links.authenticated_link import HELLO, AuthenticatedLink, cmac
 from transport.packets import EMPTY
-from transport.wire.tags import with_tag
+from transport.wire import with_tag
 
 Row = dict[str, Any]
 PACKETS: dict[str, Callable[[int], bytes]] = {

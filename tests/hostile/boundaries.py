@@ -51,7 +51,7 @@ from transport.links.link import TransportError, key_file
 from transport.links.traits import traits_of
 from transport.links.zenoh_access import Access
 from transport.links.zenoh_observers import _json_object
-from transport.wire.tags import tag_of
+from transport.wire import tag_of
 
 FOLDER = shipped()["dc-motor-hinf"].parent
 DESIGN = FOLDER / "designs" / "dc-motor-bursty-h2-sojourns.json"

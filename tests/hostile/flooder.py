@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from transport import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 from transport.links.can_bus import HilBus
-from transport.wire.tags import with_tag
+from transport.wire import with_tag
 
 KINDS: Final = ("filtered", "garbage", "forged tags", "half a tag", "own frames, late", "another session", "wrapped numbers")
 """Frames of another identifier; no packets; codes that are none; codes that hold in part; what the rig and its controller said,

@@ -20,7 +20,7 @@ from transport import ControlPacket, SensorPacket, TransportError, decode, encod
 from transport.links.can_bus import HilBus
 from transport.links.can_datagram import FD_FRAME, FRAME
 from transport.links.zenoh_link import config
-from transport.wire.tags import echo
+from transport.wire import echo
 
 U = -4.0
 

@@ -24,7 +24,7 @@ from transport import (
 )
 from transport.links.authenticated_link import HELLO, SILENCE_S, AuthenticatedLink, cmac, read_key
 from transport.packets import EMPTY, packet_size
-from transport.wire.tags import tag_of, with_tag
+from transport.wire import tag_of, with_tag
 
 KEY = bytes(range(16))
 

@@ -212,8 +212,8 @@ def test_without_a_map_the_tests_of_a_fault_are_the_files_of_its_room_nearest_fi
     found = own_tests(place)
     assert found[0] == "tests/design/tracking/test_synthesis.py" and "tests/design/test_exports.py" in found
     assert all((ROOT / name).is_file() for name in found) and len(set(found)) == len(found)
-    deep = places("transport/wire/__init__.py", (ROOT / "transport/wire/__init__.py").read_text())[0]
-    assert {file.relative_to(ROOT).as_posix() for file in (ROOT / "tests/transport").glob("test_*.py")} <= {*own_tests(deep)}
+    deep = places("hil/notebook/__init__.py", (ROOT / "hil/notebook/__init__.py").read_text())[0]
+    assert {file.relative_to(ROOT).as_posix() for file in (ROOT / "tests/hil").glob("test_*.py")} <= {*own_tests(deep)}
 
 
 def test_a_run_ends_when_its_time_is_spent_and_no_test_has_failed(tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from transport.packets import (
     encode_sensor,
     packet_size,
 )
-from transport.wire.tags import echo, tag_of, with_tag
+from transport.wire import echo, tag_of, with_tag
 
 singles = st.floats(width=32, allow_nan=False)
 instants = st.integers(-(2**63), 2**63 - 1)

@@ -28,8 +28,7 @@ from msgspec.structs import replace
 from transport.links.certificates import cryptography_needed
 from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
-from transport.wire import CONTROL, SENSOR, TAG_BYTES
-from transport.wire.tags import Tagged, tag_of, with_tag
+from transport.wire import CONTROL, SENSOR, TAG_BYTES, Tagged, tag_of, with_tag
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault

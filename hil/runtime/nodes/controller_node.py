@@ -13,7 +13,7 @@ from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_input import EverySample, NewestSample, controller_input
 from hil.runtime.nodes.wire import SEGMENT, before
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
-from transport.wire.tags import echo
+from transport.wire import echo
 
 SILENCE_NS: Final = 1_000_000_000
 """A rig from which a packet came within this time keeps its controller."""

@@ -15,7 +15,7 @@ from hil.runtime.slot import OnFrame
 from hil.runtime.time.clock import monotonic_ns
 from transport.links.link import Closing, Link, LinkCounters
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
-from transport.wire.tags import echo
+from transport.wire import echo
 
 
 class LocalLink(Closing):

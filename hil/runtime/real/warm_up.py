@@ -17,7 +17,7 @@ from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import monotonic_ns
 from hil.runtime.virtual import DirectExchange
 from transport.packets import SELECTIONS, ControlPacket, encode_control
-from transport.wire.tags import echo
+from transport.wire import echo
 
 SLOTS = 50
 MOST_S = 0.5

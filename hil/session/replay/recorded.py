@@ -25,7 +25,7 @@ from hil.runtime.nodes.wire import Wire, before
 from hil.session.replay.compare import BATCH, in_time
 from transport.links.authenticated_link import cmac, read_key
 from transport.packets import SensorPacket, decode
-from transport.wire.tags import tag_of
+from transport.wire import tag_of
 
 MOST_SORTED: Final = 200_000
 """Control packets that are sorted where a log has them out of order; hil writes them in order."""

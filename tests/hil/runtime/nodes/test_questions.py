@@ -13,7 +13,7 @@ from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO, NEAR, SILENCE_NS, ControlNode, Questions, Refusals
 from hil.runtime.nodes.wire import SEGMENT, Wire, before, session_wire
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
-from transport.wire.tags import echo
+from transport.wire import echo
 
 T = 50_000_000
 FORGED = 10.0

@@ -13,7 +13,7 @@ from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Handshake, LinkExchange
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
-from transport.wire.tags import echo
+from transport.wire import echo
 
 MS = 1_000_000
 

@@ -15,7 +15,7 @@ from hil.session.replay.recorded import Tags, verify_tags
 from transport.links.authenticated_link import cmac
 from transport.links.link import TransportError
 from transport.packets import EMPTY, ControlPacket, SensorPacket, encode_control, encode_sensor
-from transport.wire.tags import with_tag
+from transport.wire import with_tag
 
 KEY = bytes(range(16))
 SLOTS = 20
