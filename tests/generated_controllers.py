@@ -28,9 +28,9 @@ from hil.runtime.real.exchange import Handshake
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.time.clock import monotonic_ns
 from tests.forked_program import forked
+from transport.links import Link
 from transport.links.can_bus import HilBus
 from transport.links.can_identifiers import filters
-from transport.links.link import Link
 from transport.links.opening import open_link
 
 PATIENCE_S = 60.0

@@ -17,7 +17,7 @@ _NAMES: Final = {
     "transport.laws.semi_markov": "SemiMarkovAge",
     "transport.laws.trace": "TraceAge",
     "transport.links.contract": "check_link",
-    "transport.links.link": "Link LinkCounters Role TransportError",
+    "transport.links": "Link LinkCounters Role TransportError",
     "transport.links.memory": "MemoryLink memory_pair",
     "transport.links.opening": "open_link",
     "transport.links.traits": "CanFraming LinkTraits SaysTraits",

@@ -11,11 +11,11 @@ from transport.laws.packet import GilbertElliott as GilbertElliott
 from transport.laws.packet import PacketLaw as PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge as SemiMarkovAge
 from transport.laws.trace import TraceAge as TraceAge
+from transport.links import Link as Link
+from transport.links import LinkCounters as LinkCounters
+from transport.links import Role as Role
+from transport.links import TransportError as TransportError
 from transport.links.contract import check_link as check_link
-from transport.links.link import Link as Link
-from transport.links.link import LinkCounters as LinkCounters
-from transport.links.link import Role as Role
-from transport.links.link import TransportError as TransportError
 from transport.links.memory import MemoryLink as MemoryLink
 from transport.links.memory import memory_pair as memory_pair
 from transport.links.opening import open_link as open_link

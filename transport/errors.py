@@ -1,4 +1,4 @@
-"""A parameter of a law that does not fit, with its field. Faults of links are in `transport.links.link`."""
+"""A parameter of a law that does not fit, with its field. Faults of links are in `transport.links`."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from design.errors import DesignError
 from hil.errors import HilError, nearest
 from hil.experiment.tables import Experiment
 from plants.errors import PlantError
-from transport.links.link import TransportError
+from transport.links import TransportError
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -8,7 +8,7 @@ from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Final
 
 from transport import Role
-from transport.links.link import Closing, LinkCounters
+from transport.links import Closing, LinkCounters
 from transport.links.traits import address_of
 from transport.links.zenoh_link import config
 

@@ -33,7 +33,7 @@ from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.plugins.user_modules import is_ours
 from hil.rig.spec import RigSpec
-from transport.laws.protocols import ChainLaw, SemiMarkovLaw
+from transport.laws import ChainLaw, SemiMarkovLaw
 
 CERTIFIERS: tuple[Certifier, ...] = (
     certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,

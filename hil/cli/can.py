@@ -178,7 +178,7 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import rig_dbc
     from transport import dbc_path
-    from transport.links.link import TransportError
+    from transport.links import TransportError
 
     if experiment is None:
         return dbc_path().read_text(encoding="utf-8")

@@ -19,7 +19,7 @@ from hil.errors import HilError
 if TYPE_CHECKING:
     from hil.design_questions.bus_law import BusLaw
     from transport.law_tests.analysis import LawAnalysis
-    from transport.laws.protocols import NetworkLaw
+    from transport.laws import NetworkLaw
 
 
 NEGLIGIBLE = 1e-6

@@ -21,7 +21,7 @@ from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
 from hil.rig.packet_ages import Receiver, ages_of, delays_of
 from transport.law_fit.proportions import AgeRegion, confidence_region
-from transport.laws.protocols import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
+from transport.laws import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design

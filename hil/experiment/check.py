@@ -26,7 +26,7 @@ from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import in_own_words, own_fault
 from plants.errors import PlantError
 from plants.parts.protocols import ReferencesFiles
-from transport.laws.protocols import BoundedAge, load_files
+from transport.laws import BoundedAge, load_files
 
 MAX_BYTES = 1_000_000
 BESIDE = "fit"

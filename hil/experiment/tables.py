@@ -12,14 +12,14 @@ from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_u
 from hil.experiment.table import Seconds, Table, UnavailablePlugin, named_twice, not_negative, plain
 from hil.plugins import registry
 from hil.plugins.user_modules import written_in
-from transport.links.link import TransportError
+from transport.links import TransportError
 from transport.links.traits import KeyTable, traits_of
 
 if TYPE_CHECKING:
     from design.controllers import Controller
     from hil.plugins.protocols import Designer
     from plants.parts.protocols import Plant
-    from transport.laws.protocols import NetworkLaw
+    from transport.laws import NetworkLaw
 
     PlantTable = Plant
     ControllerTable = Controller | Designer

@@ -18,8 +18,8 @@ from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
 from transport.law_tests import law_p_value, mode_counts, transition_counts
+from transport.laws import ChainLaw, NetworkLaw
 from transport.laws.delay_states import long_run, mode_transitions
-from transport.laws.protocols import ChainLaw, NetworkLaw
 from transport.wire import sensor_length
 
 Draws: TypeAlias = npt.NDArray[np.void]

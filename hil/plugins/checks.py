@@ -38,8 +38,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from hil.plugins.user_plugins import asked, needs
 from transport.draws import Draw
 from transport.law_tests import law_p_value
-from transport.laws.delay_states import delay_states
-from transport.laws.protocols import (
+from transport.laws import (
     AgeLaw,
     BoundedAge,
     BoundedTail,
@@ -51,6 +50,7 @@ from transport.laws.protocols import (
     prepare,
     slots_served,
 )
+from transport.laws.delay_states import delay_states
 from transport.medium.independent import impair
 from transport.packets import SELECTIONS
 
@@ -73,7 +73,7 @@ def check_law(law: NetworkLaw) -> list[str]:
     """Check a network law: reproducible, nothing from the future, ages within their bound, and drawn as it states.
 
     Returns:
-        Which protocols of :mod:`transport.laws.protocols` the law fulfils and what each earns, a sentence each.
+        Which protocols of :mod:`transport.laws` the law fulfils and what each earns, a sentence each.
 
     Raises:
         AssertionError: naming the first rule that is broken, in the words of the law's author.

@@ -1,7 +1,7 @@
 """What the plug-ins of an experiment fulfil: the protocols by which the loop is composed, run and certified.
 
 Plants have theirs in :mod:`plants.parts.protocols`, controllers in :mod:`design.controllers.contract`, network laws in
-:mod:`transport.laws.protocols`.
+:mod:`transport.laws`.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import frame_length
-from transport.laws.protocols import RecordedLaw
+from transport.laws import RecordedLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

@@ -22,8 +22,8 @@ from design.controllers import (
 from design.errors import FieldError
 from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
+from transport.laws import NetworkLaw, SemiMarkovLaw
 from transport.laws.delay_states import DelayStates, delay_states
-from transport.laws.protocols import NetworkLaw, SemiMarkovLaw
 from transport.wire import MAX_ROWS
 
 if TYPE_CHECKING:

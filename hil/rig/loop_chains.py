@@ -33,7 +33,7 @@ from hil.rig.node_channels import recorded_chain
 from hil.rig.packet_ages import Received
 from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.spec import RigSpec
-from transport.laws.protocols import RecordedLaw
+from transport.laws import RecordedLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

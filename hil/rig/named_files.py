@@ -10,7 +10,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment.nodes import can_faults_of
 from hil.experiment.table_check import fault_at
 from hil.experiment.tables import Experiment
-from transport.laws.protocols import NetworkLaw, load_files, slots_served
+from transport.laws import NetworkLaw, load_files, slots_served
 
 
 def with_named_files(e: Experiment) -> Experiment:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from hil.rig.packet_ages import Received, why_no_ages
+from transport.laws import NetworkLaw, PacketDelays, RecordedLaw, slots_served
 from transport.laws.delay_states import measured_ages
-from transport.laws.protocols import NetworkLaw, PacketDelays, RecordedLaw, slots_served
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

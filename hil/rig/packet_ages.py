@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from transport.laws import AgeChain, NetworkLaw, PacketAges
 from transport.laws.delay_states import DelayStates, delay_states
-from transport.laws.protocols import AgeChain, NetworkLaw, PacketAges
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

@@ -14,8 +14,8 @@ from hil.errors import nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
 from hil.rig.schedules import bus_cycle
+from transport.laws import BoundedAge, NetworkLaw
 from transport.laws.delay_states import delay_states
-from transport.laws.protocols import BoundedAge, NetworkLaw
 from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.traits import CanFraming
 from transport.packets import MAX_OUTPUTS, MAX_VALUES

@@ -13,8 +13,8 @@ from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_ro
 from hil.rig.schedules import bus_faults
 from hil.rig.spec import RigSpec
 from transport.dbc import LONGEST_NAME, BusNode, dbc_text
+from transport.links import TransportError
 from transport.links.can_identifiers import Identifiers, said
-from transport.links.link import TransportError
 from transport.links.opening import is_foreign
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
 

@@ -18,7 +18,7 @@ from hil.rig.schedules import FaultSchedule
 from hil.rig.sensors import Sensor, SharedMedium
 from plants.parts.linear import Signal
 from plants.parts.protocols import JumpPlant, MovesOtherwise, Plant
-from transport.laws.protocols import NetworkLaw, prepare
+from transport.laws import NetworkLaw, prepare
 from transport.links.traits import CanFraming
 
 CONJUGATE: Final = (("N", "m"), ("N m", "rad"))

@@ -19,7 +19,7 @@ from hil.rig.loop import Loop
 from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
-from transport.laws.protocols import AgeLaw, GapLaw, NetworkLaw
+from transport.laws import AgeLaw, GapLaw, NetworkLaw
 
 Slots = NDArray[np.int32]
 

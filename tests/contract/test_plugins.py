@@ -12,7 +12,7 @@ from hil.experiment import load_experiment, parse_plugin, shipped
 from hil.plugins import registry
 from hil.plugins.checks import check_controller, check_law
 from plants.parts.check import check_plant
-from transport.laws.protocols import prepare
+from transport.laws import prepare
 
 PLANTS = {  # every other one is made from its defaults
     "state-space": ["A=[[-1.0]]", "B=[[2.0]]", "C=[[1.0]]"],

@@ -16,8 +16,8 @@ import pytest
 from tests.waiting import until
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length
+from transport.links import TransportError
 from transport.links.can_bus import HilBus
-from transport.links.link import TransportError
 from transport.links.opening import open_link
 
 CLOCKS = 1e-3  # s between readings of the two clocks of a stamp, nearly always

@@ -15,8 +15,8 @@ from transport import TransportError
 from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.disturbances import BusFault
+from transport.links import BusStatus
 from transport.links.can_datagram import changed, destroyed, location, status
-from transport.links.link import BusStatus
 
 SOON_NS = 10**9
 FOR_EVER_NS = 10**15

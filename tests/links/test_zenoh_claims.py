@@ -15,8 +15,8 @@ from hil.files.keys import make_keys
 from tests.ports import free_port
 from tests.waiting import LIMIT_S, until
 from transport import open_link
+from transport.links import OneOfARole, TransportError
 from transport.links.contract import control, meet, sensor
-from transport.links.link import OneOfARole, TransportError
 
 CONTROLLER = """
 import sys

@@ -17,8 +17,8 @@ from tests.hil.cli.conftest import run_main
 from tests.ports import free_port
 from tests.waiting import until
 from transport import open_link
+from transport.links import Discoverable
 from transport.links.contract import control, meet, sensor
-from transport.links.link import Discoverable
 from transport.links.zenoh_link import ENCODING, config
 from transport.links.zenoh_observers import discover
 

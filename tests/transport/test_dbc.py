@@ -14,9 +14,9 @@ from cantools.database.can import Database
 
 from transport import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, dbc_path, encode_control, encode_sensor
 from transport.dbc import BusNode, dbc_text
+from transport.links import Role
 from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.can_open import open_can
-from transport.links.link import Role
 
 SENSORS = [
     SensorPacket(seq=0xDEADBEEF, flags=MORE, sample_ns=-5, y=(3.25,)),

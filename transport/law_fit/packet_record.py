@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from transport.errors import FieldError
-from transport.laws.protocols import SLOT_TOLERANCE
+from transport.laws import SLOT_TOLERANCE
 
 Array = NDArray[np.float64]
 Ages = NDArray[np.int64]

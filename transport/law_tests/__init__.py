@@ -16,7 +16,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
-from transport.laws.protocols import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
+from transport.laws import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
 EXPECTED = 5.0

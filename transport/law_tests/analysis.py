@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import DELIVERED, NO_MODE, OVERFLOW
+from transport.laws import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.delay_states import delay_states, long_run, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
 from transport.laws.packet_chain import arrival_ages, slots_late
-from transport.laws.protocols import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.stochastic_matrix import stationary_row
 from transport.medium.independent import impair
 
@@ -61,7 +61,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
     """Return what a law does in the long run.
 
     Args:
-        law: parameters of a network law; what it states by the protocols of `transport.laws.protocols` is
+        law: parameters of a network law; what it states by the protocols of `transport.laws` is
             exact, the rest comes from a run.
         period_s: length T of a slot, seconds.
         deadline_s: seconds after the start of a slot at which it closes.

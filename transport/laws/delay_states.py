@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.laws.protocols import ChainLaw, InitialLaw, LongRunLaw, MarkovModes, RecordedLaw, SemiMarkovLaw
+from transport.laws import ChainLaw, InitialLaw, LongRunLaw, MarkovModes, RecordedLaw, SemiMarkovLaw
 from transport.laws.stochastic_matrix import mean_holding, stationary_row
 
 Matrix = NDArray[np.float64]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from transport.draws import COPIED, LOST, NO_MODE, SENT, Draw
-from transport.laws.protocols import SLOT_TOLERANCE
+from transport.laws import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import BLOCK, cumulative
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws import SLOT_TOLERANCE
 from transport.laws.draws import LATEST, PacketDraws
 from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, first_arrivals, packet_chain
-from transport.laws.protocols import SLOT_TOLERANCE
 from transport.laws.stochastic_matrix import chain_ages, several_of_many, stationary_row
 
 

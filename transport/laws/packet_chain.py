@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.laws import SLOT_TOLERANCE
 from transport.laws.latency import Latency, LatencyTrace
-from transport.laws.protocols import SLOT_TOLERANCE
 
 if TYPE_CHECKING:
     from transport.laws.packet import PacketLaw

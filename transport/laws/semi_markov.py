@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws import SemiMarkovLaw, Sojourn
 from transport.laws.age import AgePath, ChainAge
-from transport.laws.protocols import SemiMarkovLaw, Sojourn
 from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, longest_stay, mean_sojourn, remaining_sampler
 from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
 

@@ -15,8 +15,8 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
+from transport.laws import BoundedTail, SettlingHazard, Sojourn
 from transport.laws.decimal_powers import CLOSE, complement_of_power, ln, ln_complement, powers, root, whole_powers
-from transport.laws.protocols import BoundedTail, SettlingHazard, Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
 LONGEST = 100_000

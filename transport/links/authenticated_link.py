@@ -25,8 +25,8 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
+from transport.links import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.certificates import cryptography_needed
-from transport.links.link import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_secret
 from transport.wire import CONTROL, SENSOR, TAG_BYTES, Tagged, tag_of, with_tag
 

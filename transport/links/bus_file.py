@@ -19,7 +19,7 @@ from struct import Struct
 from time import monotonic, sleep
 from typing import Final
 
-from transport.links.link import Closing, TransportError
+from transport.links import Closing, TransportError
 from transport.links.mesh_peer import BUS_FILE
 
 HELD_S: Final = 0.25

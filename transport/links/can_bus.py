@@ -22,6 +22,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
+from transport.links import TransportError
 from transport.links.can_datagram import (
     BITRATE_SWITCH,
     CONTROLLER,
@@ -36,7 +37,6 @@ from transport.links.can_datagram import (
 )
 from transport.links.can_open import join_channel
 from transport.links.hil_frames import HilFrames
-from transport.links.link import TransportError
 from transport.links.mesh_peer import bus_directory as bus_directory
 from transport.links.python_can import can
 

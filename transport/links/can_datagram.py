@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bits import wire_bits
 from transport.can_bus_model.node import PASSIVE, WARNING, State
-from transport.links.link import BusStatus
+from transport.links import BusStatus
 from transport.wire import frame_length
 
 FRAME: Final = Struct("<dHIBB")

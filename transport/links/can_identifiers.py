@@ -26,7 +26,7 @@ from typing import Final
 from msgspec import Struct
 
 from transport.errors import FieldError
-from transport.links.link import TransportError
+from transport.links import TransportError
 
 BASE: Final = 0x100
 FRAGMENTS: Final = 64

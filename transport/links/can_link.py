@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING, Final, Protocol
 
 from msgspec.structs import replace
 
+from transport.links import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError
 from transport.links.can_datagram import ERROR, ID_MASK, REMOTE, status
 from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived
 from transport.links.hil_frames import HilFrames
-from transport.links.link import LOOK_S, BusStatus, Closing, LinkCounters, Role, TransportError
 from transport.packets import decode, frame_length, node_of, packet_size
 
 if TYPE_CHECKING:

@@ -18,10 +18,10 @@ from typing import Any, Final
 
 from transport.can_bus_model import BitRates
 from transport.errors import FieldError, nearest
+from transport.links import Role, TransportError, split_uri
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
 from transport.links.hil_frames import HilFrames
-from transport.links.link import Role, TransportError, split_uri
 from transport.links.mesh_peer import bus_directory
 from transport.links.private_directory import Claim, network
 
@@ -51,7 +51,7 @@ def open_can(uri: str, role: Role) -> CanLink:
 
     >>> open_can("can:hil", "rig")
     Traceback (most recent call last):
-    transport.links.link.TransportError: link 'can:hil': no channel, expected can:<interface>:<channel>, as in can:hil:rig0
+    transport.links.TransportError: link 'can:hil': no channel, expected can:<interface>:<channel>, as in can:hil:rig0
     """
     _, address, options = split_uri(uri)
     interface, _, channel = address.partition(":")

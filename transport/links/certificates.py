@@ -13,7 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from transport.links.link import TransportError
+from transport.links import TransportError
 from transport.links.private_directory import read_bounded
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from time import monotonic
 from traceback import extract_tb
 from typing import Final
 
-from transport.links.link import Discoverable, Link
+from transport.links import Discoverable, Link
 from transport.links.opening import check_is_link
 from transport.packets import ControlPacket, SensorPacket, encode_control, encode_sensor
 

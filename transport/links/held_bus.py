@@ -19,7 +19,7 @@ from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.disturbances import BusFault, PlannedErrors, PlannedOutages
 from transport.can_bus_model.node import CanNode, State, Waiting
-from transport.links.link import TransportError
+from transport.links import TransportError
 
 PATIENCE_NS: Final = 100_000_000
 _MOST_FAILURES: Final = 32

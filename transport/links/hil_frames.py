@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.node import State
+from transport.links import LOOK_S, TransportError
 from transport.links.can_datagram import (
     BITRATE_SWITCH,
     BUS_ERROR,
@@ -24,7 +25,6 @@ from transport.links.can_datagram import (
     destroyed,
     frame_of,
 )
-from transport.links.link import LOOK_S, TransportError
 from transport.links.unix_mesh import Mesh
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from collections import deque
 from threading import Condition
 from typing import Never
 
-from transport.links.link import Closing, LinkCounters, Role, TransportError
+from transport.links import Closing, LinkCounters, Role, TransportError
 
 LOCAL = "local:"
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Final
 
-from transport.links.link import TransportError
+from transport.links import TransportError
 from transport.links.mesh_peer import SOCKETS, Peer, remove_left_behind
 from transport.links.private_directory import locked
 

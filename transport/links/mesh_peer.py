@@ -16,7 +16,7 @@ from struct import Struct
 from time import time
 from typing import Final
 
-from transport.links.link import TransportError
+from transport.links import TransportError
 from transport.links.private_directory import locked
 
 HEAD: Final = Struct("<dH")

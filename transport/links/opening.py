@@ -11,8 +11,8 @@ from urllib.parse import urlencode
 
 from transport.errors import nearest
 from transport.installed import Point, points
+from transport.links import FORMS, Link, Role, TransportError, key_file, split_uri
 from transport.links.can_identifiers import BASE
-from transport.links.link import FORMS, Link, Role, TransportError, key_file, split_uri
 
 
 def _for_the_plugin(uri: str) -> str:
@@ -35,7 +35,7 @@ def find_link(uri: str) -> Point:
 
     >>> find_link("cann:hil:rig0")
     Traceback (most recent call last):
-    transport.links.link.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
+    transport.links.TransportError: link 'cann:hil:rig0': no link is called 'cann', did you mean 'can:hil:rig0'?
     """
     found = {plugin.name: plugin for plugin in points("hil.links") if plugin.group == "hil.links"}
     scheme, colon, rest = uri.partition(":")

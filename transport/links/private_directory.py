@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from hashlib import sha256
 from pathlib import Path
 
-from transport.links.link import Closing, Role, TransportError
+from transport.links import Closing, Role, TransportError
 
 _PAUSE_MS = 10
 _TRIES = 100

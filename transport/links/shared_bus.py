@@ -22,9 +22,9 @@ from typing import Final, NamedTuple
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.disturbances import BusFault
 from transport.can_bus_model.node import CanNode, State, Waiting
+from transport.links import TransportError
 from transport.links.bus_file import BusFile
 from transport.links.held_bus import Ended, HeldBus, StateChange
-from transport.links.link import TransportError
 
 _AGAIN_NS: Final = 100_000
 

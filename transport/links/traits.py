@@ -19,8 +19,8 @@ from typing import Final, Literal, Protocol, get_args, runtime_checkable
 from msgspec import Struct
 from msgspec.structs import replace
 
+from transport.links import TransportError, key_file, split_uri
 from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
-from transport.links.link import TransportError, key_file, split_uri
 from transport.links.opening import find_link
 
 NO_ONE_ELSE: Final = "no other process: the controller runs in the rig's own"

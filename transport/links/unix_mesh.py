@@ -24,7 +24,7 @@ from errno import ENOBUFS
 from pathlib import Path
 from typing import Final
 
-from transport.links.link import Closing
+from transport.links import Closing
 from transport.links.mesh_members import Members
 from transport.links.mesh_peer import HEAD_BYTES, Peer
 

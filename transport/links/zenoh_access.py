@@ -20,8 +20,8 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
+from transport.links import Role, TransportError
 from transport.links.certificates import check_certificate, refuse_revoked, revoked_names
-from transport.links.link import Role, TransportError
 from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:

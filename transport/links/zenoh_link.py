@@ -29,7 +29,7 @@ from queue import Empty, SimpleQueue
 from threading import Event
 from typing import TYPE_CHECKING, Any, Final
 
-from transport.links.link import Closing, LinkCounters, Role, TransportError, split_uri
+from transport.links import Closing, LinkCounters, Role, TransportError, split_uri
 from transport.links.private_directory import Claim, network, private_directory
 from transport.links.zenoh_access import LEASE_S, OPTIONS, Access, Claims, access, own_name
 from transport.links.zenoh_refusals import CallbackThreads, add_refused, count_into, require_zenoh, say
@@ -251,7 +251,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
 
     >>> open_zenoh("zenoh:tcp/127.0.0.1", "rig")
     Traceback (most recent call last):
-    transport.links.link.TransportError: link 'zenoh:tcp/127.0.0.1': address '127.0.0.1', expected host:port, as in 127.0.0.1:7447
+    transport.links.TransportError: link 'zenoh:tcp/127.0.0.1': address '127.0.0.1', expected host:port, as in 127.0.0.1:7447
     """
     _, endpoint, options = split_uri(uri)
     if not endpoint and _NAME.fullmatch(options.get("name", "rig0")):

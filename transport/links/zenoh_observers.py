@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, Final
 
-from transport.links.link import Closing, TransportError, split_uri
+from transport.links import Closing, TransportError, split_uri
 from transport.links.private_directory import private_directory
 from transport.links.zenoh_link import ONE_THREAD, config, zenoh_directory
 from transport.links.zenoh_refusals import require_zenoh

@@ -20,7 +20,7 @@ from importlib import import_module
 from threading import Lock, Thread, get_ident
 from typing import Final
 
-from transport.links.link import LinkCounters, TransportError
+from transport.links import LinkCounters, TransportError
 
 INSTALL = "pip install 'hilrig[zenoh]'"
 

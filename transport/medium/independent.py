@@ -26,7 +26,7 @@ from transport.draws import (
     Draw,
 )
 from transport.errors import FieldError
-from transport.laws.protocols import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
+from transport.laws import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
 
 __all__ = ["REASONS", "AgeImpairment", "Draw", "GappedAgeImpairment", "Impairment", "PacketImpairment", "impair"]
 

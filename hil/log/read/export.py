@@ -207,8 +207,8 @@ def _of_topic(run: Run, topic: str) -> Iterator[Any]:
 
 def _framing(run: Run) -> tuple[bool, Identifiers]:
     """Whether a run's frames are CAN FD, and its identifiers; the default ones of its nodes for what is no CAN link."""
+    from transport.links import TransportError
     from transport.links.can_identifiers import derived
-    from transport.links.link import TransportError
     from transport.links.traits import identifiers_on, traits_of
 
     uri = run.metadata.get("link", "")

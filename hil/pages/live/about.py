@@ -17,7 +17,7 @@ from hil.experiment import load_experiment, shipped
 from hil.pages.live.side import Side
 from hil.rig.loop import Loop
 from plants.parts.protocols import GoesOn, Plant
-from transport.laws.protocols import ChainLaw, NetworkLaw
+from transport.laws import ChainLaw, NetworkLaw
 
 
 def about(sides: Sequence[Side], where: str) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Section, Table
 from hil.pages.html.numbers import text_of
 from transport.law_tests import is_testable
-from transport.laws.protocols import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
+from transport.laws import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
 
 DOUBTFUL = 0.01

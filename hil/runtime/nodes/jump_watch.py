@@ -21,7 +21,7 @@ from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN, Result, S
 from plants.parts.protocols import PlantRun
 from transport.draws import Draw
 from transport.law_tests import law_p_value
-from transport.laws.protocols import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
+from transport.laws import ChainLaw, InitialLaw, NetworkLaw, SemiMarkovLaw
 
 Array = NDArray[np.float64]
 InSteps = Generator[None, None, Result]

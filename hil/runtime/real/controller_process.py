@@ -24,7 +24,7 @@ from hil.runtime.real.ending import failure_of
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.warm_up import warm_up_controller
 from hil.runtime.time.clock import monotonic_ns
-from transport.links.link import OneOfARole, TransportError
+from transport.links import OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 

@@ -13,7 +13,7 @@ from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import OnFrame
 from hil.runtime.time.clock import monotonic_ns
-from transport.links.link import Closing, Link, LinkCounters
+from transport.links import Closing, Link, LinkCounters
 from transport.packets import EMPTY, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire import echo
 

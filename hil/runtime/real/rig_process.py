@@ -32,7 +32,7 @@ from hil.runtime.slot import Slot
 from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
-from transport.links.link import Discoverable, Link, OnBus, TransportError
+from transport.links import Discoverable, Link, OnBus, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 

@@ -31,7 +31,7 @@ from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.session.replay.compare import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of
-from transport.links.link import Link
+from transport.links import Link
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, decode
 

@@ -17,7 +17,7 @@ from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
 from tests.hil.cli.conftest import Hil, cli
 from transport import ControlPacket, SensorPacket, decode, encode_control
-from transport.links.link import LinkCounters
+from transport.links import LinkCounters
 
 __all__ = ["cli"]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from transport.law_fit.packet_record import PacketRecord
+from transport.laws import NetworkLaw
 from transport.laws.age import MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.protocols import NetworkLaw
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import DiscreteWeibull, Geometric, Table, Uniform
 

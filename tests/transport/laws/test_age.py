@@ -17,9 +17,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from transport.laws import load_files, slots_served
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.delay_states import long_run
-from transport.laws.protocols import load_files, slots_served
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
 from transport.laws.sojourn import (
     DiscreteWeibull,

@@ -33,10 +33,10 @@ from transport.draws import (
     SENT,
 )
 from transport.errors import FieldError
+from transport.laws import load_files, prepare, slots_served
 from transport.laws.delay_states import long_run
 from transport.laws.latency import LatencySpec, described, latency, seconds
 from transport.laws.packet import GilbertElliott, PacketLaw
-from transport.laws.protocols import load_files, prepare, slots_served
 from transport.medium.independent import Impairment, impair
 
 T, DEADLINE = 0.010, 0.004

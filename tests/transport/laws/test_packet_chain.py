@@ -16,9 +16,9 @@ from scipy import stats
 from transport.draws import LOST, SENT
 from transport.errors import FieldError
 from transport.law_tests.analysis import analyse_law
+from transport.laws import AgeChain, InitialLaw, PacketAges, prepare
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.packet_chain import PacketChain
-from transport.laws.protocols import AgeChain, InitialLaw, PacketAges, prepare
 from transport.laws.stochastic_matrix import chain_ages, several_of_many
 from transport.medium.independent import impair
 

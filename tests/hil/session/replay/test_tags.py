@@ -12,8 +12,8 @@ from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
 from hil.runtime.nodes.wire import Wire, session_wire
 from hil.session.replay.recorded import Tags, verify_tags
+from transport.links import TransportError
 from transport.links.authenticated_link import cmac
-from transport.links.link import TransportError
 from transport.packets import EMPTY, ControlPacket, SensorPacket, encode_control, encode_sensor
 from transport.wire import with_tag
 
