@@ -16,7 +16,7 @@ from hil.api.experiment_source import Source, as_change, checked_experiment, loa
 from hil.compose.loop import compose
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
-from hil.files.outputs import check_output, check_page, write_output
+from hil.files import check_output, check_page, write_output
 from hil.log.read.run import read_run
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run

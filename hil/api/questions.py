@@ -18,7 +18,7 @@ from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, checked_experiment
 from hil.design_questions.design_problem import TrackingTarget, problem_for, tracking_target, verdict_on
 from hil.errors import HilError
-from hil.files.outputs import check_output, write_output
+from hil.files import check_output, write_output
 from hil.log.write.provenance import package_versions
 from hil.measure.measure import Named
 from hil.notebook import Cell, Result, SingleResult, data_frame

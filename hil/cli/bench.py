@@ -188,7 +188,7 @@ def probe(
     from contextlib import nullcontext
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
-    from hil.files.outputs import check_output
+    from hil.files import check_output
     from hil.session.outcome import INTRUSIONS
     from transport.links.opening import open_link
     from transport.links.traits import traits_of

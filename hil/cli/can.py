@@ -51,7 +51,7 @@ def analyse(
     TRAFFIC is a table of messages, .csv or .dbc; an EXPERIMENT has a medium of kind can. The exit status is 0 also where a
     message may miss its deadline.
     """
-    from hil.files.outputs import check_page
+    from hil.files import check_page
     from hil.pages.designs import bus_page
     from transport.can_analysis import ErrorBursts
 
@@ -191,7 +191,7 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
 def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from cantools.database.can.c_source import generate
 
-    from hil.files.outputs import check_output, made_folder, write_output
+    from hil.files import check_output, made_folder, write_output
 
     header, source = (made_folder(folder) / f"{_CODEC}.{ending}" for ending in ("h", "c"))
     for path in (header, source):

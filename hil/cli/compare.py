@@ -41,7 +41,7 @@ def compare(
     """
     from hil.cli.sweep import check_jobs
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_page, write_output
+    from hil.files import check_page, write_output
     from hil.pages.many_runs import compare_page
     from hil.sweeps.comparison import check_named, compare
     from hil.sweeps.sweep import statistics
@@ -191,7 +191,7 @@ def _table(said: str) -> str:
 
 
 def _write(chosen: list[Problem]) -> None:
-    from hil.files.outputs import write_output
+    from hil.files import write_output
     from hil.sweeps.problems import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
 
     path = folder() / "best.json"

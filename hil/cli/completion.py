@@ -193,7 +193,7 @@ def show(shell: str | None) -> None:
 @click.argument("shell", type=click.Choice(SHELLS), required=False)
 def install(shell: str | None) -> None:
     """Write the script to the folder of SHELL, by default the running one; hil changes nothing outside your home."""
-    from hil.files.outputs import made_folder, write_output
+    from hil.files import made_folder, write_output
 
     chosen = shell or running_shell()
     path = completion_path(chosen)

@@ -112,7 +112,7 @@ def command(
     from hil.cli.design_pages import SHAPES, show_can_id, show_trade_off, show_trigger
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
-    from hil.files.outputs import check_output, check_page, write_output
+    from hil.files import check_output, check_page, write_output
     from hil.log.write.provenance import package_versions
 
     if (can_id or trigger or trade_off) and path is not None:

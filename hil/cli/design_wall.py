@@ -48,7 +48,7 @@ def command(
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
     from hil.design_questions.coupler_header import coupler_header
-    from hil.files.outputs import check_output, write_output
+    from hil.files import check_output, write_output
     from plants.omni import Omni
 
     for target in filter(None, (path, header)):
@@ -129,7 +129,7 @@ def stiffness_map(
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
     from design.passivity.stiffness_map import stiffness_map
-    from hil.files.outputs import check_output, check_page, write_output
+    from hil.files import check_output, check_page, write_output
     from hil.pages.analyses import stiffness_page
     from plants.omni import Omni
     from plants.parts.hand import Hand

@@ -64,7 +64,7 @@ def law(
     Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
-    from hil.files.outputs import check_output, write_output
+    from hil.files import check_output, write_output
     from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording
     from hil.log.recordings.recording import packet_records

@@ -81,7 +81,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
     from hil.compose.loop import compose
     from hil.design_questions.bus_law import estimated_laws, exact_laws, to_estimate_from
     from hil.experiment import load_experiment, parse_table
-    from hil.files.outputs import check_output, write_output
+    from hil.files import check_output, write_output
     from hil.rig.can_bus import can_bus_of
     from hil.runtime.virtual import simulate
     from transport.law_tests.analysis import analyse_law

@@ -215,7 +215,7 @@ def solve(experiments: tuple[str, ...]) -> None:
     from hil.compose.loop import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment
-    from hil.files.outputs import made_folder, write_output
+    from hil.files import made_folder, write_output
 
     for name in experiments:
         experiment = load_experiment(name)

@@ -66,7 +66,7 @@ def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> No
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
     OUTPUT.topic.csv.
     """
-    from hil.files.outputs import check_output
+    from hil.files import check_output
     from hil.log.read.export import export
     from hil.log.read.run import read_run
 
@@ -89,7 +89,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     """
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_output, write_output
+    from hil.files import check_output, write_output
     from hil.log.read.run import read_run
     from hil.log.topics import channels_of
     from hil.pages.layouts import foxglove, plotjuggler

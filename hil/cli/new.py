@@ -41,7 +41,7 @@ def new(
     With --language a controller is a program that needs nothing of hilrig:
     hil new controller drive --language c --for dc-motor-h2
     """
-    from hil.files.outputs import made_folder, written_whole
+    from hil.files import made_folder, written_whole
 
     if not re.fullmatch(r"[a-z][a-z0-9_-]{0,63}", name, re.ASCII):
         raise HilError(f"NAME: {name!r:.80}: expected lower-case letters, digits, _ or -: hil new {part} my_{part}")

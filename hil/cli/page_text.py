@@ -106,7 +106,7 @@ def show_page(page: Page, document: object, path: Path | None) -> None:
     Raises:
         HilError: the file cannot be written.
     """
-    from hil.files.outputs import write_output
+    from hil.files import write_output
 
     if path is not None:
         write_output(path, page.html())

@@ -60,7 +60,7 @@ def command(
     Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
     the holder of --key signed; 2 bad input.
     """
-    from hil.files.outputs import check_output
+    from hil.files import check_output
     from hil.log.read.run import read_run
 
     ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None,
@@ -189,7 +189,7 @@ def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> N
     """Write columns as CSV, a piece at a time."""
     import numpy as np
 
-    from hil.files.outputs import written_whole
+    from hil.files import written_whole
 
     with written_whole(output, replace=False) as part, open(part, "w", encoding="utf-8") as file:
         file.write(",".join(series) + "\n")

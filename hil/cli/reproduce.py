@@ -41,7 +41,7 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
     beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
     command goes on from there.
     """
-    from hil.files.outputs import write_output
+    from hil.files import write_output
     from hil.thesis import chapters, compute_chapter, power, power_in_words
     from hil.thesis.checkpoint import KeptStages
     from hil.thesis.pages import chapter_page, index_page
@@ -96,7 +96,7 @@ def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: 
 def _pages(chapter: str, names: tuple[str, ...], output: Path | None, force: bool) -> dict[str, Path]:
     """Where each page goes, checked. The folder of ``all`` is made; an ``index.html`` of another kind is refused."""
     from hil.errors import HilError
-    from hil.files.outputs import check_page
+    from hil.files import check_page
 
     if output is None:
         return {}

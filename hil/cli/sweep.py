@@ -75,7 +75,7 @@ def command(
     from design.monte_carlo.parallel_runs import Workers
     from hil.cli.sweep_parameters import as_points, csv_of, end_interrupted, points_of, run_points
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_output, write_output
+    from hil.files import check_output, write_output
     from hil.measure.signals import with_unit
     from hil.sweeps.seeds import columns_of, here, run_sweep
     from hil.sweeps.sweep import SweepStore, statistics

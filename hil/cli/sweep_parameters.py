@@ -52,7 +52,7 @@ def run_points(
         HilError: if a point is no valid experiment, or a file cannot be written.
     """
     from hil.experiment import load_experiment
-    from hil.files.outputs import check_output, check_page, write_output
+    from hil.files import check_output, check_page, write_output
     from hil.pages.many_runs import parameter_page
     from hil.sweeps.parameters import load_points, sweep_parameters
     from hil.sweeps.shown import interval_of

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.files import read_regular
-from hil.files.outputs import File, new_files, written_whole
+from hil.files import File, new_files, read_regular, written_whole
 from transport.links import TransportError
 from transport.links.certificates import FILE, cryptography_needed, revoked_names
 from transport.links.private_directory import MOST_BYTES, read_secret

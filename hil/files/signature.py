@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
-from hil.files import read_regular
-from hil.files.outputs import new_files, written_whole
+from hil.files import new_files, read_regular, written_whole
 from transport.links.certificates import cryptography_needed
 from transport.links.private_directory import read_secret
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import HilError
-from hil.files.outputs import check_page, write_output
+from hil.files import check_page, write_output
 from hil.log.run import Run
 from hil.measure.measure import Quantity, quantities_of, run_measures
 from hil.measure.signals import with_unit

@@ -13,7 +13,7 @@ import click
 from hil.cli.bench import show_table, status_line
 from hil.cli.interrupts import signals_as_exceptions
 from hil.errors import HilError
-from hil.files.outputs import check_output, write_output
+from hil.files import check_output, write_output
 
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 

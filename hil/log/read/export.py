@@ -35,7 +35,7 @@ from numpy.lib import format as npy
 
 from hil.errors import HilError, nearest
 from hil.experiment import experiment_from_resolved
-from hil.files.outputs import written_whole
+from hil.files import written_whole
 from hil.log.append_column import pieces
 from hil.log.read.measured_frames import measured_frames
 from hil.log.read.run import Run

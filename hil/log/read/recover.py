@@ -14,7 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Header, MessageIndex, Metadata
 
 from hil.errors import HilError
-from hil.files.outputs import written_whole
+from hil.files import written_whole
 from hil.log.read.mcap_file import Content, open_mcap, start_said
 from hil.log.read.mcap_walk import (
     MESSAGE_TIME_AT,

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.files.outputs import check_output, check_page, write_output
+from hil.files import check_output, check_page, write_output
 from tests.file_limit import files_up_to
 from tests.hil.cli.conftest import Hil
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.files import read_regular
-from hil.files.outputs import written_whole
+from hil.files import read_regular, written_whole
 
 
 def test_a_regular_file_is_read_whole(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import hil
 from hil.cli import main
 from hil.compose import loop as composing
 from hil.errors import HilError
-from hil.files.outputs import PAGE
+from hil.files import PAGE
 from hil.measure import measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
