@@ -7,7 +7,7 @@ are pooled.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from math import erfc, exp, fsum, lgamma, log, sqrt
 from typing import Any, NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from transport.draws import COPIED, LOST, OVERFLOW, SENT, Draw
+from transport.draws import COPIED, LOST, OVERFLOW, SENT
 from transport.laws import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
@@ -24,7 +24,8 @@ LATENCY_BINS = 10
 _BLOCK = 1 << 18  # transitions that are counted at once
 
 Modes = NDArray[np.int64]
-Records = Sequence[Draw] | NDArray[np.void] | Iterable[NDArray[np.void]]
+Records = Iterable[NDArray[np.void]]
+"""Structured arrays, one after the other, with the fields of `transport.draws.Draw` that a test asks for."""
 
 
 class Evidence(NamedTuple):
@@ -39,22 +40,12 @@ class Evidence(NamedTuple):
     scarce: bool = False
 
 
-def mode_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64]:
-    """Return the number of slots in every mode, (size,).
-
-    >>> mode_counts(np.array([0, 1, 1]), 3).tolist()
-    [1, 2, 0]
-    """
-    return np.bincount(modes, minlength=size or 0)
-
-
-def transition_counts(modes: Modes, size: int | None = None) -> NDArray[np.int64]:
+def transition_counts(modes: Modes, size: int) -> NDArray[np.int64]:
     """Return how often mode j followed mode i, (size, size).
 
-    >>> transition_counts(np.array([0, 1, 1, 0])).tolist()
+    >>> transition_counts(np.array([0, 1, 1, 0]), 2).tolist()
     [[0, 1], [1, 1]]
     """
-    size = size or int(modes.max(initial=-1)) + 1
     pairs = np.zeros(size * size, dtype=np.int64)
     for start in range(0, len(modes) - 1, _BLOCK):
         block = modes[start : start + _BLOCK + 1]
@@ -74,8 +65,8 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None, slo
     Args:
         law: parameters of the law.
         modes: mode of every slot from slot 0, (slots,).
-        draws: packet laws only: the records of the whole run from slot 0, a list of `Draw`, or a structured array with its fields
-            `tick`, `mode`, `latency_s` and `reason`, or such arrays one after the other, of which one is in memory at a time.
+        draws: packet laws only: the records of the whole run from slot 0, with the fields `tick`, `mode`, `latency_s` and
+            `reason`; one of the arrays is in memory at a time.
         slot: its length and when it closes, s; of a packet law that discards old packets losses and latencies are tested only
             with it.
     """
@@ -238,7 +229,7 @@ def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] 
         edges = edges[edges < latest]
         reached = np.concatenate([[0.0], recorded.cdf(edges) / max(kept, 1e-300), [1.0]])
     found = _Packets(fates=np.zeros((2, len(losses)), np.int64), binned=np.zeros(len(edges) + 1, np.int64))
-    for table in _blocks(draws):
+    for table in map(_columns, draws):
         fate = (table["mode"] >= 0) & np.isin(table["reason"], (SENT, LOST))
         sent = fate & (table["reason"] == SENT)
         observed = table["latency_s"][sent]
@@ -264,20 +255,6 @@ def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] 
         yield _cells_evidence(np.array([found.copied, found.sent - found.copied]), row)
     if not isinstance(recorded, LatencyTrace):
         yield _cells_evidence(found.binned, np.diff(reached))
-
-
-def _blocks(draws: Records) -> Iterator[dict[str, NDArray[Any]]]:
-    if isinstance(draws, np.ndarray):
-        yield from map(_columns, (draws[start : start + _BLOCK] for start in range(0, len(draws), _BLOCK)))
-    elif isinstance(draws, Sequence):
-        yield {
-            "tick": np.array([draw.tick for draw in draws], dtype=np.int64),
-            "mode": np.array([draw.mode for draw in draws], dtype=np.int64),
-            "latency_s": np.array([draw.latency_s for draw in draws], dtype=np.float64),
-            "reason": np.array([draw.reason for draw in draws], dtype=np.int64),
-        }
-    else:
-        yield from map(_columns, draws)
 
 
 def _columns(draws: NDArray[np.void]) -> dict[str, NDArray[Any]]:

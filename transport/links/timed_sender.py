@@ -27,9 +27,7 @@ _SWEEP_S: Final = 0.5
 _IDLE_S: Final = 0.25
 _SPELLS: Final = 16
 
-Deliver = Callable[[object, int, bool], None]
-Destroyed = Callable[[object, int, bool], None]
-Changed = Callable[[State, StateChange], None]
+Told = Callable[[object, int, bool], None]
 
 
 class TimedSender:
@@ -50,7 +48,7 @@ class TimedSender:
     """
 
     def __init__(
-        self, directory: Path, rates: BitRates, deliver: Deliver, destroyed: Destroyed, changed: Changed,
+        self, directory: Path, rates: BitRates, deliver: Told, destroyed: Told, changed: Callable[[State, StateChange], None],
         others_changed: Callable[[], None], restart_s: float | None = None,
     ) -> None:  # fmt: skip
         self._deliver, self._destroyed, self._changed, self._restart_s = deliver, destroyed, changed, restart_s

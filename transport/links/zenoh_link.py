@@ -54,7 +54,8 @@ _NETWORKED: Final = ("tcp", "tls", "udp", "ws")
 _LOCAL: Final = ("unixsock-stream",)
 _LOOPBACK: Final = re.compile(r"(127\.\d+\.\d+\.\d+|\[::1\]|localhost)")
 _SOURCE: Final = re.compile(r" at \S+\.rs:\d+\.?")  # where in zenoh's source an error arose
-_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+"""Of a link over zenoh."""
 
 
 class ZenohLink(Closing):
@@ -160,8 +161,7 @@ class ZenohLink(Closing):
         import zenoh
 
         key, text = f"hil/{self._name}/info", json.dumps({**about, "session": self._session_id})
-        answer = zenoh.handlers.Callback(partial(_answer, key, text), indirect=False)
-        self._session.declare_queryable(key, answer)
+        self._session.declare_queryable(key, zenoh.handlers.Callback(partial(answer, key, text), indirect=False))
 
     def close(self) -> None:
         if not self._closed:
@@ -199,8 +199,10 @@ def _note(listened_to: Event, status: zenoh.MatchingStatus) -> None:
     (listened_to.set if status.matching else listened_to.clear)()
 
 
-def _answer(key: str, text: str, query: zenoh.Query) -> None:
-    query.reply(key, text, encoding="application/json")
+def answer(key: str, text: str, query: zenoh.Query) -> None:
+    """Answer a query with a text in JSON, unless it has ended meanwhile."""
+    with suppress(Exception):
+        query.reply(key, text, encoding="application/json")
 
 
 def zenoh_directory() -> Path:
@@ -254,7 +256,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
     transport.links.TransportError: link 'zenoh:tcp/127.0.0.1': address '127.0.0.1', expected host:port, as in 127.0.0.1:7447
     """
     _, endpoint, options = split_uri(uri)
-    if not endpoint and _NAME.fullmatch(options.get("name", "rig0")):
+    if not endpoint and NAME.fullmatch(options.get("name", "rig0")):
         try:
             endpoint = f"unixsock-stream/{private_directory(zenoh_directory())}/{options.get('name', 'rig0')}"
         except TransportError as error:
@@ -272,7 +274,7 @@ def open_zenoh(uri: str, role: Role) -> ZenohLink:
         raise TransportError(f"link {uri!r}: no option is called {next(iter(options))!r}, expected name or {known}")
     if lan not in ("0", "1"):
         raise TransportError(f"link {uri!r}: lan={lan}, expected 1 (other machines may connect) or 0")
-    if not _NAME.fullmatch(name):
+    if not NAME.fullmatch(name):
         raise TransportError(f"link {uri!r}: name {name!r}, expected up to 64 letters, digits, '_', '-', '.'")
     if protocol in _NETWORKED:
         host, _, port = address.partition("#")[0].rpartition(":")

@@ -18,10 +18,9 @@ from typing import Any, Final
 
 from transport.links import Closing, TransportError, split_uri
 from transport.links.private_directory import private_directory
-from transport.links.zenoh_link import ONE_THREAD, config, zenoh_directory
+from transport.links.zenoh_link import NAME, ONE_THREAD, answer, config, zenoh_directory
 from transport.links.zenoh_refusals import require_zenoh
 
-_NAME: Final = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _LOOPBACK: Final = re.compile(r"tcp/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):\d{1,5}")
 LARGEST_INFO: Final = 1 << 20
 """Bytes of an answer that is read."""
@@ -53,8 +52,8 @@ class SignalPublisher(Closing):
             raise TransportError(f"signals {uri!r}: {error}; is another session there?") from error
         base = f"hil/{name}/signals"
         described = json.dumps({topic: {"schema": of, "text": text} for topic, (of, text) in schemas.items()})
-        answer = zenoh.handlers.Callback(partial(_answer, f"{base}/schemas", described), indirect=False)
-        self._session.declare_queryable(f"{base}/schemas", answer)
+        schemas_of = zenoh.handlers.Callback(partial(answer, f"{base}/schemas", described), indirect=False)
+        self._session.declare_queryable(f"{base}/schemas", schemas_of)
         self._publishers = {
             topic: self._session.declare_publisher(
                 f"{base}{topic}", encoding=f"application/cdr;{of}", congestion_control=zenoh.CongestionControl.DROP
@@ -89,16 +88,11 @@ def _endpoint(uri: str) -> tuple[str, str]:
     name, lan = options.pop("name", "rig0"), options.pop("lan", "0")
     if scheme != "zenoh" or (endpoint and not _ANY_HOST.fullmatch(endpoint)):
         raise TransportError(f"signals {uri!r}: expected zenoh: or zenoh:tcp/HOST:PORT, as in zenoh:tcp/127.0.0.1:7448")
-    if options or lan not in ("0", "1") or not _NAME.fullmatch(name):
+    if options or lan not in ("0", "1") or not NAME.fullmatch(name):
         raise TransportError(f"signals {uri!r}: expected no options but name=NAME (letters, digits, '_', '-', '.') and lan=1")
     if endpoint and lan != "1" and not _LOOPBACK.fullmatch(endpoint):
         raise TransportError(f"signals {uri!r}: other machines could read them there; use 127.0.0.1, or append ?lan=1")
     return endpoint or f"unixsock-stream/{private_directory(zenoh_directory())}/{name}-signals", name
-
-
-def _answer(key: str, text: str, query: Any) -> None:
-    with suppress(Exception):  # a query that ended meanwhile
-        query.reply(key, text, encoding="application/json")
 
 
 def own_endpoints() -> list[str]:

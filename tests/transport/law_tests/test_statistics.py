@@ -16,7 +16,7 @@ from scipy import stats
 
 from hil.measure.network_paths import network_metrics
 from transport.draws import DUPLICATED, LOST, SENT, Draw
-from transport.law_tests import chi_square_tail, is_testable, law_p_value, mode_counts, transition_counts
+from transport.law_tests import chi_square_tail, is_testable, law_p_value, transition_counts
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.packet import GilbertElliott, PacketLaw
 from transport.laws.semi_markov import SemiMarkovAge
@@ -47,19 +47,23 @@ def records(law: Any, slots: int, seed: int) -> list[Draw]:
     return draws
 
 
+def table_of(draws: list[Draw]) -> np.ndarray:
+    rows = [(draw.tick, draw.mode, draw.latency_s, draw.reason) for draw in draws]
+    return np.array(rows, [("tick", "<i4"), ("mode", "i1"), ("latency_s", "<f8"), ("reason", "u1")])
+
+
 def packet_p_value(law: PacketLaw, draws: list[Draw]) -> float:
-    return law_p_value(law, np.array([draw.mode for draw in draws if draw.mode >= 0]), draws)
+    return law_p_value(law, np.array([draw.mode for draw in draws if draw.mode >= 0]), [table_of(draws)])
 
 
 @pytest.mark.parametrize("law", [GAMMA, PacketLaw(latency="3 ms", loss=CHANNEL).prepared()], ids=["gamma", "constant"])
 def test_packets_in_pieces_have_the_p_value_of_all_together(law: PacketLaw) -> None:
     draws = records(law, 3000, 5)
-    rows = [(draw.tick, draw.mode, draw.latency_s, draw.reason) for draw in draws]
-    table = np.array(rows, [("tick", "<i4"), ("mode", "i1"), ("latency_s", "<f8"), ("reason", "u1")])
+    table = table_of(draws)
     drawn = table["mode"][table["mode"] >= 0].astype(int)
     found = packet_p_value(law, draws)
     assert 0.0 < found < 1.0
-    assert found == law_p_value(law, drawn, table) == law_p_value(law, drawn, iter(np.split(table, [7, 7, 900])))
+    assert found == law_p_value(law, drawn, iter(np.split(table, [7, 7, 900])))
     table["latency_s"][np.flatnonzero(table["reason"] == SENT)[-1]] = -1.0
     assert law_p_value(law, drawn, iter(np.split(table, [7, 7, 900]))) == 0.0
 
@@ -117,7 +121,7 @@ def test_what_cannot_happen_has_probability_zero() -> None:
     assert law_p_value(BURSTY, np.array([0, 1, 1, 1, 1, 0])) == 0.0  # a sojourn of 4, at most 3 are possible
     assert law_p_value(BURSTY, np.array([0, 1, 2, 2, 0])) == 0.0  # a sojourn of 2, only 1 and 3 are
     assert law_p_value(BURSTY, np.array([0, 0, 2])) == 0.0  # 0 to 2 in the embedded chain
-    assert law_p_value(PacketLaw(latency="1 ms"), np.zeros(1, int), [Draw(0, 0, 0, -1, np.nan, LOST)]) == 0.0
+    assert law_p_value(PacketLaw(latency="1 ms"), np.zeros(1, int), [table_of([Draw(0, 0, 0, -1, np.nan, LOST)])]) == 0.0
 
 
 def test_a_constant_or_a_trace_agrees_or_does_not() -> None:
@@ -159,8 +163,7 @@ def test_counts_are_those_of_a_plain_loop() -> None:
     for i, j in pairwise(sample.tolist()):
         pairs[i, j] += 1
     assert (transition_counts(sample, 3) == pairs).all()
-    assert mode_counts(sample, 3).tolist() == [int((sample == i).sum()) for i in range(3)]
-    assert mode_counts(sample[:0]).tolist() == [] == transition_counts(sample[:0]).tolist()
+    assert not transition_counts(sample[:0], 3).any()
 
 
 def test_statistics_come_from_records_or_from_a_log_alike() -> None:
@@ -183,7 +186,7 @@ def test_a_law_that_discards_old_packets_is_accepted_and_another_is_not() -> Non
     law = PacketLaw(latency={"dist": "gamma", "a": 2.0, "scale": "20 ms"}, loss=0.1, discard_older=1)
     for seed in range(40):
         process = law.start(np.random.default_rng([27, seed]), *slot)
-        draws = [draw for k in range(3000) for draw in process.draw(k)]
+        draws = [table_of([draw for k in range(3000) for draw in process.draw(k)])]
         channel = np.zeros(3000, dtype=np.int64)
         assert law_p_value(law, channel, draws, slot) > 1e-6
         assert law_p_value(dataclasses.replace(law, discard_older=0), channel, draws, slot) < 1e-12
