@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.monte_carlo.parallel_runs import CHAIN, NOISE, DrawTable, Workers, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, Workers, in_chunks, inside_chunk, nobody
 from design.processes.elementary import normal_quantile
 
 FloatArray = npt.NDArray[np.float64]
@@ -28,11 +29,6 @@ IntArray = npt.NDArray[np.intp]
 
 CHUNK = 512
 PAGE = 64
-ONE_CORE = Workers()
-
-
-def _nothing(done: int) -> None:
-    pass
 
 
 class MarkovBatch(NamedTuple):
@@ -122,7 +118,7 @@ def simulate_mjls(
     seed: int = 0,
     first: int = 0,
     workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = _nothing,
+    progress: Callable[[int], None] = nobody,
 ) -> MarkovBatch:
     """Simulate many runs of a jump-linear system, the same numbers for every split.
 
@@ -154,17 +150,8 @@ def simulate_mjls(
         first=first,
         runs=runs,
     )
-    chunks = chunk_numbers(first, runs, CHUNK)
-    parts = []
-    for done, part in enumerate(spread(task, chunks, workers), 1):
-        parts.append(part)
-        progress(min(done * CHUNK, runs))
-    columns = list(zip(*parts, strict=True))
+    columns = list(zip(*(part for _, part in in_chunks(task, first, runs, CHUNK, workers, progress)), strict=True))
     energy, peak, final = (np.concatenate(column) for column in columns[:3])
-    sums = []
-    for column in columns[3:]:
-        total = column[0].copy()
-        for part in column[1:]:  # in the order of the chunks: a sum of floats depends on its order
-            total += part
-        sums.append(total / runs)
+    # Added in the order of the chunks: a sum of floats depends on its order.
+    sums = [reduce(np.add, column) / runs for column in columns[3:]]
     return MarkovBatch(energy, peak, final, *sums)

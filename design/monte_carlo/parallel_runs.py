@@ -137,6 +137,33 @@ class Workers:
             )
 
 
+ONE_CORE: Final = Workers()
+
+
+def nobody(done: int) -> None:
+    """Tell nobody how many runs are done."""
+
+
+def in_chunks(
+    task: Callable[[int], Result], first: int, runs: int, size: int, workers: Workers = ONE_CORE,
+    progress: Callable[[int], None] = nobody,
+) -> Iterator[tuple[slice, Result]]:  # fmt: skip
+    """Results of task(chunk) for the chunks that hold the runs first, ..., in order, each with which of its runs are among these.
+
+    Args:
+        task: computes a chunk of ``size`` runs by its number.
+        first, runs, size: which runs, and how many a chunk has.
+        workers: who computes.
+        progress: called with how many runs are done.
+    """
+    chunks, done = chunk_numbers(first, runs, size), 0
+    for chunk, result in zip(chunks, spread(task, chunks, workers)):
+        inside = inside_chunk(chunk, first, runs, size)
+        done += inside.stop - inside.start
+        progress(done)
+        yield inside, result
+
+
 def spread(
     task: Callable[[Job], Result], jobs: Sequence[Job], workers: Workers, *, unordered: bool = False
 ) -> Iterator[Result]:  # fmt: skip

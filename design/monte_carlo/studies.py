@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import numpy as np
@@ -21,18 +22,13 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
 from design.monte_carlo.jump_paths import MatrixFlow
-from design.monte_carlo.parallel_runs import Workers, chunk_numbers, inside_chunk, spread
+from design.monte_carlo.parallel_runs import ONE_CORE, Workers, in_chunks, inside_chunk, nobody
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 CHUNK = 1024
 """Runs computed together. Part of the definition of the result's last bits: change it and they may change."""
-ONE_CORE = Workers()
-
-
-def _nothing(done: int) -> None:
-    pass
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +116,7 @@ def settling_times(
     seed: int = 0,
     first: int = 0,
     workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = _nothing,
+    progress: Callable[[int], None] = nobody,
 ) -> FloatArray:
     """Settling times (2.28): the first grid time from which on |x(t)|_2 <= band |x(0)|_2 up to the end.
 
@@ -140,14 +136,7 @@ def settling_times(
     if not band > 0:
         raise FieldError("band", f"{band!r} is not positive")
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed, band=band)
-    chunks = chunk_numbers(first, runs, CHUNK)
-    parts: list[FloatArray] = []
-    done = 0
-    for chunk, part in zip(chunks, spread(study.settle, chunks, workers)):
-        parts.append(part[inside_chunk(chunk, first, runs, CHUNK)])
-        done += parts[-1].size
-        progress(done)
-    return np.concatenate(parts)
+    return np.concatenate([part[inside] for inside, part in in_chunks(study.settle, first, runs, CHUNK, workers, progress)])
 
 
 def trajectories(
@@ -155,11 +144,7 @@ def trajectories(
 ) -> FloatArray:
     """Exact states on the grid 0, dt_s, ..., duration_s: shape (runs, grid points, n)."""
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
-    out = [
-        study.states(chunk)[:, inside_chunk(chunk, first, runs, CHUNK)].transpose(1, 2, 0)
-        for chunk in chunk_numbers(first, runs, CHUNK)
-    ]
-    return np.concatenate(out)
+    return np.concatenate([x[:, inside].transpose(1, 2, 0) for inside, x in in_chunks(study.states, first, runs, CHUNK)])
 
 
 class MeanStates(NamedTuple):
@@ -207,11 +192,8 @@ def mean_states(
     """Average trajectory and second moments on the grid (Figure 2.4a); arguments as ``settling_times``."""
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed)
     sums = _Sums(study=study, runs=runs)
-    total: tuple[FloatArray, ...] | None = None
-    for part in spread(sums, chunk_numbers(0, runs, CHUNK), workers):
-        # Added in the order of the chunks: a sum of floats depends on its order.
-        total = part if total is None else tuple(a + b for a, b in zip(total, part, strict=True))
-    assert total is not None
-    mean, second, fourth = (np.asarray(value / runs, dtype=np.float64) for value in total)
+    parts = [part for _, part in in_chunks(sums, 0, runs, CHUNK, workers)]
+    # Added in the order of the chunks: a sum of floats depends on its order.
+    mean, second, fourth = (np.asarray(reduce(np.add, column) / runs) for column in zip(*parts))
     time_s = np.arange(study.steps + 1, dtype=np.float64) * dt_s
     return MeanStates(time_s, mean.T, np.moveaxis(second, -1, 0), fourth, runs)
