@@ -47,7 +47,7 @@ class Material:
             raise FieldError("spared_m_per_n", f"{self.spared_m_per_n!r}, expected at least 0 and less than 1/K")
 
     def most_spared_m_per_n(self, period_s: float) -> float:
-        """Return 1/(K + 2 B/T) in m/N: the most of its own give that a coupler may count on (`design.passivity.own_give`).
+        """Return 1/(K + 2 B/T) in m/N: the most of its own give that a coupler may count on (`design.passivity.transparency`).
 
         Args:
             period_s: T in s.
@@ -213,7 +213,7 @@ class Contact:
 
     @property
     def energy_j(self) -> float:
-        """Energy stored in the wall at `port_m`, in J: of the spring, and of what is spared (`design.passivity.own_give`)."""
+        """Energy stored in the wall at `port_m`, in J: of the spring, and of what is spared (`design.passivity.transparency`)."""
         if self.avatar_m <= 0.0:
             return 0.0
         wall, depth = self._wall, self.avatar_m - self.offset_m

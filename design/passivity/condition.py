@@ -196,12 +196,10 @@ def _changes(chain: Sequence[Integers], x: int) -> int:
 Array = npt.NDArray[np.float64]
 
 
-def cosine_coefficients(
-    coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, *delays: int
-) -> list[Fraction]:
+def cosine_coefficients(coupler: Coupler, period_s: float | Fraction, damping_n_s_per_m: float, *delays: int) -> list[Fraction]:
     """Return the exact cosine coefficients of the real part of (*) divided by 1 - cos t, times 2 beta.
 
-    Of several delays it is the sum of their F_N that is taken away: see `design.passivity.varying_delay`.
+    Of several delays it is the sum of their F_N that is taken away: see `design.passivity.certificate`.
 
     With an integrator they are those of the real part itself, times 2 beta.
 
@@ -238,7 +236,7 @@ def is_passive_over(coupler: Coupler, period_s: float | Fraction, damping_n_s_pe
         coupler: C.
         period_s: T in s.
         damping_n_s_per_m: beta in N s/m; 0 or less meets no condition.
-        delays: nd, samples; several: those of `varying_delay.lags`.
+        delays: nd, samples; several: those of `certificate.lags`.
     """
     if damping_n_s_per_m <= 0.0:
         return False
@@ -262,7 +260,7 @@ def damping_needed(coupler: Coupler, period_s: float, delays: Iterable[int], *, 
         coupler: C; its integrator, which only helps, is left out.
         period_s: T in s.
         delays: the delays nd in samples.
-        varying: whether they are those of `varying_delay.lags`, whose F_N add up; the delay returned is then the largest.
+        varying: whether they are those of `certificate.lags`, whose F_N add up; the delay returned is then the largest.
     """
     taps, asked = np.asarray(coupler.taps_m_per_n), sorted(delays) if varying else sorted(set(delays))
     t = np.linspace(0.0, np.pi, 64 * max(taps.size, asked[-1] + 1) + 1)

@@ -65,16 +65,18 @@ class HeldDevice:
         """b + b_h in N s/m: what the condition for the coupler may count on."""
         return self.damping_n_s_per_m + self.hand_damping_n_s_per_m
 
-    def discretise(self, period_s: float) -> tuple[Array, Array]:
+    def discretise(self, period_s: float, stiffness_n_per_m: float = 0.0, damping_n_s_per_m: float = 0.0) -> tuple[Array, Array]:
         """Return A (2, 2) and B (2,) of the state (position, speed), the force held over T.
 
         Args:
             period_s: T in s.
+            stiffness_n_per_m, damping_n_s_per_m: of a material beside the hand.
         """
         mass = self.mass_kg + self.hand_mass_kg
         field = np.zeros((3, 3))
         field[0, 1] = 1.0
-        field[1] = np.array([-self.hand_stiffness_n_per_m, -self.total_damping_n_s_per_m, 1.0]) / mass
+        stiffness, damping = self.hand_stiffness_n_per_m + stiffness_n_per_m, self.total_damping_n_s_per_m + damping_n_s_per_m
+        field[1] = np.array([-stiffness, -damping, 1.0]) / mass
         held = expm(field * period_s)
         return held[:2, :2], held[:2, 2]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm, solve_discrete_are
+from scipy.linalg import solve_discrete_are
 
 from design.controllers.gain_rows import nested
 from design.controllers.rendered_wall import LinearInContact
@@ -51,28 +51,18 @@ def follow_wall(
     Raises:
         DesignError: the coupled Riccati equations do not converge.
     """
-    plant = _held(device, period_s, 0.0, 0.0)
-    force = plant[:2, 2]
-    A3 = np.eye(3)
-    A3[:2] = plant
-    B3 = np.append(force, 0.0)
-    targets = np.array([_held(device, period_s, m.stiffness_n_per_m, m.damping_n_s_per_m) for m in wall.materials])
+    A, B = device.discretise(period_s)
+    A3, B3 = np.eye(3), np.append(B, 0.0)
+    A3[:2] = np.column_stack([A, B])
+    targets = np.array([
+        np.column_stack(device.discretise(period_s, m.stiffness_n_per_m, m.damping_n_s_per_m)) for m in wall.materials
+    ])  # fmt: skip
     feedback = _feedback(wall.materials, A3, B3, targets, ca, np.asarray(material_chain, dtype=np.float64), force_weight)
     gain = _filter(A3, sc, hand_step_n, noise_m)
     return ModelFollowing(
         wall=wall, plant=nested(A3), force=nested(B3), filter_gain=nested(gain), targets=nested(targets),
         feedback=nested(feedback),
     )  # fmt: skip
-
-
-def _held(device: HeldDevice, period_s: float, stiffness: float, damping: float) -> Array:
-    """(2, 3) of (x, v) from (x, v, force), with a material beside the hand."""
-    mass = device.mass_kg + device.hand_mass_kg
-    field = np.zeros((3, 3))
-    field[0, 1] = 1.0
-    field[1] = [-(device.hand_stiffness_n_per_m + stiffness), -(device.total_damping_n_s_per_m + damping), 1.0]
-    field[1] /= mass
-    return np.asarray(expm(field * period_s)[:2])
 
 
 def _feedback(

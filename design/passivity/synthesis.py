@@ -10,7 +10,7 @@ last, tiny violation is repaired by c_0, whose kernel D_0 is 1. What comes out i
 Integrating the rows over (0, pi) bounds every causal coupler, of any length, from below:
 C(1) >= (T/pi) int max_N F_N(t)/(2 beta) dt.
 
-A delay that varies asks for the sum of the F_N of `design.passivity.varying_delay`. With a weight W the program
+A delay that varies asks for the sum of the F_N of `design.passivity.certificate`. With a weight W the program
 minimises the largest |W(z) C(z)| on the circle instead: what the device moves by more than the wall, 1/Q - 1/G = C. A modulus is
 the largest of Re(e^-ip W C) over all p: the p of the last answer is added as a row, until none is violated.
 
@@ -89,7 +89,7 @@ def stiffest_coupler(
         damping_n_s_per_m: damping of the device and least damping of the hand in N s/m, above 0.
         taps: length of C; by default 2 nd + 8 for the largest delay, at least 24.
         stiffness_n_per_m: a request in N/m; the design is refused if it cannot be reached.
-        varying: whether they are the delays of one that varies from sample to sample, of `varying_delay.lags`.
+        varying: whether they are the delays of one that varies from sample to sample, of `certificate.lags`.
         weight: W, whose largest |W C| is to be least, instead of C(1).
 
     Raises:

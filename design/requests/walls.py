@@ -106,7 +106,7 @@ class DesignedWall:
         if asked.equalise and not asked.delays:
             delays = (largest,)
         if asked.varying:
-            from design.passivity.varying_delay import lags
+            from design.passivity.certificate import lags
 
             delays = lags(*sides)
         beta = damping_of(task) if asked.damping_n_s_per_m is None else asked.damping_n_s_per_m
@@ -120,14 +120,12 @@ class DesignedWall:
             raise FieldError("coupler.damping_n_s_per_m", f"{beta:g}; without damping no coupler is safe for every hand")
         samples = 1 + spread if asked.equalise else 1
         coupler = makers[asked.method]()
-        return VirtualWall(
-            wall=self._sparing(coupler, model.period_s), coupler=coupler, equalise=asked.equalise, samples=samples
-        )
+        return VirtualWall(wall=self._sparing(coupler, model.period_s), coupler=coupler, equalise=asked.equalise, samples=samples)
 
     def _sparing(self, coupler: Coupler, period_s: float) -> Wall:
         if not self.coupler.per_material:
             return self.wall
-        from design.passivity.own_give import sparing
+        from design.passivity.transparency import sparing
 
         return replace(self.wall, materials=sparing(self.wall.materials, coupler, period_s))
 

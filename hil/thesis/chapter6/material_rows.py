@@ -11,12 +11,11 @@ from design.controllers.rendered_wall import Coupler, WallController, static_cou
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import square_rows
 from design.jump_linear.bounded_real import hinf_norm
+from design.passivity.certificate import lags
 from design.passivity.loop import HeldDevice
 from design.passivity.material_chain import paced_chain
-from design.passivity.own_give import felt_n_per_m, sparing
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
-from design.passivity.transparency import distortion
-from design.passivity.varying_delay import lags
+from design.passivity.transparency import distortion, felt_n_per_m, sparing
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
