@@ -41,9 +41,11 @@ class Measured:
     at: Receiver
 
     @property
-    def counts_ages(self) -> bool:
-        """Whether transitions between the ages that came are counted: nothing is known of an age that never came."""
-        return self.fit.law_class == "markov"
+    def assumed(self) -> str:
+        """What a region of the chain rests on, and no interval covers."""
+        if self.fit.law_class == "markov":
+            return f"no age is above {self.at.max_age}, the largest in the record"
+        return "packets come independently of each other, which the record does not reject"
 
     def chain(self) -> DelayChain:
         """Return the chain of the fitted law.
@@ -109,8 +111,8 @@ def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Mea
     if verdict.state == "certified":
         said = f"mean-square stable for every chain of ages that {packets} packets leave possible, with 95 % confidence"
         reason = f"{said} (second-moment radius at most {verdict.details['tail_radius']:.5g})"
-        oldest = tuple(f"no age is above {each.at.max_age}, the largest in the record" for each in (sc, ca) if each.counts_ages)
-        return on_plant(target, replace(verdict, reason=reason, assumptions=(*verdict.assumptions, *oldest)))
+        assumed = dict.fromkeys((sc.assumed, ca.assumed))
+        return on_plant(target, replace(verdict, reason=reason, assumptions=(*verdict.assumptions, *assumed)))
     enough = _enough(target, design, sc, ca, packets)
     least = "more packets would not decide it" if enough is None else f"about {enough} packets in the same shares would do"
     return replace(

@@ -1,6 +1,7 @@
 """What is passive at the device: the wall's certificate holds with it, and it turns with what is not."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -12,6 +13,8 @@ from hil.api.experiment_source import load_experiment as experiment_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
+from plants import LinearRun, Signal, StateSpace
+from plants.parts.protocols import PassiveElement
 
 WAVE = 'controller.coupler={method="wave"}'
 RISING = "controller.coupler={method=\"taps\",taps_m_per_n=[0.2,0.02,0.03]}"
@@ -99,6 +102,49 @@ def test_a_device_that_begins_behind_the_surface_gets_back_what_is_stored_there_
     damped = experiment_of("omni-push", **changes, **{"limits.passivity": {"damping_n_s_per_m": 30.0}}, allow_uncertified=True)
     found = compose(damped).verdict
     assert found is not None and found.state == "undecided" and "behind the surface" in found.reason
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bearing:
+    """A device of one's own, whose model has the damping of the Omni, with something that only takes energy, as it says."""
+
+    damping: float
+    pushed: bool = False
+    inputs: ClassVar = (Signal("force", "N"),)
+    outputs: ClassVar = (Signal("position", "m"), Signal("y", "m"), Signal("z", "m"))
+    states: ClassVar = (Signal("position", "m"), Signal("speed", "m/s"))
+    tracked: ClassVar = ("position",)
+
+    def model(self):
+        return self._with(1.9857)
+
+    def _with(self, damping):
+        measured = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]
+        return StateSpace(A=[[0.0, 1.0], [0.0, -damping / 0.7943]], B=[[0.0], [1.0 / 0.7943]], C=measured)
+
+    def beyond_model(self):
+        return ("a bearing",)
+
+    def passive_elements(self):
+        return (PassiveElement("a bearing"),)
+
+    def own_inputs(self):
+        return ("a hand",) if self.pushed else ()
+
+    def start(self, rng):
+        return LinearRun(self._with(self.damping), (0.0, 0.5))
+
+
+def test_a_device_of_ones_own_that_gives_energy_is_refused():
+    def judged(device):
+        changes = {"controller.coupler.damping_n_s_per_m": 1.9857, "limits.state": {}, "allow_uncertified": True}
+        return compose(experiment_of("omni-push", plant=device, **changes)).verdict
+
+    devices = Bearing(damping=2.5), Bearing(damping=1.7), Bearing(damping=2.5, pushed=True)
+    honest, lying, pushed = map(judged, devices)
+    assert honest.certified and any("takes what its damping takes" in text for text in honest.assumptions)
+    assert lying.state == "refused" and "does not take energy as it says" in lying.reason
+    assert pushed.certified and any("is not compared, for it has a hand" in text for text in pushed.assumptions)
 
 
 def test_ends_that_equalise_are_judged_at_the_delay_that_they_wait_for():
