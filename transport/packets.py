@@ -57,9 +57,9 @@ Reader: TypeAlias = tuple[int, Callable[[bytes], Packet | None]]
 
 @lru_cache(maxsize=1024)
 def _sensor_writer(
-    y: int, flags: int, samples: int, references: int, node: int, nodes: int, tagged: bool
-) -> tuple[Callable[..., bytes], int, int, int]:
-    """How a packet is packed, its bytes 3, 25 and 26; one that cannot be written is refused."""
+    y: int, flags: int, samples: int, references: int, node: int, nodes: int
+) -> tuple[Callable[..., bytes], int, int]:
+    """How a packet is packed, its bytes 3 and 25; one that cannot be written is refused."""
     empty = bool(flags & 2)
     samples = 0 if empty else samples
     outputs = y // samples if samples else 0
@@ -73,26 +73,20 @@ def _sensor_writer(
         raise FieldError("reference", f"{references} values beside {y}, expected up to {MAX_REFERENCES}, and {MAX_VALUES} in all")
     if not 0 <= node < nodes <= 255:
         raise FieldError("node", f"{node} of {nodes}, expected up to 255 nodes, numbered from 0")
-    pack = layout(SENSOR, y + references, tagged).write.pack
-    return pack, flags << 6 | outputs, samples, references | TAGGED if tagged else references
+    return layout(SENSOR, y + references, False).write.pack, flags << 6 | outputs, samples
 
 
 @lru_cache(maxsize=1024)
-def _control_writer(count: int, inputs: int, selection: int, tagged: bool) -> tuple[Callable[..., bytes], int]:
-    """How a packet is packed, and its byte 3; one that cannot be written is refused."""
+def _control_writer(count: int, inputs: int, selection: int) -> Callable[..., bytes]:
+    """How a packet is packed; one that cannot be written is refused."""
     if count > MAX_ROWS or (count and not 0 < inputs <= MAX_INPUTS):
         raise FieldError("rows", f"{count} rows of {inputs}, expected up to {MAX_ROWS} rows of 1 to {MAX_INPUTS}")
     if not 0 <= selection < len(SELECTIONS):
         raise FieldError("selection", f"{selection}, expected a code from 0 to {len(SELECTIONS) - 1}")
     if count * inputs > MAX_VALUES:
         raise FieldError("rows", f"{count * inputs} values, expected up to {MAX_VALUES}")
-    return layout(CONTROL, count * inputs, tagged).write.pack, TAGGED | selection if tagged else selection
-
-
-def _trailer(tag: bytes) -> tuple[bytes]:
-    if len(tag) != TAG_BYTES:
-        raise FieldError("tag", f"{len(tag)} bytes, expected {TAG_BYTES}")
-    return (tag,)
+    pack: Callable[..., bytes] = layout(CONTROL, count * inputs, False).write.pack
+    return pack
 
 
 def _single(value: float) -> float:
@@ -116,15 +110,15 @@ def encode_sensor(packet: SensorPacket) -> bytes:
     >>> encode_sensor(SensorPacket(seq=7, flags=0, sample_ns=350_000_000, y=(3.0,), counter=8))[2:36].hex(" ", 4)
     '3101 07000000 00000000 00000000 8093dc14 00000000 00010001 08000000 00004040'
     """
-    seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, counter, tag = packet
-    trailer = _trailer(tag) if tag else ()
-    pack, shape, samples, references = _sensor_writer(len(y), flags & 3, samples, len(reference), node, nodes, bool(tag))
+    seq, flags, sample_ns, y, node, samples, reference, nodes, nonce, counter = packet
+    references = len(reference)
+    pack, shape, samples = _sensor_writer(len(y), flags & 3, samples, references, node, nodes)
     seq, counter = seq & 0xFFFFFFFF, counter & 0xFFFFFFFF
     try:
-        body = pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *y, *reference, *trailer)
+        body = pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *y, *reference)
     except OverflowError:
         values = map(_single, (*y, *reference))
-        body = pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *values, *trailer)
+        body = pack(SENSOR, shape, seq, nonce, sample_ns, node, samples, references, nodes, counter, *values)
     return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
@@ -145,21 +139,20 @@ def encode_control(packet: ControlPacket) -> bytes:
     >>> len(encode_control(packet)), decode(encode_control(packet)) == packet
     (64, True)
     """
-    seq, sample_ns, control_ns, tau, selection, rows, echo, counter, tag = packet
+    seq, sample_ns, control_ns, tau, selection, rows, echo, counter = packet
     count, inputs = len(rows), len(rows[0]) if rows else 0
     for row in rows:
         if len(row) != inputs:
             raise FieldError("rows", f"lengths {[*map(len, rows)]}, expected one length")
     if not -1 <= tau <= TAU_LIMIT:
         tau = -1 if tau < 0 else TAU_LIMIT
-    trailer = _trailer(tag) if tag else ()
-    pack, shape = _control_writer(count, inputs, selection, bool(tag))
+    pack = _control_writer(count, inputs, selection)
     seq, counter = seq & 0xFFFFFFFF, counter & 0xFFFFFFFF
     try:
-        body = pack(CONTROL, shape, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *_flat(rows), *trailer)
+        body = pack(CONTROL, selection, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *_flat(rows))
     except OverflowError:
         values = map(_single, _flat(rows))
-        body = pack(CONTROL, shape, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *values, *trailer)
+        body = pack(CONTROL, selection, seq, echo, sample_ns, control_ns, tau, count, inputs, counter, *values)
     return crc_hqx(body, CRC_START).to_bytes(2, "little") + body
 
 
@@ -177,13 +170,12 @@ def _sensor_reader(shape: int, samples: int, references: int, nodes: int) -> Rea
     unpack, samples, after, end = found.read.unpack, samples or 1, 5 + count, 5 + values
 
     def read(data: bytes) -> SensorPacket | None:
-        fields = unpack(data)  # seq, nonce, sample_ns, node, counter, values, the tag
+        fields = unpack(data)  # seq, nonce, sample_ns, node, counter, values
         node = fields[3]
         if node >= nodes:
             return None
         y, reference = fields[5:after], fields[after:end]
-        tag = fields[end] if tagged else b""
-        said = (fields[0], flags, fields[2], y, node, samples, reference, nodes, fields[1], fields[4], tag)
+        said = (fields[0], flags, fields[2], y, node, samples, reference, nodes, fields[1], fields[4])
         return _new(SensorPacket, said)
 
     return found.size, read
@@ -198,13 +190,12 @@ def _control_reader(shape: int, count: int, inputs: int) -> Reader[ControlPacket
     found = layout(CONTROL, size, tagged)
     if selection >= len(SELECTIONS) or (count == 0) != (inputs == 0):
         return found.size, _nothing
-    unpack, end, starts = found.read.unpack, 6 + size, range(6, 6 + size, inputs or 1)
+    unpack, starts = found.read.unpack, range(6, 6 + size, inputs or 1)
 
     def read(data: bytes) -> ControlPacket | None:
-        fields = unpack(data)  # seq, echo, sample_ns, control_ns, tau, counter, values, the tag
+        fields = unpack(data)  # seq, echo, sample_ns, control_ns, tau, counter, values
         rows = tuple([fields[i : i + inputs] for i in starts])
-        tag = fields[end] if tagged else b""
-        said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], fields[5], tag)
+        said = (fields[0], fields[2], fields[3], fields[4], selection, rows, fields[1], fields[5])
         return _new(ControlPacket, said)
 
     return found.size, read

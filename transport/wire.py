@@ -91,7 +91,6 @@ class SensorPacket(NamedTuple):
         nodes: number of sensor nodes of the rig.
         nonce: of session and slot (u64), 0 in virtual time.
         counter: of the frames that its sender has sent (u32); it begins anew with slot 0.
-        tag: truncated message authentication code, 8 bytes, empty where the packet is not authenticated.
     """
 
     seq: int
@@ -104,7 +103,6 @@ class SensorPacket(NamedTuple):
     nodes: int = 1
     nonce: int = 0
     counter: int = 0
-    tag: bytes = b""
 
 
 class ControlPacket(NamedTuple):
@@ -118,7 +116,7 @@ class ControlPacket(NamedTuple):
         selection: index into ``SELECTIONS``.
         rows: inputs, shape (rows, m), float32 on the wire.
         echo: digest of the frames that are answered (u64), see `echo`; 0 in virtual time.
-        counter, tag: as in `SensorPacket`.
+        counter: as in `SensorPacket`.
     """
 
     seq: int
@@ -129,7 +127,6 @@ class ControlPacket(NamedTuple):
     rows: tuple[tuple[float, ...], ...]
     echo: int = 0
     counter: int = 0
-    tag: bytes = b""
 
 
 def frame_length(size: int) -> int:
@@ -158,7 +155,7 @@ def layout(kind: int, values: int, tagged: bool) -> Layout:
         head, write, read = CONTROL_BYTES, "<BBIQqqhBBI", "<4xIQqqh2xI"
     used = head + 4 * values + TAG_BYTES * tagged
     size = frame_length(used)
-    body = f"{values}f{'8s' * tagged}{size - used}x"
+    body = f"{values}f{size - used + TAG_BYTES * tagged}x"  # who reads values reads over the tag
     return Layout(Struct(write + body), Struct(read + body), size)
 
 

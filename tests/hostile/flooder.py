@@ -18,7 +18,7 @@ from typing import Any, Final
 
 from transport import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 from transport.links.can_bus import HilBus
-from transport.wire import with_tag
+from transport.wire import tag_of, with_tag
 
 KINDS: Final = ("filtered", "garbage", "forged tags", "half a tag", "own frames, late", "another session", "wrapped numbers")
 """Frames of another identifier; no packets; codes that are none; codes that hold in part; what the rig and its controller said,
@@ -71,8 +71,8 @@ class Flood:
     def _half(self, i: int) -> bytes:
         """Return a code of which half comes from a frame of the sender in whose place this is sent."""
         said = next((data for identifier, data in reversed(self._heard) if identifier == self._id), b"")
-        packet = decode(said)
-        tag = packet.tag if packet is not None else b""
+        found = tag_of(said)
+        tag = found.tag if found is not None else b""
         return tag[:4] + i.to_bytes(8, "little")[:4] if len(tag) == 8 else b"forgery!"
 
 

@@ -263,7 +263,7 @@ class ControlNode:
             return None
         rows = self._input.rows(k) if sample_ns >= 0 else self._zeros
         self._counter += 1
-        return encode_control(_new(ControlPacket, (k, sample_ns, t_ns, tau, self._selection, rows, echoed, self._counter, b"")))
+        return encode_control(_new(ControlPacket, (k, sample_ns, t_ns, tau, self._selection, rows, echoed, self._counter)))
 
     def _down(self, k: int) -> bool:
         """Forget everything where a restart has begun; return whether nothing is received in slot k."""

@@ -94,7 +94,7 @@ class Journal:
             self._fill(t_ns, k, applied, w, data)
         at_once = self._answered_at_once.get(len(draws))
         if at_once is not None and injected is None and packet is not None:
-            _, sample_ns, control_ns, tau, selection, rows, _, _, _ = packet
+            _, sample_ns, control_ns, tau, selection, rows, _, _ = packet
             if rows and len(rows) * len(rows[0]) == self._row_values:  # the usual slot, see `slot_asked`
                 at_once(t_ns, (
                     *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,

@@ -216,7 +216,7 @@ class Rig:
         if len(sent) == 1 == len(sent[0][1]):  # the usual case, at once: 8 % of an interpreted virtual slot
             g, y = sent[0][1][0]
             self._counter += 1
-            usual = (k, 0, g * self._period_ns, y, 0, self._samples[0], reference, 1, nonce, self._counter, b"")
+            usual = (k, 0, g * self._period_ns, y, 0, self._samples[0], reference, 1, nonce, self._counter)
             return [encode_sensor(_new(SensorPacket, usual))]
         nodes = len(self._sensors)
         arrivals = [(node, g, y) for node, (_, arrived) in enumerate(self._sent) for g, y in arrived]

@@ -35,7 +35,7 @@ from transport.links import Link
 from transport.links.opening import open_link
 from transport.packets import ControlPacket, decode
 
-MAY_DIFFER: Final = ("control_ns", "counter", "tag")
+MAY_DIFFER: Final = ("control_ns", "counter")
 """Fields of an answer that tell when it was made and how often was asked, not what was computed."""
 
 MOST_TOLD: Final = 20

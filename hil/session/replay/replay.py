@@ -198,9 +198,9 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
 
 
 def _said(data: bytes | None) -> bytes | None:
-    """Return what an answer says: not its tag, which the link adds, nor its counter, which counts what was lost, too."""
+    """Return what an answer says: no tag, which the link adds, and not its counter, which counts what was lost, too."""
     packet = decode(data) if data is not None else None
-    return encode_control(packet._replace(counter=0, tag=b"")) if isinstance(packet, ControlPacket) else data
+    return encode_control(packet._replace(counter=0)) if isinstance(packet, ControlPacket) else data
 
 
 def _words(data: bytes | None) -> str:
