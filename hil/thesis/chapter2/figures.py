@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,18 +29,6 @@ FloatArray = npt.NDArray[np.float64]
 DT_S = 0.01
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Settling:
-    """Settling times (2.28) per run (s): of (2.27), and of [1, 2]."""
-
-    published: FloatArray
-    reference: FloatArray
-
-
-def _time(points: int) -> FloatArray:
-    return np.asarray(np.arange(points) * DT_S)
-
-
 def _beside(title: str, y_label: str, t: FloatArray, ours: FloatArray, other: FloatArray) -> Figure:
     """Return (2.27) beside [1, 2] over time."""
     curves = (Series(label="(2.27)", x=t, y=ours), Series(label="[1, 2]", x=t, y=other, style="dashed"))
@@ -53,7 +40,7 @@ def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     first = trajectories(published, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
     other = trajectories(reference, 1, duration_s=10.0, dt_s=DT_S, seed=3)[0]
     many = trajectories(published, 20, duration_s=10.0, dt_s=DT_S, seed=3)
-    t = _time(first.shape[0])
+    t: FloatArray = np.asarray(np.arange(first.shape[0]) * DT_S)
     panels = [
         _beside(f"2.2a: x{n + 1}(t), same switching instants", f"x{n + 1}", t, first[:, n], other[:, n]) for n in (0, 1)
     ]
@@ -63,15 +50,14 @@ def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
 
 
-def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settling, runs: int, seed: int) -> Plot:
-    """Figure 2.3: average states, and the distribution of the settling time."""
-    ours = mean_states(published, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
-    other = mean_states(reference, runs, duration_s=10.0, dt_s=DT_S, seed=seed)
+def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: dict[str, FloatArray]) -> Plot:
+    """Figure 2.3: average states, and the distribution of the settling times (2.28), s, of both gains by their names."""
+    ours, other = (mean_states(loop, RUNS, duration_s=10.0, dt_s=DT_S, seed=SEED) for loop in (published, reference))
     panels: list[Figure | Histogram] = [
-        _beside(f"2.3a: mean of x{n + 1}, {runs} runs", f"E x{n + 1}", ours.time_s, ours.mean[:, n], other.mean[:, n])
+        _beside(f"2.3a: mean of x{n + 1}, {RUNS} runs", f"E x{n + 1}", ours.time_s, ours.mean[:, n], other.mean[:, n])
         for n in (0, 1)
     ]
-    for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):
+    for name, values in settled.items():
         counts, edges = np.histogram(values[np.isfinite(values)], bins=60)
         panels.append(
             Histogram(title=f"2.3b: settling time of {name}", edges=edges, counts=counts, x_label="settling time", x_unit="s")
@@ -79,13 +65,13 @@ def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: Settl
     return Plot(title="Figure 2.3", panels=tuple(panels))
 
 
-def convergence(settled: Settling) -> Plot:
-    """Figure 2.4: mean and deviation of the settling time against the number of runs."""
+def convergence(settled: dict[str, FloatArray]) -> Plot:
+    """Figure 2.4: mean and deviation of the settling times, s, against the number of runs."""
     panels = []
-    count = np.arange(1, settled.published.size + 1, dtype=float)
     for title, kind in (("2.4a: mean", "mean"), ("2.4b: standard deviation", "std")):
         series = []
-        for name, values in (("(2.27)", settled.published), ("[1, 2]", settled.reference)):
+        for name, values in settled.items():
+            count = np.arange(1, values.size + 1, dtype=float)
             mean = np.cumsum(values) / count
             spread = np.sqrt(np.maximum(np.cumsum(values**2) / count - mean**2, 0.0))
             series.append(Series(label=name, x=count[9:], y=(mean if kind == "mean" else spread)[9:]))
@@ -166,11 +152,11 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
         report_progress(f"{RUNS} runs, {name}", len(times), len(asked) + 1)
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
     report_progress("figures", len(asked), len(asked) + 1)
-    settled = Settling(published=times["ours"], reference=times["other"])
+    settled = {label: times[name] for name, (label, *_) in PRINTED.items()}
     return times_in_numbers(times) | {
         "figures": (
             one_run(loop_of(ours), loop_of(other)),
-            monte_carlo_average(loop_of(ours), loop_of(other), settled, RUNS, SEED),
+            monte_carlo_average(loop_of(ours), loop_of(other), settled),
             convergence(settled),
         )
     }

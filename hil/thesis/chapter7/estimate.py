@@ -13,13 +13,11 @@ from design.processes.delay_chain import DelayChain, Index
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.thesis.chapter import ReportProgress
-from hil.thesis.chapter7.designs import best
+from hil.thesis.chapter7.designs import NAME, PLANTS, best
 from hil.thesis.chapter7.emulated import BATCH_RUNS, squared_error, stationary
-from hil.thesis.chapter7.models import NETWORK, Array, Plant, motor, vtol
+from hil.thesis.chapter7.models import NETWORK, Array, Plant, motor
 from hil.thesis.statements import ERRORS, Statement, above, below, exactly
 
-PLANTS = {"motor": motor, "vtol": vtol}
-NAMES = {"motor": "motor", "vtol": "VTOL"}
 PATTERNS = {"none": "tau", "estimate": "previous", "known": "generated"}
 RUNS, SLOTS = 20_000, 300
 R = 0.01
@@ -39,7 +37,7 @@ def estimated_delay(report_progress: ReportProgress) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for n, (name, plant) in enumerate(PLANTS.items()):
-        report_progress(NAMES[name], n, len(PLANTS) + 1)
+        report_progress(NAME[name], n, len(PLANTS) + 1)
         designs = {what: best(plant(), objective="h2", information=pattern) for what, pattern in PATTERNS.items()}
         norms = {what: float(design.certificate.h2_norm or math.nan) for what, design in designs.items()}
         if name == "motor":
@@ -129,7 +127,7 @@ def late_estimate(previous: Array) -> dict[str, Any]:
 ESTIMATED = (
     *(
         Statement(
-            f"{NAMES[name]}: d_k estimated by the state of its chain at the controller, one command a packet, H2",
+            f"{NAME[name]}: d_k estimated by the state of its chain at the controller, one command a packet, H2",
             "Section 7.2, another potential method",
             (
                 below("smallest H2 norm with the estimate", f"{name}[estimate]", f"{name}[none]"),
