@@ -117,9 +117,7 @@ def misfit(found: dict[str, Array]) -> float:
     return total
 
 
-def fit(
-    report_progress: ReportProgress, *, candidates: int = CANDIDATES, seeds: Sequence[int] = range(FIT_SEEDS), jobs: int = -1
-) -> tuple[Imperfections, float]:
+def fit(report_progress: ReportProgress) -> tuple[Imperfections, float]:
     """The imperfections that bring the experiment column closest, and their misfit.
 
     The simplex of Nelder and Mead over the logarithms, from `START`; the seeds are the same for every candidate, so that the
@@ -131,22 +129,22 @@ def fit(
 
     def value(logs: Array) -> float:
         nonlocal done, best
-        motor = imperfections(logs, tuple(START))
-        found = misfit(errors_of_all(motor, seeds, jobs))
+        motor = imperfections(logs)
+        found = misfit(errors_of_all(motor, range(FIT_SEEDS)))
         done += 1
         best = min(best, (found, motor), key=lambda pair: pair[0])
-        report_progress(f"{done} candidates of {len(seeds)} runs, misfit {best[0]:.2f}", done, candidates)
+        report_progress(f"{done} candidates of {FIT_SEEDS} runs, misfit {best[0]:.2f}", done, CANDIDATES)
         return found
 
     start = np.log([v - 1.0 if k == "static_ratio" else v for k, v in START.items()])
     simplex = np.vstack([start, start + SIDE * np.eye(len(START))])
-    minimize(value, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": candidates, "adaptive": True})
+    minimize(value, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": CANDIDATES, "adaptive": True})
     return best[1], best[0]
 
 
-def imperfections(logs: Array, names: Sequence[str]) -> Imperfections:
-    """The motor of one candidate; static over Coulomb friction is 1 + exp(log)."""
-    sizes = dict(zip(names, np.exp(logs).tolist(), strict=True))
+def imperfections(logs: Array) -> Imperfections:
+    """The motor of one candidate, in the order of `START`; static over Coulomb friction is 1 + exp(log)."""
+    sizes = dict(zip(START, np.exp(logs).tolist(), strict=True))
     sizes["static_ratio"] = 1.0 + sizes["static_ratio"]
     return Imperfections(**sizes)
 

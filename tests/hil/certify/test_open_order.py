@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from design.jump_linear.every_order import growth_in_every_order
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.measure.summary import summarise
+from hil.measure.tracking import Tracking
 from hil.measure.view import view_of
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import gains_within
@@ -111,10 +112,11 @@ def test_our_gains_are_better_by_the_stated_margin_on_the_same_bus_with_the_same
     means lie beyond the margin by 1.7 and by 4 times these 7.17 errors (which frames are short is random): power above 0.99.
     """
     short = ("duration=6", "disturbance=[{at=5, samples=2, value=[0.1]}]")
-    found: dict[str, list[dict[str, float]]] = {BUSY: [], OURS: []}
+    found: dict[str, list[Any]] = {BUSY: [], OURS: []}
     for name, runs in found.items():
         loop = compose(load_experiment(name, ("allow_uncertified=true", *short)), certify=False)
-        runs += [summarise(view_of(simulate(loop, seed), loop.experiment, loop.rig))["metrics"] for seed in range(5)]
+        views = (view_of(simulate(loop, seed, Tracking.topics), loop.experiment, loop.rig) for seed in range(5))
+        runs += [Tracking().of(view) for view in views]
     for cost, share in (("sse", 0.9), ("sse_after_5s", 0.2)):
         gained = np.array([share * a[cost] - b[cost] for a, b in zip(found[BUSY], found[OURS], strict=True)])
         assert gained.mean() > 7.17 * gained.std(ddof=1) / np.sqrt(5), cost
