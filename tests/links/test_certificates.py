@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.cli import doctor, keys
+from hil.cli import doctor, one_end
 from hil.errors import HilError
 from hil.files.keys import make_keys, renew_certificates
 from tests.ports import free_port
@@ -72,7 +72,7 @@ def test_an_expired_end_is_refused_at_once_doctor_sees_it_and_renewal_mends_it(
         with pytest.raises(TransportError, match=f"link .*{role}.pem: the certificate expired on"):
             open_link(uri, role)
     assert not see()[0] and "expired on" in see()[1]
-    done = CliRunner().invoke(keys.command, ["renew", str(folder), "--days", "9"])
+    done = CliRunner().invoke(one_end.keys, ["renew", str(folder), "--days", "9"])
     assert done.exit_code == 0 and len(done.output.splitlines()) == 3
     assert see()[0] and (folder / "controller.key").read_bytes() == secret
     with open_link(uri, "rig"), open_link(uri, "controller"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from hil.cli import doctor, keys
+from hil.cli import doctor, one_end
 from hil.errors import HilError
 from hil.files.keys import issue_certificate, make_keys, renew_certificates, revoke_names
 from tests.links.test_zenoh_access import both_directions_work, speak, tls_entries, zenoh_intruder
@@ -26,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def hil_keys(*words: object) -> str:
-    done = CliRunner().invoke(keys.command, [str(word) for word in words], catch_exceptions=False)
+    done = CliRunner().invoke(one_end.keys, [str(word) for word in words], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done.output
 
@@ -48,7 +48,7 @@ def test_a_revoked_name_is_refused_at_both_ends_and_another_one_takes_its_place(
 
 def test_a_name_that_no_certificate_has_is_said_when_it_is_revoked(folder: Path) -> None:
     """A misspelt name would leave the right one in."""
-    done = CliRunner().invoke(keys.command, ["revoke", str(folder), "controler"])
+    done = CliRunner().invoke(one_end.keys, ["revoke", str(folder), "controler"])
     assert done.exit_code == 0 and (folder / "revoked").read_text() == "controler\n"
     said = "holds no certificate of 'controler', which is on the list now; did you mean 'controller'?\n"
     assert done.stderr == f"hil: {folder} {said}"
