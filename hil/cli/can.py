@@ -166,9 +166,9 @@ def dbc(
         raise HilError("--c and --decode: one at a time")
     text = _text(experiment, link, sets)
     if folder is not None:
-        _write_codec(_database(text), folder, force)
+        _write_codec(database_of(text), folder, force)
     elif log is not None:
-        _decode(_database(text), log)
+        _decode(database_of(text), log)
     else:
         print(text, end="")
 
@@ -188,16 +188,21 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
         raise HilError(f"{experiment}: {error}") from error
 
 
-def _write_codec(database: Any, folder: Path, force: bool) -> None:
+def c_codec(database: Any) -> tuple[str, str]:
+    """Return header and source of the codec in C that cantools makes of a database: hilrig.h and hilrig.c."""
     from cantools.database.can.c_source import generate
 
+    header, source, *_ = generate(database, _CODEC, f"{_CODEC}.h", f"{_CODEC}.c", "")
+    return header, source
+
+
+def _write_codec(database: Any, folder: Path, force: bool) -> None:
     from hil.files import check_output, made_folder, write_output
 
-    header, source = (made_folder(folder) / f"{_CODEC}.{ending}" for ending in ("h", "c"))
-    for path in (header, source):
+    paths = [made_folder(folder) / f"{_CODEC}.{ending}" for ending in ("h", "c")]
+    for path in paths:
         check_output(path, fresh=not force, remedy="choose another --c or add --force")
-    texts = generate(database, _CODEC, header.name, source.name, "")
-    for path, text in zip((header, source), texts):
+    for path, text in zip(paths, c_codec(database)):
         write_output(path, text, replace=force)
         print(visible(path))
 
@@ -220,7 +225,8 @@ def _decode(database: Any, log: Path) -> None:
         print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
 
 
-def _database(text: str) -> Any:
+def database_of(text: str) -> Any:
+    """Return the database of a DBC, as cantools reads it."""
     import cantools
 
     return cantools.database.load_string(text, "dbc")

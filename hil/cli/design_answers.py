@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol, get_args, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import click
 
 from design.errors import DesignError, FieldError
-from design.local import LocalMethod
 from design.requests.tracking import LocalDesigned
 from hil.certify.send_all_loop import judge_linear_law
 from hil.cli.terminal import Working, answer, print_facts
@@ -76,9 +75,6 @@ def historical_lines(found: dict[str, Any]) -> list[str]:
         for j, rows in enumerate(phase):
             said += [f"  [{i}][{j}] " + " ".join(f"{entry:10.5g}" for entry in row) for row in rows]
     return said
-
-
-METHODS: tuple[str, ...] = get_args(LocalMethod)
 
 
 def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, Any]:

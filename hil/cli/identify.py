@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -207,11 +208,8 @@ def _document(kind: str, axis: Axis, records: list[AxisRecord], fit: AxisFit) ->
         "start": pair(fit.start),
         "plain_least_squares": pair(fit.plain),
         "logged": {name: records[0].plant[name] for name in axis.parameters if name in records[0].plant},
-        "residuals": {
-            "verdict": fit.residuals.verdict, "statistic": fit.residuals.statistic, "lags": fit.residuals.lags,
-            "p_value": fit.residuals.p_value,
-        },
-    }  # fmt: skip
+        "residuals": asdict(fit.residuals),
+    }
 
 
 WORDS = {

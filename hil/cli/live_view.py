@@ -8,7 +8,8 @@ records, so the view reads no clock of its own.
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from struct import Struct
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,7 @@ RECENT = 2000
 """Slots over which lateness percentiles and delay shares are shown."""
 
 LONGEST_NAME = 20
+SHOWN = (MEASUREMENT.name, REFERENCE.name, APPLIED.name, ROWS.name, TIMING.name, EVENTS_TOPIC)
 
 _TAU = Struct("<ii")  # `/controller/rows` ends with tau and selection, however many rows stand before
 _BLOCKS = "▁▂▃▄▅▆▇█"
@@ -84,22 +86,26 @@ class LiveView:
     @property
     def taps(self) -> Mapping[str, PayloadWriter]:
         """Topic to the function that takes its records; empty when there is no terminal to draw on."""
-        if not self._on:
-            return {}
-        return {
-            MEASUREMENT.name: self._keeper(MEASUREMENT.name),
-            REFERENCE.name: self._keeper(REFERENCE.name),
-            APPLIED.name: self._applied,
-            ROWS.name: self._rows,
-            TIMING.name: self._timing,
-            EVENTS_TOPIC: self._event,
-        }
+        return {topic: partial(self.update, topic) for topic in SHOWN} if self._on else {}
 
     def update(self, topic: str, t_ns: int, payload: bytes) -> None:
         """Take one record of any topic; those that are not shown are ignored."""
-        tap = self.taps.get(topic)
-        if tap is not None:
-            tap(t_ns, payload)
+        if topic == ROWS.name:
+            self._taus.append(_TAU.unpack_from(payload, len(payload) - _TAU.size)[0])
+        elif topic == EVENTS_TOPIC:
+            self._events.append(decode_event(payload))
+        elif topic in SHOWN:
+            self._newest[topic] = payload
+            if topic != TIMING.name:
+                self._t_ns = t_ns
+            if topic == APPLIED.name and (d := int(self._record(topic, payload)["d"])) >= 0:
+                self._ds.append(d)
+            elif topic == TIMING.name:
+                tick = self._record(topic, payload)
+                self._lateness.append(float(tick["lateness_us"]))
+                self._worst = max(self._worst, float(tick["lateness_us"]))
+                self._late += int(tick["late"])
+                self._overruns += int(tick["overrun"])
 
     def __enter__(self) -> LiveView:
         if self._on:
@@ -203,35 +209,11 @@ class LiveView:
 
     def _decoded(self, topic: str) -> np.void | None:
         payload = self._newest.get(topic)
-        return None if payload is None else np.frombuffer(payload, self._dtypes[topic], 1, len(CDR_HEADER))[0]
+        return None if payload is None else self._record(topic, payload)
 
-    def _keeper(self, topic: str) -> Callable[[int, bytes], None]:
-        def keep(t_ns: int, payload: bytes) -> None:
-            self._t_ns = t_ns
-            self._newest[topic] = payload
-
-        return keep
-
-    def _applied(self, t_ns: int, payload: bytes) -> None:
-        self._t_ns = t_ns
-        self._newest[APPLIED.name] = payload
-        d = int(np.frombuffer(payload, self._dtypes[APPLIED.name], 1, len(CDR_HEADER))["d"][0])
-        if d >= 0:
-            self._ds.append(d)
-
-    def _rows(self, t_ns: int, payload: bytes) -> None:
-        self._taus.append(_TAU.unpack_from(payload, len(payload) - _TAU.size)[0])
-
-    def _timing(self, t_ns: int, payload: bytes) -> None:
-        self._newest[TIMING.name] = payload
-        tick = np.frombuffer(payload, self._dtypes[TIMING.name], 1, len(CDR_HEADER))[0]
-        self._lateness.append(float(tick["lateness_us"]))
-        self._worst = max(self._worst, float(tick["lateness_us"]))
-        self._late += int(tick["late"])
-        self._overruns += int(tick["overrun"])
-
-    def _event(self, t_ns: int, payload: bytes) -> None:
-        self._events.append(decode_event(payload))
+    def _record(self, topic: str, payload: bytes) -> np.void:
+        found: np.void = np.frombuffer(payload, self._dtypes[topic], 1, len(CDR_HEADER))[0]
+        return found
 
 
 def _quantity(value: float, signal: Signal) -> str:

@@ -28,7 +28,7 @@ from design.controllers.gain_rows import sojourn_ranges
 from hil.errors import HilError
 from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
-from hil.rig.session_link import SessionLink, link_of
+from hil.rig.session_link import SessionLink, link_of, rig_dbc
 from transport.packets import SELECTIONS
 from transport.wire import MAX_VALUES
 
@@ -108,14 +108,16 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
         return {f"{stem}.py": _filled("external_controller.py.txt", of, _python_values(of, stem))}
     if of.kind != "can":
         raise HilError("--link zenoh: a program in C needs zenoh-pico, which is not generated for; use --link can, or python")
-    from hil.cli.new_external_c import c_codec, c_tables
+    from hil.cli.can import c_codec, database_of
+    from hil.cli.new_external_c import c_tables
 
     values = _words(of, stem, "KEYFILE INTERFACE|-" if of.keyed else "INTERFACE|-") | {
         "SHA256_H": ", ".join(f"0x{_root_bits(p, 2):08x}u" for p in PRIMES[:8]),
         "SHA256_K": ", ".join(f"0x{_root_bits(p, 3):08x}u" for p in PRIMES),
         "CMAC_TOO": ", AES-128 and its CMAC" if of.keyed else "",
     }
-    header, codec, database = c_codec(of)
+    database = database_of(rig_dbc(of.loop.rig, of.link.uri))
+    header, codec = c_codec(database)
     return {
         f"{stem}.c": _filled("external_controller.c.txt", of, values),
         f"{stem}.h": c_tables(of, database),

@@ -9,7 +9,6 @@ import numpy as np
 
 from hil.cli.new_external import in_comment
 from hil.errors import HilError
-from hil.rig.session_link import rig_dbc
 from transport.packets import SELECTIONS
 from transport.wire import control_length, sensor_length
 
@@ -32,16 +31,6 @@ struct question {
 };
 struct answer { uint32_t seq, counter; int64_t stamp, time, tau; uint64_t echo; };
 """
-
-
-def c_codec(of: ExternalController) -> tuple[str, str, Any]:
-    """Return header and source of the codec that cantools makes of the experiment's DBC, and the database."""
-    import cantools
-    from cantools.database.can.c_source import generate
-
-    database: Any = cantools.database.load_string(rig_dbc(of.loop.rig, of.link.uri), "dbc")
-    header, source, *_ = generate(database, NAME, f"{NAME}.h", f"{NAME}.c", "")
-    return header, source, database
 
 
 def c_tables(of: ExternalController, database: Any) -> str:

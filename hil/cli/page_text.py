@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from hil.cli.terminal import NARROWEST, answer, cell, console, print_folded, terminal_columns, visible
+from hil.cli.terminal import NARROWEST, answer, console, print_folded, terminal_columns, visible
 
 if TYPE_CHECKING:
     from rich.text import Text
@@ -50,7 +50,7 @@ def print_table(table: Table, *, folds: bool = False) -> None:
             lines = wrap(visible(head), max(longest, *map(len, head.split(" ")), 1))  # no wider than its numbers
             shown.add_column(Text("\n".join(lines)), justify="right", no_wrap=True)
         else:
-            shown.add_column(cell(head), overflow="fold")
+            shown.add_column(Text(visible(head)), overflow="fold")
             folding.append((max(longest, len(visible(head))), shown.columns[-1]))
     for i, row in enumerate(rows):
         shown.add_row(*row, style="bold" if i in table.highlight else "")
@@ -69,12 +69,15 @@ def print_table(table: Table, *, folds: bool = False) -> None:
 
 
 def _shown(value: Cell) -> Text:
+    """Return a table's cell that shows a text as it is: escaped, and without markup."""
+    from rich.text import Text
+
     from hil.pages.html.figures import Badge
     from hil.pages.html.numbers import text_of
 
     if isinstance(value, Badge):
-        return cell(value.label, _STYLES.get(value.state, ""))
-    return cell(text_of(value, 6) if isinstance(value, float) else text_of(value))
+        return Text(visible(value.label), style=_STYLES.get(value.state, ""))
+    return Text(visible(text_of(value, 6) if isinstance(value, float) else text_of(value)))
 
 
 def print_page(page: Page) -> None:

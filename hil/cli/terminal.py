@@ -20,7 +20,6 @@ import click
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.text import Text
 
 LONGEST: Final = 2000
 """Bytes of a message, all of its lines together."""
@@ -64,18 +63,6 @@ def message_lines(text: str) -> list[str]:
     if len(kept) < len(lines):
         kept.append(f"... and {len(lines) - len(kept)} more of these")
     return kept
-
-
-def cell(value: object, style: str = "") -> Text:
-    """Return a table's cell that shows a text as it is: escaped, and without markup.
-
-    Args:
-        value: anything; its `str` is taken.
-        style: of rich.
-    """
-    from rich.text import Text
-
-    return Text(visible(value), style=style)
 
 
 def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:

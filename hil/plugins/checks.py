@@ -175,14 +175,13 @@ def _check_drawn(law: AgeLaw) -> NDArray[np.int64]:
     draw = law.start(np.random.default_rng(5)).draw
     served = slots_served(law)
     drawn = [draw() for _ in range(SLOTS if served is None else min(SLOTS, served))]
-    bound = law.max_age
+    bound, ages = law.max_age, list[int]()
     if isinstance(law, ChainLaw | SemiMarkovLaw):
         ages = asked("mode_ages", lambda: list(law.mode_ages))
         right = bool(ages) and all(map(_whole, ages))
         assert right, f"mode_ages is {law.mode_ages!r:.60}, expected the age of every mode, whole numbers"
     assert all(0 <= age <= bound for _, age in drawn), f"draw() gave an age outside 0 .. {bound}, which max_age allows"
-    if isinstance(law, ChainLaw | SemiMarkovLaw):
-        ages = list(law.mode_ages)
+    if ages:
         assert max(ages) <= bound, f"a mode has age {max(ages)}, above max_age {bound}"
         assert all(0 <= mode < len(ages) and age == ages[mode] for mode, age in drawn), "an age that is not its mode's"
     return np.array([mode for mode, _ in drawn], dtype=np.int64)

@@ -23,7 +23,7 @@ import numpy as np
 from design.tracking.design_file import load_design
 from design.tracking.gain_cache import design_of, read_entry
 from design.tracking.problem import TrackingProblem
-from hil.cli.can import _database, _decode
+from hil.cli.can import _decode, database_of
 from hil.cli.option_types import NumberList
 from hil.cli.terminal import message_lines
 from hil.errors import HilError
@@ -167,7 +167,7 @@ def _mat_in_a_fork(_place: Path, data: bytes) -> bool:
 
 @cache
 def _signals() -> Any:
-    return _database(dbc_path().read_text(encoding="utf-8"))
+    return database_of(dbc_path().read_text(encoding="utf-8"))
 
 
 def _decoded(path: Path) -> bool:
