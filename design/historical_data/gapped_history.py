@@ -16,23 +16,27 @@ from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses, win
 from design.errors import FieldError
 from design.historical_data.sensor_schedule import Mask, lossy, phase_chain, phases_at_start, undecided_because, with_lost_turns
 
+Array = npt.NDArray[np.float64]
+
 MOST_PHASES = 512
 MOST_NUMBERS = 700_000  # in the matrices of all phases; a certificate of these takes some seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GappedGains:
-    """Gains over a history with gaps, one set for each outcome of the packets.
+class PhaseGains:
+    """Gains of every phase, and the chain of the phases.
 
     Args:
-        gains: (phases, memory + 2, p, n): on x(k), ..., x(k - memory), and on what is held from before.
-        renewed: (phases, n), whether what is held becomes the oldest sample.
-        window: the outcomes that are distinguished; its slots are those in which the packets come that take the shortest time.
+        gains: (phases, memory + 1, p, n); one column more, on what is held, where ``renewed`` is given.
+        transition: chain of the phases; None for the cycle.
+        start: probability of each phase in slot 0.
+        renewed: (phases, n), whether what is held becomes the oldest sample; None where nothing is held.
     """
 
     gains: Array
-    renewed: npt.NDArray[np.bool_]
-    window: PacketWindow
+    transition: Array | None
+    start: Array
+    renewed: npt.NDArray[np.bool_] | None = None
 
 
 def gaps_undecided(nodes: SensorNodes, memory: int, delayed: int = 0) -> str:
@@ -62,7 +66,24 @@ def gaps_undecided(nodes: SensorNodes, memory: int, delayed: int = 0) -> str:
     return ""
 
 
-def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
+def gap_window(nodes: SensorNodes, memory: int) -> PacketWindow:
+    """Return the outcomes that decide what is known; its slots are those in which the packets come that take the shortest time.
+
+    Args:
+        nodes: the sensor nodes, for which `gaps_undecided` is empty.
+        memory: tau, the oldest sample that the controller uses.
+
+    Raises:
+        ValueError: nodes that are not in a fixed order, or too many phases.
+    """
+    unknown, turns = gaps_undecided(nodes, memory), nodes.turns
+    if unknown or turns is None:
+        raise FieldError("nodes", unknown)
+    late = min(delay or 0 for delay in nodes.delays)
+    return PacketWindow(turns=replace(turns, phase=(turns.phase - late) % len(turns.order)), length=memory + 1 - late)
+
+
+def gapped_gains(K: Array, nodes: SensorNodes) -> PhaseGains:
     r"""Return the gains that act on the plant's own past, by outcome.
 
     The controller keeps the samples of the last tau slots and the newest one of each node. A gain on x_l(k - j) that is missing
@@ -82,13 +103,8 @@ def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
     Raises:
         ValueError: nodes that are not in a fixed order, or too many phases.
     """
-    memory, turns = K.shape[1] - 1, nodes.turns
-    unknown = gaps_undecided(nodes, memory)
-    if unknown or turns is None:
-        raise FieldError("nodes", unknown)
-    delays = [delay or 0 for delay in nodes.delays]
-    late, count = min(delays), len(turns.order)
-    window = PacketWindow(turns=replace(turns, phase=(turns.phase - late) % count), length=memory + 1 - late)
+    memory, window, delays = K.shape[1] - 1, gap_window(nodes, K.shape[1] - 1), [delay or 0 for delay in nodes.delays]
+    late, count = min(delays), len(window.turns.order)
     gains = np.zeros((window.phases, memory + 2, *K.shape[2:]))
     renewed = np.zeros((window.phases, K.shape[3]), dtype=bool)
     for i in range(window.phases):
@@ -103,10 +119,7 @@ def gapped_gains(K: Array, nodes: SensorNodes) -> GappedGains:
                 if at is not None:
                     gains[i, at][:, list(own)] += K[(i + late) % count, j][:, list(own)]
             renewed[i, list(own)] = received[-1] == node
-    return GappedGains(gains=gains, renewed=renewed, window=window)
-
-
-Array = npt.NDArray[np.float64]
+    return PhaseGains(gains=gains, transition=window_chain(window), start=window_start(window), renewed=renewed)
 
 
 def window_mask(nodes: SensorNodes, window: PacketWindow, memory: int) -> Mask:
@@ -175,23 +188,6 @@ def window_undecided(nodes: SensorNodes, window: PacketWindow) -> str:
     return ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PhaseGains:
-    """Gains of every phase, and the chain of the phases.
-
-    Args:
-        gains: (phases, memory + 1, p, n); one column more, on what is held, where ``renewed`` is given.
-        transition: chain of the phases; None for the cycle.
-        start: probability of each phase in slot 0.
-        renewed: (phases, n), whether what is held becomes the oldest sample; None where nothing is held.
-    """
-
-    gains: Array
-    transition: Array | None
-    start: Array
-    renewed: npt.NDArray[np.bool_] | None = None
-
-
 def phase_gains(K: Array, nodes: SensorNodes, uses: Uses) -> PhaseGains:
     """Return the gains of every phase.
 
@@ -204,9 +200,7 @@ def phase_gains(K: Array, nodes: SensorNodes, uses: Uses) -> PhaseGains:
         window = window_of(nodes.turns, len(K))
         return PhaseGains(gains=K, transition=window_chain(window), start=window_start(window))
     if uses == "history" and lossy(nodes.turns):
-        gapped = gapped_gains(K, nodes)
-        chain, start = window_chain(gapped.window), window_start(gapped.window)
-        return PhaseGains(gains=gapped.gains, transition=chain, start=start, renewed=gapped.renewed)
+        return gapped_gains(K, nodes)
     full = with_lost_turns(K, nodes).astype(np.float64)
     return PhaseGains(gains=full, transition=phase_chain(nodes), start=phases_at_start(nodes, uses))
 

@@ -46,6 +46,10 @@ class Start:
         W[:, :n, :n] = self.phases[:, None, None] * self.moment
         return W
 
+    def mean(self, S: Array) -> float:
+        """Return E X(0)' S_i X(0) of a cost-to-go S, (phases, N, N)."""
+        return float(np.einsum("iab,iab->", S, self.lifted(S.shape[-1])))
+
 
 def average_start(states: int, phases: int) -> Start:
     """Return the honest criterion: x(0) ~ N(0, I), every phase equally likely."""
@@ -64,7 +68,7 @@ def cost(loop: LiftedLoop, start: Start) -> float:
     Raises:
         NotStable: J is infinite.
     """
-    return float(np.einsum("iab,iab->", loop.cost_to_go(), start.lifted(loop.L.shape[-1])))
+    return start.mean(loop.cost_to_go())
 
 
 def certify_cost(
@@ -98,7 +102,7 @@ def certify_cost(
     if stable:
         try:
             S = loop.stable_cost_to_go()
-            details["cost"] = float(np.einsum("iab,iab->", S, start.lifted(loop.L.shape[-1])))
+            details["cost"] = start.mean(S)
             details["residual"] = _residual(loop, S)
             if past and history is not None:
                 details["cost"] = cost_from(plant, gains, history, start.phases, transition, renewed)

@@ -18,7 +18,7 @@ from design.controllers.wall import Material
 from design.errors import DesignError
 from design.passivity.condition import is_passive_over
 from design.passivity.loop import HapticLoop, HeldDevice
-from design.passivity.synthesis import MARGIN, ceiling_n_per_m, stiffest_coupler
+from design.passivity.synthesis import MARGIN, ceiling_n_per_m, stiffest_coupler, unit_m_per_n
 
 NO_COUPLER = Coupler(taps_m_per_n=(0.0,))
 
@@ -164,10 +164,7 @@ def certified_coupler(delay: int, *, period_s: float, damping_n_s_per_m: float) 
     Raises:
         DesignError: a value out of range.
     """
-    for name, given in (("period_s", period_s), ("damping_n_s_per_m", damping_n_s_per_m)):
-        if not (np.isfinite(given) and given > 0.0):
-            raise DesignError(f"{name}: {given!r}, expected a finite number above 0", value=given)
-    unit = period_s / (2.0 * damping_n_s_per_m)
+    unit = unit_m_per_n(period_s, damping_n_s_per_m)
     return Coupler(taps_m_per_n=tuple(unit * s for s in proved_shape(delay)))
 
 

@@ -60,6 +60,22 @@ class CouplerDesign:
         return 1.0 / self.coupler.static_compliance_m_per_n
 
 
+def unit_m_per_n(period_s: float, damping_n_s_per_m: float) -> float:
+    """Return T/(2 b) in m/N, in units of which a coupler depends on the delays alone.
+
+    Args:
+        period_s: T in s.
+        damping_n_s_per_m: b + b_h in N s/m.
+
+    Raises:
+        DesignError: one of them is not finite or not above 0.
+    """
+    for name, given in (("period_s", period_s), ("damping_n_s_per_m", damping_n_s_per_m)):
+        if not (np.isfinite(given) and given > 0.0):
+            raise DesignError(f"{name}: {given!r}, expected a finite number above 0", value=given)
+    return period_s / (2.0 * damping_n_s_per_m)
+
+
 def ceiling_n_per_m(period_s: float, damping_n_s_per_m: float, delay: int) -> float:
     """Return 2 b/((nd + 1) T), the static stiffness in N/m that no rendering exceeds which is safe for every passive hand.
 
@@ -100,13 +116,10 @@ def stiffest_coupler(
     asked = tuple(sorted(delays)) if varying else tuple(sorted(set(delays)))
     if not asked or asked[0] < 0:
         raise DesignError(f"delays: {list(asked)}, expected at least one, each at least 0")
-    for name, given in (("period_s", period_s), ("damping_n_s_per_m", damping_n_s_per_m)):
-        if not (np.isfinite(given) and given > 0.0):
-            raise DesignError(f"{name}: {given!r}, expected a finite number above 0", value=given)
+    unit = unit_m_per_n(period_s, damping_n_s_per_m)
     count = max(24, 2 * asked[-1] + 8) if taps is None else taps
     if not asked[-1] + 1 <= count <= MAX_TAPS:
         raise DesignError(f"taps: {count}, expected {asked[-1] + 1} (largest delay + 1) to {MAX_TAPS}", value=count)
-    unit = period_s / (2.0 * damping_n_s_per_m)
     ceiling = ceiling_n_per_m(period_s, damping_n_s_per_m, asked[-1])
     if stiffness_n_per_m is not None and stiffness_n_per_m > ceiling:
         raise Infeasible(

@@ -58,7 +58,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     }  # fmt: skip
     start, each = _any_start(nodes, controller.uses, K)
     closed = close(plant, each.gains, each.transition, renewed=each.renewed)
-    found["mean_cost"] = float(np.einsum("iab,iab->", closed.stable_cost_to_go(), start.lifted(closed.L.shape[-1])))
+    found["mean_cost"] = start.mean(closed.stable_cost_to_go())
     found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
     hearing = hearing_of(nodes, from_any_phase=True)
     if hearing is not None:

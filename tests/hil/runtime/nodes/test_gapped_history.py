@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
-from design.historical_data.gapped_history import gapped_gains, gaps_undecided, phase_gains
+from design.historical_data.gapped_history import gap_window, gapped_gains, gaps_undecided, phase_gains
 from design.historical_data.guaranteed_cost import close_received
 from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of
@@ -51,6 +51,7 @@ def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str) -> None:
     nodes, plant = loop.model.nodes, delayed_plant_of(loop.experiment.plant, loop.model)
     assert plant is not None
     each = gapped_gains(loop.controller.history(), nodes)  # type: ignore[attr-defined]
+    window = gap_window(nodes, each.gains.shape[1] - 2)
     loops = [close_received(plant, each.gains, renewed=each.renewed)]
     past = np.array([loop.experiment.plant.initial_state, *loop.experiment.plant.initial_history])  # type: ignore[attr-defined]
     if len(past) == 1:
@@ -66,7 +67,7 @@ def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str) -> None:
             z[24:28] = past[0] if closed is loops[0] else 0.0
             for k in range(40):
                 np.testing.assert_allclose([states[f"x{i + 1}"][k] for i in range(4)], z[:4], rtol=2e-5, atol=2e-5)
-                phase = each.window.phase(k, came.get)
+                phase = window.phase(k, came.get)
                 held += bool(np.any(each.gains[phase, 6] @ z[-4:]))
                 z = closed.L[phase] @ z
     assert held > 10
