@@ -9,7 +9,6 @@ References: thesis (2.12)-(2.15), (2.18)-(2.21); ERRATA 1 to 3.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import Infeasible
@@ -19,8 +18,8 @@ from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import feedback_program, tabulate
-from design.semi_markov_loop.sojourn_grid import Coupling, as_float
-from design.semi_markov_loop.stability import CONDITION, checked_gain, known_gain, lyapunov_program
+from design.semi_markov_loop.sojourn_grid import Coupling
+from design.semi_markov_loop.stability import CONDITION, checked_gain, stability_certificate
 from design.semi_markov_loop.system import JumpSystem
 
 PRINTED = Coupling(all_corners=False, lands_first=False, linked=False)
@@ -34,28 +33,21 @@ def printed_stability(
     *,
     nodes: Partition | None = None,
     decay: float = 0.0,
-    condition: float = CONDITION,
 ) -> JumpCertificate:
     """What the printed conditions say of the loop u = K(i, h) x; a certificate with ``sound = False``, whatever it says.
 
     Args:
         nodes: sections per mode, by default those of the gains.
         decay: demanded decay rate of E|x|^2 (1/s).
-        condition: largest condition number of P that is searched.
 
     Raises:
         ValueError: as ``analyse``.
     """
     gain = checked_gain(system, gain, process)
     sections = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
-    rebuild = partial(known_gain, system, gain, process, sections, "pwc", decay, coupling=PRINTED)
-    found = decide(lyapunov_program(rebuild(as_float), system.states, condition))
-    return JumpCertificate(
-        method="printed", sound=False, reason=f"printed Corollary 2.1, I <= P <= {condition:g} I: {found.explain()}",
-        verdict="certified" if found.holds else "refused" if found.refused else "undecided", margin=found.margin,
-        matrices=found.matrices, assumptions=(FALSE, "rates anywhere in their bounds on every cell"), gain=gain,
-        rebuild=rebuild, solver=found.solver,
-    )  # fmt: skip
+    form = f"printed Corollary 2.1, I <= P <= {CONDITION:g} I"
+    found = stability_certificate(system, gain, process, sections, "pwc", decay, CONDITION, form, coupling=PRINTED)
+    return replace(found, method="printed", sound=False, assumptions=(FALSE, *found.assumptions))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,13 +57,11 @@ class PrintedRequest:
     Args:
         gain_bound: largest spectral norm of any gain.
         sections: number of equal-probability sections, or section starts per mode.
-        condition: largest condition number of X that is searched.
     """
 
     process: SemiMarkov
     gain_bound: float
     sections: int | Partition = 2
-    condition: float = CONDITION
 
     @property
     def starts(self) -> Partition:
@@ -81,7 +71,7 @@ class PrintedRequest:
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve (2.21). Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
         program = feedback_program(
-            system, self.process, self.starts, "pwc", self.gain_bound, decay, self.condition, PRINTED, multipliers=2
+            system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, PRINTED, multipliers=2
         )
         found = decide(program, verify_with="nothing" if quick else "cvxpy")
         if not found.holds:

@@ -189,9 +189,9 @@ BACKOFF = (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attenuation:
-    """A gamma whose inequalities were verified: the matrices of ``found`` belong to z scaled by ``scale``."""
+    """A gamma whose inequalities were verified (None: of a SIQC): the matrices of ``found`` belong to z scaled by ``scale``."""
 
-    gamma: float
+    gamma: float | None
     scale: float
     found: LmiSolution
 
@@ -205,6 +205,11 @@ def with_gamma(program: LmiProgram, scaled_gamma: float) -> LmiProgram:
             fixed.add(name, variable.basis)
     fixed.inequalities = [item.fixing(known) for item in program.inequalities if item.on != ("g2",)]
     return fixed
+
+
+def attenuation(build: Callable[[float], LmiProgram], what: str, gamma: float | None = None) -> Attenuation:
+    """The smallest gamma that could be verified, or a solution at the given one; raises Infeasible as `smallest_gamma` does."""
+    return smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
 
 
 def smallest_gamma(build: Callable[[float], LmiProgram], what: str) -> Attenuation:

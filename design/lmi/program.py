@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -159,6 +160,11 @@ class LmiSolution:
         """Whether it is proved that there is no solution with entries up to ``reach``."""
         return not self.holds and self.excluded >= self.reach
 
+    @property
+    def verdict(self) -> Literal["certified", "refused", "undecided"]:
+        """What is known of the inequalities."""
+        return "certified" if self.holds else "refused" if self.refused else "undecided"
+
     def explain(self) -> str:
         """The verdict in words."""
         if self.holds:
@@ -166,9 +172,7 @@ class LmiSolution:
         if self.refused:
             return f"dual matrices prove that no solution with entries up to {self.excluded:.2g} exists"
         part = f"; dual matrices exclude entries up to {self.excluded:.2g} only" if self.excluded > 1 else ""
-        return (
-            f"none was found (best margin {self.margin:.3g}, {self.solver}: {self.status}){part}; absence is not proved"
-        )
+        return f"none was found (best margin {self.margin:.3g}, {self.solver}: {self.status}){part}; absence is not proved"
 
 
 def verify(inequalities: Iterable[Inequality], matrices: Mapping[str, FloatArray]) -> tuple[float, float]:
@@ -218,6 +222,13 @@ class LmiProgram:
     def matrix(self, name: str, rows: int, columns: int) -> None:
         """Add a full rows x columns unknown."""
         self.add(name, np.eye(rows * columns).reshape(-1, rows, columns))
+
+    def bounded_gain(self, x: str, u: str, inputs: int, bound: float) -> None:
+        """Add the unknown U of a gain U X^-1 with a norm of at most ``bound``, X >= s I; "s" and X are there."""
+        identity = np.eye(self.variables[x].basis.shape[-1])
+        self.matrix(u, inputs, identity.shape[0])
+        self.require(f"{x} >= s I", lambda v, s: s * identity - v, x, "s", strict=False)
+        self.require(f"gain bound at {x}", partial(gain_limit, bound=bound), x, u, "s", strict=False)
 
     def require(self, name: str, function: Function, *on: str, strict: bool = True) -> None:
         """Demand function(*matrices) < 0."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
+from design.lmi.decision import Attenuation
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.sojourn_grid import Lift, as_float
@@ -77,6 +79,37 @@ class JumpCertificate:
         """The verdict and its numbers as a dictionary that ``json.dumps`` takes, without the matrices."""
         keep = ("method", "sound", "verdict", "reason", "margin", "decay_rate", "gamma", "spectral_radius", "solver")
         return {**{name: getattr(self, name) for name in keep}, "assumptions": list(self.assumptions)}
+
+
+def attenuation_certificate(
+    find: Callable[[], Attenuation],
+    *,
+    method: Method,
+    gain: ScheduledGain | None = None,
+    assumptions: tuple[str, ...],
+    rebuild: Callable[..., list[Inequality]] | None = None,
+) -> JumpCertificate:
+    """What a search for an attenuation says: the matrices that it found, or why there are none.
+
+    Args:
+        find: raises Infeasible where nothing was found.
+        method: ``printed`` is not sound.
+        gain: the gains that were analysed.
+        assumptions: what a certificate rests on.
+        rebuild: (scale, gamma, lift) to the inequalities.
+    """
+    sound = method != "printed"
+    try:
+        result = find()
+    except Infeasible as error:
+        verdict: Verdict = "refused" if error.proved else "undecided"
+        return JumpCertificate(method=method, sound=sound, verdict=verdict, reason=str(error), gain=gain)
+    found = result.found
+    return JumpCertificate(
+        method=method, sound=sound, verdict="certified", reason=found.explain(), margin=found.margin, gamma=result.gamma,
+        gain=gain, assumptions=assumptions, matrices=found.matrices, scale=result.scale, solver=found.solver,
+        rebuild=None if rebuild is None else partial(rebuild, result.scale, result.gamma),
+    )  # fmt: skip
 
 
 def check_stabilisable(system: JumpSystem, process: SemiMarkov) -> None:

@@ -10,36 +10,33 @@ at every rate vertex of every cell, A_i = A_i + B_i K(i, h). ``analyse_delayed``
 constant per section with P_{i,m+1} <= P_{i,m}; ``pwl``: linear in h). ``delayed_hinf`` finds gains in X = P^-1, U = K X.
 Without a gain bound the infimum of gamma is 0 (the disturbance is matched and z holds no u), so a bound is required.
 
-The printed forms live in ``design.as_printed.delayed_hinf``. References: thesis (3.7), (3.27), (3.42); ERRATA 9 and 10.
+The printed forms live in ``design.as_printed.attenuation``. References: thesis (3.7), (3.27), (3.42); ERRATA 9 and 10.
 """
 
 from __future__ import annotations
 
 import math
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.decision import at_gamma, smallest_gamma
+from design.lmi.decision import attenuation
 from design.lmi.program import (
     Array,
     Inequality,
     LmiProgram,
     add_schur_rows,
     check_gain_bound,
-    gain_limit,
     symmetric_blocks,
     symmetric_part,
     transpose,
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.certificate import JumpCertificate, Method, Verdict
-from design.semi_markov_loop.sojourn_grid import Cell, Lift, as_float, bernstein, bounded_gains, cells, gain_on
-from design.semi_markov_loop.stability import gain_matrices
+from design.semi_markov_loop.certificate import JumpCertificate, Method, attenuation_certificate
+from design.semi_markov_loop.sojourn_grid import Cell, Lift, along_cells, as_float, bounded_gains, cells
 from design.semi_markov_loop.system import DelayedJumpSystem
 
 ASSUMPTIONS = (
@@ -61,78 +58,36 @@ def delayed_inequalities(
     nodes: Partition,
     method: Method,
     scale: float,
-    lift: Lift = as_float,
-) -> list[Inequality]:
-    """Every inequality on P[i,r], Q, g2 = (scale gamma)^2 and K[i,s], z scaled by ``scale``."""
-    eta = fastest_exit(process, nodes)
-    out = []
-    for cell in cells(process, nodes):
-        i, here = cell.mode, cell.index
-        mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
-        pwl = method == "pwl" and not cell.last
-        if mixture.moves and not pwl:
-            raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
-        own = [f"P[{i},{r}]" for r in ([here, here + 1] if pwl else [here])]
-        for rates in cell.rates:
-            targets = [j for j, rate in enumerate(rates) if rate > 0]
-            on = (*own, "Q", "g2", *(f"P[{j},0]" for j in targets), *(f"K[{i},{s}]" for s in mixture.sections))
-            for pairs in bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]:
-                function = partial(
-                    _bounded_real, system=system, cell=cell, ends=len(own), pairs=pairs, eta=eta, scale=scale,
-                    rates=[lift(rates[j]) for j in targets], lift=lift,
-                )  # fmt: skip
-                name = f"bounded real lemma of mode {i} from {cell.start:g} s at rates {rates}"
-                out.append(Inequality(name=name, function=function, on=on))
-        if method == "pwc" and not cell.last:
-            both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
-            out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
-        out.append(Inequality(name=f"P[{i},{here}] > 0", function=lambda p: -p, on=(f"P[{i},{here}]",)))
-    return out
-
-
-def _bounded_real(
-    *matrices: Array,
-    system: DelayedJumpSystem,
-    cell: Cell,
-    ends: int,
-    pairs: list[tuple[int, tuple[float, ...]]],
-    eta: float,
-    scale: float,
-    rates: list[Array],
-    lift: Lift,
-) -> Array:
-    i = cell.mode
-    p, (q, g2), rest = matrices[:ends], matrices[ends : ends + 2], matrices[ends + 2 :]
-    landing, gains = rest[: len(rates)], rest[len(rates) :]
-    slope = (p[1] - p[0]) / (lift(cell.stop) - lift(cell.start)) if ends == 2 else 0 * p[0]
-    a, b, ad, e, c = (lift(m[i]) for m in (system.a, system.b, system.ad, system.e, system.c))
-    held = 1 + lift(eta) * lift(system.delay_max_s)
-    terms = []
-    for end, weights in pairs:
-        here = p[end]
-        k = sum(lift(weight) * stored for weight, stored in zip(weights, gains))
-        value = symmetric_part(here @ (a + b @ k)) + slope + held * q + lift(scale) * lift(scale) * (c.T @ c)
-        value = value + sum(rate * (after - here) for rate, after in zip(rates, landing))
-        delayed = -(1 - lift(system.delay_slopes[i])) * q
-        one = lift(np.eye(e.shape[1]))
-        terms.append(symmetric_blocks([[value], [transpose(here @ ad), delayed], [transpose(here @ e), None, -g2 * one]]))
-    return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
-
-
-def _known_gain(
-    system: DelayedJumpSystem,
-    process: SemiMarkov,
-    gain: ScheduledGain,
-    nodes: Partition,
-    method: Method,
-    scale: float,
     gamma: float | None,
     lift: Lift = as_float,
 ) -> list[Inequality]:
-    known = gain_matrices(gain, lift)
-    if gamma is not None:
-        known["g2"] = lift([[(scale * gamma) ** 2]])
-    return [item.fixing(known) for item in delayed_inequalities(system, process, gain, nodes, method, scale, lift)]
+    """Every inequality on P[i,r], Q and, where gamma is not known, g2 = (scale gamma)^2; z scaled by ``scale``."""
+    change = partial(_bounded_real, system=system, eta=fastest_exit(process, nodes), scale=scale, lift=lift)
+    out = along_cells(change, process, gain, nodes, method, shared=("Q", "g2"), lift=lift)
+    for name in (f"P[{i},{r}]" for i, row in enumerate(nodes) for r in range(len(row))):
+        out.append(Inequality(name=f"{name} > 0", function=lambda p: -p, on=(name,)))
+    return out if gamma is None else [item.fixing({"g2": lift([[(scale * gamma) ** 2]])}) for item in out]
+
+
+def _bounded_real(
+    cell: Cell,
+    k: Array,
+    flow: Array,
+    p: Array,
+    q: Array,
+    g2: Array,
+    *,
+    system: DelayedJumpSystem,
+    eta: float,
+    scale: float,
+    lift: Lift,
+) -> Array:
+    i = cell.mode
+    a, b, ad, e, c = (lift(m[i]) for m in (system.a, system.b, system.ad, system.e, system.c))
+    held = 1 + lift(eta) * lift(system.delay_max_s)
+    value = symmetric_part(p @ (a + b @ k)) + flow + held * q + lift(scale) * lift(scale) * (c.T @ c)
+    delayed = -(1 - lift(system.delay_slopes[i])) * q
+    return symmetric_blocks([[value], [transpose(p @ ad), delayed], [transpose(p @ e), None, -g2 * lift(np.eye(e.shape[1]))]])
 
 
 def analyse_delayed(
@@ -169,20 +124,12 @@ def analyse_delayed(
                 program.symmetric(f"P[{i},{r}]", system.states)
         program.symmetric("Q", system.states)
         program.matrix("g2", 1, 1)
-        program.inequalities = _known_gain(system, process, gain, starts, method, scale, None)
+        program.inequalities = delayed_inequalities(system, process, gain, starts, method, scale, None)
         return program
 
-    what = f"H-infinity norm of the delayed loop ({method})"
-    try:
-        result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
-    except Infeasible as error:
-        verdict: Verdict = "refused" if error.proved else "undecided"
-        return JumpCertificate(method=method, sound=True, verdict=verdict, reason=str(error), gain=gain)
-    return JumpCertificate(
-        method=method, sound=True, verdict="certified", gamma=result.gamma, margin=result.found.margin, gain=gain,
-        reason=f"every inequality holds at the returned matrices, margin {result.found.margin:.3g}", assumptions=ASSUMPTIONS,
-        matrices=result.found.matrices, solver=result.found.solver, scale=result.scale,
-        rebuild=partial(_known_gain, system, process, gain, starts, method, result.scale, result.gamma),
+    return attenuation_certificate(
+        partial(attenuation, build, f"H-infinity norm of the delayed loop ({method})", gamma), method=method, gain=gain,
+        assumptions=ASSUMPTIONS, rebuild=partial(delayed_inequalities, system, process, gain, starts, method),
     )  # fmt: skip
 
 
@@ -191,18 +138,15 @@ def synthesis_program(
 ) -> LmiProgram:
     """The corrected (3.42) on X[i,m], U[i,m], Q, s and g2; X >= s I and [[k^2 s I, U], [U', X]] >= 0 bound the gains."""
     program = LmiProgram()
-    n, m = system.states, system.inputs
+    n = system.states
     eta = fastest_exit(process, sections)
     program.symmetric("Q", n)
     program.matrix("g2", 1, 1)
     program.matrix("s", 1, 1)
     for i, row in enumerate(sections):
         for r in range(len(row)):
-            x, u = f"X[{i},{r}]", f"U[{i},{r}]"
-            program.symmetric(x, n)
-            program.matrix(u, m, n)
-            program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
-            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, u, "s", strict=False)
+            program.symmetric(f"X[{i},{r}]", n)
+            program.bounded_gain(f"X[{i},{r}]", f"U[{i},{r}]", system.inputs, gain_bound)
     for cell in cells(process, sections):
         i, here = cell.mode, cell.index
         for rates in cell.rates:
@@ -266,8 +210,7 @@ def delayed_hinf(
     starts = sections if sections is not None else ((0.0,),) * system.modes
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"
-    result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
-    gain = bounded_gains(result.found.matrices, "U", starts, gain_bound)
+    gain = bounded_gains(attenuation(build, what, gamma).found.matrices, "U", starts, gain_bound)
     certificate = analyse_delayed(system, gain, process, nodes=starts)
     if not certificate.certified or (gamma is not None and (certificate.gamma or math.inf) > gamma):
         raise Infeasible(f"{what}: gains found, but their own check failed: {certificate.reason}", value=certificate.gamma)

@@ -17,6 +17,7 @@ References: thesis (4.21), (4.26); ERRATA 11, 12 and 13.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from functools import partial
@@ -31,7 +32,6 @@ from design.lmi.program import (
     LmiProgram,
     add_schur_rows,
     check_gain_bound,
-    gain_limit,
     symmetric_blocks,
     symmetric_part,
     transpose,
@@ -46,6 +46,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     loop_inequalities,
     r_sections,
 )
+from design.semi_markov_loop.period_moments import gain_mode
 from design.semi_markov_loop.sojourn_grid import bounded_gains, pair_cells
 from design.semi_markov_loop.system import JumpSystem
 
@@ -61,10 +62,6 @@ def _failed(system: JumpSystem, share: float) -> JumpSystem:
     return replace(system, sensors=np.eye(system.states) + share * (system.sensors - np.eye(system.states)))
 
 
-def _seen(measured: Measured, i: int, k: int, detections: int) -> int:
-    return {(): 0, ("r",): k, ("eta", "r"): i * detections + k}[measured]
-
-
 def _start_program(
     system: JumpSystem,
     process: FaultDetection,
@@ -76,63 +73,52 @@ def _start_program(
 ) -> LmiProgram:
     """The X form of (4.26), vertex by vertex, on X[mode,section], R[mode,section], s and g2."""
     program = LmiProgram()
-    n, m, detections = system.states, system.inputs, process.detection[0].modes
     program.matrix("s", 1, 1)
     if performance is None:
         program.matrix("g2", 1, 1)
     for cell in pair_cells(process, ((0.0,),) * system.modes, sections):
         i, k, b = cell.i, cell.k, cell.b
-        mode = _seen(measured, i, k, detections)
+        mode = gain_mode(measured, process, i, k)
         x, r = f"X[{mode},{b}]", f"R[{mode},{b}]"
         if x not in program.variables:
-            program.symmetric(x, n)
-            program.matrix(r, m, n)
-            program.require(f"{x} >= s I", lambda v, s: s * np.eye(n) - v, x, "s", strict=False)
-            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, r, "s", strict=False)
+            program.symmetric(x, system.states)
+            program.bounded_gain(x, r, system.inputs, gain_bound)
             if not cell.last_b:
                 program.require("coupling", lambda p, q: q - p, f"X[{mode},{b + 1}]", x, strict=False)
         after = 0 if process.failure_restarts_detection_clock else b
         for failure, detection in cell.vertices:
-            jumps = [(rate, f"X[{_seen(measured, j, k, detections)},{after}]") for j, rate in enumerate(failure) if rate > 0]
-            jumps += [(rate, f"X[{_seen(measured, i, l, detections)},0]") for l, rate in enumerate(detection) if rate > 0]
+            jumps = [(rate, f"X[{gain_mode(measured, process, j, k)},{after}]") for j, rate in enumerate(failure) if rate > 0]
+            jumps += [(rate, f"X[{gain_mode(measured, process, i, l)},0]") for l, rate in enumerate(detection) if rate > 0]
             jumps = [(rate, name) for rate, name in jumps if name != x]  # a jump to the same X changes nothing
+            rates = [rate for rate, _ in jumps]
             function = partial(
-                _start_block,
-                system=system,
-                mode=i,
-                rates=[rate for rate, _ in jumps],
-                performance=performance,
-                scale=scale,
+                inverse_block, system=system, mode=i, leaving=sum(rates), rates=rates, performance=performance, scale=scale
             )
             on = (x, r, *(() if performance else ("g2",)), *(name for _, name in jumps))
             program.require(f"{x} at {failure}, {detection}", function, *on)
     return program
 
 
-def _start_block(
+def inverse_block(
     x: Array,
     r: Array,
     *rest: Array,
     system: JumpSystem,
     mode: int,
+    leaving: float,
     rates: list[float],
-    performance: Siqc | None,
     scale: float,
+    performance: Siqc | None = None,
 ) -> Array:
+    """The left side of (4.26) in X = P^-1 and R = K X; ``rest``: g2 without a SIQC, then the X that jumps land in."""
     a, b, c, e = (m[mode] for m in (system.a, system.b, system.c, system.e) if m is not None)
-    p, q = c.shape[0], e.shape[1]
     landing = rest[len(rest) - len(rates) :]
+    rows: list[list[Array | None]] = [[symmetric_part(a @ x + b @ r) - leaving * x]]
     if performance is None:
-        cross, corner, weight = np.zeros((q, p)), -rest[0] * np.eye(q), np.eye(p)
+        rows += [[e.T, -rest[0] * np.eye(e.shape[1])], [scale * (c @ x), None, -np.eye(c.shape[0])]]
     else:
-        square = scale * scale
-        cross, corner, weight = square * performance.g12.T, square * performance.g22, performance.g11
-    output = scale * (c @ x)
-    rows: list[list[Array | None]] = [
-        [symmetric_part(a @ x + b @ r) - sum(rates) * x],
-        [cross @ (c @ x) + e.T, corner],
-        [output, None, -np.linalg.inv(weight)],
-    ]
+        cross, corner = scale * scale * performance.g12.T, scale * scale * performance.g22
+        rows += [[cross @ (c @ x) + e.T, corner], [scale * (c @ x), None, -np.linalg.inv(performance.g11)]]
     add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
     return symmetric_blocks(rows)
 
@@ -146,27 +132,18 @@ def _gain_step(
         raise FieldError("certificate", "holds no gains")
     program = LmiProgram()
     program.matrix("g2", 1, 1)
-    for mode in range(gain.modes):
-        for section in range(gain.gain.shape[1]):
-            name = f"K[{mode},{section}]"
-            program.matrix(name, system.inputs, system.states)
-            limit = partial(_norm_limit, bound=bound)
-            program.require(f"norm of {name}", limit, name, strict=False)
+    table = [[f"K[{mode},{section}]" for section in range(gain.gain.shape[1])] for mode in range(gain.modes)]
+    for name in itertools.chain(*table):
+        program.matrix(name, system.inputs, system.states)
+        program.require(f"norm of {name}", partial(_norm_limit, bound=bound), name, strict=False)
     listed = loop_inequalities(system, process, gain, eta, r_sections(process, gain), None, certificate.scale)
     for item in listed:
         if any(name.startswith("K") for name in item.on):
             program.inequalities.append(item.fixing(certificate.matrices))
     found = program.solve("g2")
-    new = np.array(
-        [[found.matrices[f"K[{mode},{section}]"] for section in range(gain.gain.shape[1])] for mode in range(gain.modes)]
-    )
+    new = np.array([[found.matrices[name] for name in row] for row in table])
     norms = np.linalg.norm(new, ord=2, axis=(-2, -1), keepdims=True)
-    return ScheduledGain(
-        gain=new * np.minimum(1.0, bound / norms),
-        starts_s=gain.starts_s,
-        schedule=gain.schedule,
-        measured=gain.measured,
-    )
+    return replace(gain, gain=new * np.minimum(1.0, bound / norms))
 
 
 def _norm_limit(k: Array, bound: float) -> Array:

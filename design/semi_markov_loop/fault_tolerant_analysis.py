@@ -7,14 +7,14 @@
 
 for P = P_ik(a, b), a the section of eta's clock and b that of r's, at all vertices of all rates of the pair of sections.
 A jump of eta lands in (1, b), or in (1, 1) if it restarts r's clock; a jump of r lands in (a, 1); P falls where a clock
-enters a new section. The printed (4.27) has one index for both clocks and couples neither: ``design.as_printed.fault_tolerant``.
+enters a new section. The printed (4.27) has one index for both clocks and couples neither: ``design.as_printed.attenuation``.
 
 References: thesis (4.6), (4.14), (4.23); ERRATA 11, 12 and 13.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,14 +22,13 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.decision import at_gamma, decide, smallest_gamma
+from design.lmi.decision import Attenuation, attenuation, decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.certificate import JumpCertificate, Verdict
+from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.period_moments import gain_mode, proved_decay, worst_growth
 from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells
-from design.semi_markov_loop.stability import gain_matrices
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
@@ -112,7 +111,7 @@ def loop_inequalities(
     for cell in pair_cells(process, eta_nodes, r_nodes):
         i, k, a, b = cell.i, cell.k, cell.a, cell.b
         own = f"P[{i},{k},{a},{b}]"
-        mode = gain_mode(gain, process, i, k)
+        mode = gain_mode(gain.measured, process, i, k)
         section = int(np.searchsorted(gain.starts_s[mode], r_nodes[k][b], side="right")) - 1
         after = 0 if process.failure_restarts_detection_clock else b
         for failure, detection in cell.vertices:
@@ -165,10 +164,11 @@ def _known(
     gamma: float | None,
     lift: Lift = as_float,
 ) -> list[Inequality]:
-    known = gain_matrices(gain, lift)
+    listed = loop_inequalities(system, process, gain, eta_nodes, r_nodes, performance, scale, lift)
+    modes, sections = gain.gain.shape[:2]
+    known = {f"K[{i},{s}]": lift(gain.gain[i, s]) for i in range(modes) for s in range(sections)}
     if gamma is not None:
         known["g2"] = lift([[(scale * gamma) ** 2]])
-    listed = loop_inequalities(system, process, gain, eta_nodes, r_nodes, performance, scale, lift)
     return [item.fixing(known) for item in listed]
 
 
@@ -176,7 +176,7 @@ def r_sections(process: FaultDetection, gain: ScheduledGain) -> Partition:
     """For every detection mode the sections of r's clock on which no gain changes."""
     out = []
     for k in range(process.detection[0].modes):
-        rows = {gain_mode(gain, process, i, k) for i in range(process.failure.modes)}
+        rows = {gain_mode(gain.measured, process, i, k) for i in range(process.failure.modes)}
         out.append(tuple(sorted({float(start) for row in rows for start in gain.starts_s[row]})))
     return tuple(out)
 
@@ -229,21 +229,17 @@ def analyse_fault_tolerant(
             assumptions=assumptions[:1],
         )  # fmt: skip
     what = "fault-tolerant loop"
-    try:
-        if performance is not None:
-            scale, level = performance.scale, None
-            found = decide(build(scale))
-            if not found.holds:
-                raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin, proved=found.refused)
-        else:
-            result = smallest_gamma(build, what) if gamma is None else at_gamma(build, gamma, what)
-            scale, level, found = result.scale, result.gamma, result.found
-    except Infeasible as error:
-        verdict: Verdict = "refused" if error.proved else "undecided"
-        return JumpCertificate(method="pwc", sound=True, verdict=verdict, reason=str(error), gain=gain)
-    return JumpCertificate(
-        method="pwc", sound=True, verdict="certified", reason=found.explain(), margin=found.margin, gamma=level, gain=gain,
-        decay_rate=proved_decay(system, process, gain, eta, r, found.matrices), assumptions=assumptions,
-        matrices=found.matrices, scale=scale,
-        rebuild=partial(rebuild, scale, level), solver=found.solver,
+
+    def siqc(met: Siqc) -> Attenuation:
+        found = decide(build(met.scale))
+        if not found.holds:
+            raise Infeasible(f"{what}, SIQC: {found.explain()}", value=found.margin, proved=found.refused)
+        return Attenuation(gamma=None, scale=met.scale, found=found)
+
+    certificate = attenuation_certificate(
+        partial(attenuation, build, what, gamma) if performance is None else partial(siqc, performance), method="pwc",
+        gain=gain, assumptions=assumptions, rebuild=rebuild,
     )  # fmt: skip
+    if not certificate.certified:
+        return certificate
+    return replace(certificate, decay_rate=proved_decay(system, process, gain, eta, r, certificate.matrices))

@@ -187,9 +187,9 @@ def pair_box(process: FaultDetection, i: int, k: int, until_s: float = math.inf)
     return Box(low=sides[0].ravel(), high=sides[1].ravel())
 
 
-def gain_mode(gain: ScheduledGain, process: FaultDetection, i: int, k: int) -> int:
-    """Which row of the gains acts at eta = i, r = k; depends on what is ``measured``: (), ("r",) or ("eta", "r")."""
-    return {(): 0, ("r",): k, ("eta", "r"): i * process.detection[0].modes + k}[gain.measured]
+def gain_mode(measured: tuple[str, ...], process: FaultDetection, i: int, k: int) -> int:
+    """Which row of the gains acts at eta = i, r = k, by what is ``measured``: (), ("r",) or ("eta", "r")."""
+    return {(): 0, ("r",): k, ("eta", "r"): i * process.detection[0].modes + k}[measured]
 
 
 def worst_growth(
@@ -213,12 +213,8 @@ def worst_growth(
     options = [eta[key[0]] if len(key) == 1 else r[key[0], key[1]] for key in keys]
     if np.prod([len(option) for option in options]) > 4096:
         return None
-    loops = np.array(
-        [
-            [system.a[i] + system.b[i] @ gain.gain[gain_mode(gain, process, i, k), 0] @ system.shown(i) for k in range(n_r)]
-            for i in range(n_eta)
-        ]
-    )
+    acting = [[gain.gain[gain_mode(gain.measured, process, i, k), 0] @ system.shown(i) for k in range(n_r)] for i in range(n_eta)]
+    loops = np.array([[system.a[i] + system.b[i] @ each for each in row] for i, row in enumerate(acting)])
     worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
     for choice in itertools.product(*options):
         rates = dict(zip(keys, choice))
@@ -263,7 +259,7 @@ def proved_decay(
     """
     rates = []
     for cell in pair_cells(process, eta_nodes, r_nodes):
-        mode = gain_mode(gain, process, cell.i, cell.k)
+        mode = gain_mode(gain.measured, process, cell.i, cell.k)
         loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b]) @ system.shown(cell.i)
         own = matrices[f"P[{cell.i},{cell.k},{cell.a},{cell.b}]"]
         after = 0 if process.failure_restarts_detection_clock else cell.b

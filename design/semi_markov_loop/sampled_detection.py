@@ -60,7 +60,7 @@ class DetectionLoop:
         seen = process.detection[0].modes
         both = list(itertools.product(range(system.modes), range(seen)))
         eta = [i for i, _ in both]
-        rows = [gain_mode(gain, process, i, k) for i, k in both]
+        rows = [gain_mode(gain.measured, process, i, k) for i, k in both]
         paired = JumpSystem(a=system.a[eta], b=system.b[eta])
         shown = np.array([system.shown(i) for i in eta])[:, None]  # of the instant of the sample, as r is
         table = replace(gain, gain=gain.gain[rows] @ shown, starts_s=gain.starts_s[rows])

@@ -231,7 +231,7 @@ def _modes(
     if process.failure.modes != modes:
         raise FieldError("process", f"{process.failure.modes} failure modes, the system has {modes}")
     pairs = list(itertools.product(range(modes), range(process.detection[0].modes)))
-    gains = [gain_mode(gain, process, i, k) for i, k in pairs]
+    gains = [gain_mode(gain.measured, process, i, k) for i, k in pairs]
     return [i for i, _ in pairs], gains, [pair_box(process, i, k) for i, k in pairs]
 
 

@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
+from design.lmi.program import Inequality
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
@@ -148,10 +150,7 @@ def gain_on(starts: npt.NDArray[np.float64], schedule: str, cell: Cell) -> GainO
     return GainOnCell(sections=(section, section + 1), weights=tuple((1.0 - part, part) for part in parts))
 
 
-Pairs = list[list[tuple[int, tuple[float, ...]]]]
-
-
-def bernstein(gain: GainOnCell) -> Pairs:
+def bernstein(gain: GainOnCell) -> list[list[tuple[int, tuple[float, ...]]]]:
     """What to check on a cell for g(s) = f(P(s), K(s)), P and K linear in s and f affine in each of them.
 
     The Bernstein coefficients are f(P_0, K_0), f(P_1, K_1) and (f(P_0, K_1) + f(P_1, K_0)) / 2; each is returned as the
@@ -159,6 +158,90 @@ def bernstein(gain: GainOnCell) -> Pairs:
     """
     ends = [[(end, weights)] for end, weights in enumerate(gain.weights)]
     return [*ends, [(0, gain.weights[1]), (1, gain.weights[0])]] if gain.moves else ends
+
+
+Change = Callable[..., Array]
+"""(cell, K, what P itself changes by per second, P, what else lies at the nodes, what all cells share) to the left side."""
+
+
+def along_cells(
+    change: Change | Sequence[Change],
+    process: SemiMarkov,
+    gain: ScheduledGain,
+    nodes: Partition,
+    method: str,
+    *,
+    at_nodes: Sequence[str] = ("P",),
+    shared: Sequence[str] = (),
+    coupling: Coupling = SOUND,
+    lift: Lift = as_float,
+) -> list[Inequality]:
+    """What must be negative definite along every cell at every corner of the rates, and what links the cells of ``pwc``.
+
+        dP_i/dh + sum_j lambda_ij (P_j(0) - P_i) is handed to ``change`` beside P_i(h) and K(i, h),
+
+    on P[i,r] and the names below, P linear between the nodes (``pwl``) or constant per section (``pwc``).
+
+    Args:
+        change: the left side, affine in P and in K; or several that must hold, as of vertices.
+        process: the rates.
+        gain: K(i, h).
+        nodes: nodes or sections of P per mode.
+        method: ``pwl`` or ``pwc``.
+        at_nodes: "P", and other matrices that lie at the same nodes.
+        shared: matrices of all cells.
+        coupling: how cells hang together.
+        lift: into floats or fractions.
+
+    Raises:
+        ValueError: as ``cells``; a gain that varies within a section of ``pwc``.
+    """
+    out = []
+    for cell in cells(process, nodes, all_corners=coupling.all_corners):
+        i, here = cell.mode, cell.index
+        mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
+        pwl = method == "pwl" and not cell.last
+        if mixture.moves and not pwl:
+            raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
+        own = [f"{kind}[{i},{r}]" for kind in at_nodes for r in ([here, here + 1] if pwl else [here])]
+        stored = [lift(gain.gain[i, s]) for s in mixture.sections]
+        checks = bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]
+        for rates in cell.rates:
+            targets = [j for j, rate in enumerate(rates) if rate > 0]
+            on = (*own, *shared, *(f"P[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets))
+            for pairs, one in itertools.product(checks, [change] if callable(change) else change):
+                function = partial(
+                    _mean_of_ends, change=partial(one, cell), kinds=len(at_nodes), shared=len(shared), lift=lift,
+                    pairs=[(end, np.asarray(sum(lift(w) * k for w, k in zip(weights, stored)))) for end, weights in pairs],
+                    width=lift(cell.stop) - lift(cell.start) if pwl else None, rates=[lift(rates[j]) for j in targets],
+                )  # fmt: skip
+                name = f"decrease of mode {i} on [{cell.start:g}, {cell.stop:g}) s at rates {rates}"
+                out.append(Inequality(name=name, function=function, on=on))
+        if method == "pwc" and coupling.linked and not cell.last:
+            both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
+            out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
+    return out
+
+
+def _mean_of_ends(
+    *matrices: Array,
+    change: Change,
+    kinds: int,
+    shared: int,
+    lift: Lift,
+    pairs: list[tuple[int, Array]],
+    width: Array | None,
+    rates: list[Array],
+) -> Array:
+    """One Bernstein coefficient; ``matrices``: those at the nodes kind by kind, shared, landings."""
+    ends = (len(matrices) - shared - len(rates)) // kinds
+    at, rest = matrices[: kinds * ends], matrices[kinds * ends :]
+    slope = 0 * at[0] if width is None else (at[1] - at[0]) / width
+    terms = []
+    for end, k in pairs:
+        flow = slope + sum(rate * (after - at[end]) for rate, after in zip(rates, rest[shared:]))
+        terms.append(change(k, flow, *at[end::ends], *rest[:shared]))
+    return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

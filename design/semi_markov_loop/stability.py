@@ -12,7 +12,8 @@ References: thesis (2.4), (2.12)-(2.15); ERRATA 1 and 3 (one multiplier for F_A 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import cast
 
@@ -35,7 +36,7 @@ from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
 from design.semi_markov_loop.second_moments import exact_certificate
-from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, Lift, as_float, bernstein, cells, gain_on, refine
+from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, Lift, along_cells, as_float, refine
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
 CONDITION = 1e4
@@ -52,83 +53,32 @@ def stability_inequalities(
     lift: Lift = as_float,
     coupling: Coupling = SOUND,
 ) -> list[Inequality]:
-    """Every inequality of ``pwl`` or ``pwc`` on P[i,r], K[i,s] (and eps[i,r]), for floats or fractions.
-
-    They are affine in all P and eps for known K, and in all K for known P and eps. Of ``gain`` only the sections count.
-    """
-    out = []
+    """Every inequality of ``pwl`` or ``pwc`` on P[i,r] (and eps[i,r]), for floats or fractions."""
     bounded = isinstance(system.uncertainty, NormBounded)
-    for cell in cells(process, nodes, all_corners=coupling.all_corners):
-        i, here = cell.mode, cell.index
-        mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
-        pwl = method == "pwl" and not cell.last
-        if mixture.moves and not pwl:
-            raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
-        ends = [here, here + 1] if pwl else [here]
-        own = [f"P[{i},{r}]" for r in ends] + ([f"eps[{i},{r}]" for r in ends] if bounded else [])
-        gains = [f"K[{i},{s}]" for s in mixture.sections]
-        checks = bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]
-        for rates in cell.rates:
-            targets = [j for j, rate in enumerate(rates) if rate > 0]
-            landing = [f"P[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets]
-            for pairs in checks:
-                for vertex in system.vertices:
-                    function = partial(
-                        _decrease, system=system, cell=cell, vertex=vertex, ends=len(ends), pairs=pairs,
-                        rates=[lift(rates[j]) for j in targets], decay=decay, lift=lift,
-                    )  # fmt: skip
-                    name = f"decrease of mode {i} on [{cell.start:g}, {cell.stop:g}) s at rates {rates}"
-                    out.append(Inequality(name=name, function=function, on=(*own, *landing, *gains)))
-        if method == "pwc" and coupling.linked and not cell.last:
-            both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
-            out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
-        identity = lift(np.eye(system.states))
-        name = f"P[{i},{here}]"
-        out.append(Inequality(name=f"{name} >= I", function=lambda p, one=identity: one - p, on=(name,), strict=False))
+    change = [partial(_decrease, system=system, vertex=vertex, decay=decay, lift=lift) for vertex in system.vertices]
+    at_nodes = ("P", "eps") if bounded else ("P",)
+    out = along_cells(change, process, gain, nodes, method, at_nodes=at_nodes, coupling=coupling, lift=lift)
+    identity = lift(np.eye(system.states))
+    for name in (f"P[{i},{r}]" for i, row in enumerate(nodes) for r in range(len(row))):
+        out.append(Inequality(name=f"{name} >= I", function=lambda p: identity - p, on=(name,), strict=False))
     return out
 
 
-def gain_matrices(gain: ScheduledGain, lift: Lift = as_float) -> dict[str, Array]:
-    """The stored gains under the names that the inequalities use."""
-    modes, sections = gain.gain.shape[:2]
-    return {f"K[{i},{s}]": lift(gain.gain[i, s]) for i in range(modes) for s in range(sections)}
-
-
 def _decrease(
-    *matrices: Array,
-    system: JumpSystem,
-    cell: Cell,
-    vertex: int | None,
-    ends: int,
-    pairs: list[tuple[int, tuple[float, ...]]],
-    rates: list[Array],
-    decay: float,
-    lift: Lift,
+    cell: Cell, k: Array, flow: Array, p: Array, *eps: Array, system: JumpSystem, vertex: int | None, decay: float, lift: Lift
 ) -> Array:
-    """The left side of the decrease condition at one Bernstein coefficient; ``matrices``: P, eps, landings, gains."""
+    """The left side of the decrease condition at K and P; ``flow``: what P itself changes by."""
     i, uncertainty = cell.mode, system.uncertainty
-    bounded = isinstance(uncertainty, NormBounded)
-    p, rest = matrices[:ends], matrices[ends:]
-    eps, rest = (rest[:ends], rest[ends:]) if bounded else ((), rest)
-    landing, gains = rest[: len(rates)], rest[len(rates) :]
-    slope = (p[1] - p[0]) / (lift(cell.stop) - lift(cell.start)) if ends == 2 else 0 * p[0]
     a, b = lift(system.a[i]), lift(system.b[i])
     if vertex is not None:
         uncertainty = cast(VertexUncertainty, uncertainty)
         a, b = a + lift(uncertainty.da[vertex, i]), b + lift(uncertainty.db[vertex, i])
-    terms = []
-    for end, weights in pairs:
-        here = p[end]
-        k = sum(lift(weight) * stored for weight, stored in zip(weights, gains))
-        value = symmetric_part(here @ (a + b @ k)) + slope + lift(decay) * here
-        value = value + sum(rate * (after - here) for rate, after in zip(rates, landing))
-        if bounded:
-            uncertainty = cast(NormBounded, uncertainty)
-            e, f = lift(uncertainty.e[i]), lift(uncertainty.fa[i]) + lift(uncertainty.fb[i]) @ k
-            one, two = lift(np.eye(e.shape[1])), lift(np.eye(f.shape[-2]))
-            value = symmetric_blocks([[value], [transpose(here @ e), -eps[end] * one], [eps[end] * f, None, -eps[end] * two]])
-        terms.append(value)
-    return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
+    value = symmetric_part(p @ (a + b @ k)) + flow + lift(decay) * p
+    if not isinstance(uncertainty, NormBounded):
+        return np.asarray(value)
+    e, f = lift(uncertainty.e[i]), lift(uncertainty.fa[i]) + lift(uncertainty.fb[i]) @ k
+    one, two = lift(np.eye(e.shape[1])), lift(np.eye(f.shape[-2]))
+    return symmetric_blocks([[value], [transpose(p @ e), -eps[0] * one], [eps[0] * f, None, -eps[0] * two]])
 
 
 def lyapunov_program(inequalities: list[Inequality], states: int, condition: float) -> LmiProgram:
@@ -187,20 +137,34 @@ def analyse(
     if nodes is None:
         starts = tuple(tuple(row.tolist()) for row in gain.starts_s)
         nodes = refine(process, starts, parts) if method == "pwl" else starts
-    rebuild = partial(known_gain, system, gain, process, nodes, method, decay)
-    program = lyapunov_program(rebuild(as_float), system.states, condition)
-    found = decide(program, verify_with=verify_with)
-    certified = found.holds
     form = f"method {method}, I <= P <= {condition:g} I" + (f", decay {decay:g}/s" if decay else "")
-    proved = None
-    if certified:
-        proved = _proved_decay(partial(known_gain, system, gain, process, nodes, method), found.matrices, decay)
-    assumptions = ("rates anywhere in their bounds on every cell",)
+    found = stability_certificate(system, gain, process, nodes, method, decay, condition, form, verify_with=verify_with)
+    if not found.certified:
+        return found
+    rebuilt = partial(stability_inequalities, system, gain, process, nodes, method)
+    return replace(found, decay_rate=_proved_decay(rebuilt, found.matrices, decay))
+
+
+def stability_certificate(
+    system: JumpSystem,
+    gain: ScheduledGain,
+    process: SemiMarkov,
+    nodes: Partition,
+    method: Method,
+    decay: float,
+    condition: float,
+    form: str,
+    *,
+    coupling: Coupling = SOUND,
+    verify_with: VerifyWith = "cvxpy",
+) -> JumpCertificate:
+    """What the inequalities at one decay rate say, with matrices I <= P <= ``condition`` I; ``form`` begins the reason."""
+    rebuild = partial(stability_inequalities, system, gain, process, nodes, method, decay, coupling=coupling)
+    found = decide(lyapunov_program(rebuild(as_float), system.states, condition), verify_with=verify_with)
     return JumpCertificate(
-        method=method, sound=True, reason=f"{form}: {found.explain()}", margin=found.margin,
-        verdict="certified" if certified else "refused" if found.refused else "undecided", matrices=found.matrices,
-        assumptions=assumptions, decay_rate=proved, gain=gain,
-        rebuild=rebuild, solver=found.solver,
+        method=method, sound=True, reason=f"{form}: {found.explain()}", margin=found.margin, verdict=found.verdict,
+        matrices=found.matrices, assumptions=("rates anywhere in their bounds on every cell",), gain=gain, rebuild=rebuild,
+        solver=found.solver,
     )  # fmt: skip
 
 
@@ -217,23 +181,7 @@ def checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiMa
     return gain
 
 
-def known_gain(
-    system: JumpSystem,
-    gain: ScheduledGain,
-    process: SemiMarkov,
-    nodes: Partition,
-    method: Method,
-    decay: float,
-    lift: Lift = as_float,
-    coupling: Coupling = SOUND,
-) -> list[Inequality]:
-    """``stability_inequalities`` with the gains put in: on P and eps only."""
-    known = gain_matrices(gain, lift)
-    listed = stability_inequalities(system, gain, process, nodes, method, decay, lift, coupling)
-    return [item.fixing(known) for item in listed]
-
-
-def _proved_decay(build: Callable[[float], list[Inequality]], matrices: dict[str, Array], low: float) -> float:
+def _proved_decay(build: Callable[[float], list[Inequality]], matrices: Mapping[str, Array], low: float) -> float:
     """The largest decay rate at which the same matrices still fulfil every strict inequality (bisection).
 
     The inequalities are affine in the decay rate: they are built at two rates, and the result is verified as it stands.

@@ -139,7 +139,7 @@ def _phases(
     out = []
     for t in sorted(times):
         i, (k, clock) = int(eta.at(t)[0]), r.at(t)
-        mode = gain_mode(gain, process, i, int(k))
+        mode = gain_mode(gain.measured, process, i, int(k))
         section = int(np.searchsorted(gain.starts_s[mode], float(clock) + 1e-12, side="right")) - 1
         out.append((t, i, mode, section))
     return [*out, (math.inf, 0, 0, 0)]

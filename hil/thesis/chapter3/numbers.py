@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.delayed_hinf import printed_section
+from design.as_printed.attenuation import delayed_section
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.semi_markov import SemiMarkov
@@ -36,8 +36,8 @@ RAMP = "rates linear over 0, 1.8, 3.6 s (only their bounds are printed)"
 def _conditions(report_progress: ReportProgress) -> dict[str, Any]:
     """The printed conditions for the printed gains, and what they miss."""
     system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
-    literal = [printed_section(system, process, SECTIONS, m, gain, reading="literal", gamma=0.93) for m in (0, 1)]
-    consistent = [printed_section(system, process, SECTIONS, m, gain, reading="consistent") for m in (0, 1)]
+    literal = [delayed_section(system, process, SECTIONS, m, gain, reading="literal", gamma=0.93) for m in (0, 1)]
+    consistent = [delayed_section(system, process, SECTIONS, m, gain, reading="consistent") for m in (0, 1)]
     system = DelayedJumpSystem(
         a=np.array([[[-1.0, 100.0], [0.0, -1.0]]]), ad=np.zeros((1, 2, 2)), b=np.array([[[0.0], [1.0]]]),
         e=np.array([[[0.0], [1.0]]]), c=np.array([[[1.0, 0.0]]]), delay_max_s=0.1, delay_slopes=np.zeros(1),
@@ -48,7 +48,7 @@ def _conditions(report_progress: ReportProgress) -> dict[str, Any]:
     return {
         "literal": literal, "why": [each.reason.rpartition(": ")[2] for each in literal], "consistent": consistent,
         "peak": float(np.abs(response).max()),
-        "accepted": printed_section(system, process, ((0.0,),), 0, gain, gamma=0.05),
+        "accepted": delayed_section(system, process, ((0.0,),), 0, gain, gamma=0.05),
         "corrected": analyse_delayed(system, gain, process).gamma,
     }  # fmt: skip
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.delayed_hinf import inequality_at, printed_section
+from design.as_printed.attenuation import delayed_section, inequality_at
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -100,8 +100,8 @@ def partitions(report_progress: ReportProgress) -> dict[str, Any]:
     levels: dict[str, list[float]] = {"one": [], "two": []}
     for n, bound in enumerate(BOUNDS):
         report_progress(f"(3.41) with one section and with two, gain norm <= {bound:g}", 1 + n, 4)
-        one = printed_section(system, process, WHOLE, 0, None, reading="consistent", gain_bound=bound)
-        both = [printed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=bound) for m in (0, 1)]
+        one = delayed_section(system, process, WHOLE, 0, None, reading="consistent", gain_bound=bound)
+        both = [delayed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=bound) for m in (0, 1)]
         levels["one"].append(one.gamma or np.nan)
         levels["two"].append(max(part.gamma or np.nan for part in both))
         if n == 0:
@@ -171,7 +171,7 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
     """Gains by (3.41) at the printed level, and certified levels of the printed gains over other delays."""
     system, process, printed = chapter3_system(), chapter3_process(), chapter3_gain()
     parts = [
-        printed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=BOUNDS[0], gamma=GAMMA)
+        delayed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=BOUNDS[0], gamma=GAMMA)
         for m in (0, 1)
     ]
     found = np.array([_gains(part.matrices) for part in parts if part.certified]).swapaxes(0, 1)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.as_printed.attenuation import detection_section
 from design.as_printed.examples import (
     CHAPTER4_DETECTION_BOUNDARY_S,
     CHAPTER4_FAILURE_BOUNDARY_S,
@@ -20,7 +21,6 @@ from design.as_printed.examples import (
     chapter4_seen_gain,
     chapter4_system,
 )
-from design.as_printed.fault_tolerant import printed_section
 from design.processes.partitions import Partition
 from design.processes.rates import PiecewiseLinearRate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -58,8 +58,8 @@ def _conditions(report_progress: ReportProgress) -> dict[str, Any]:
     """Printed and sound conditions for the printed gains."""
     system, process = chapter4_system(), faults()
     whole, sections = chapter4_gain(), chapter4_partitioned_gain()
-    single = printed_section(system, process, ONE, ONE, 0, whole)
-    parts = [printed_section(system, process, ETA, DETECTION, m, sections[:, :, m]) for m in (0, 1)]
+    single = detection_section(system, process, ONE, ONE, 0, whole)
+    parts = [detection_section(system, process, ETA, DETECTION, m, sections[:, :, m]) for m in (0, 1)]
     sound = analyse_fault_tolerant(system, known_fault(sections), process, eta_nodes=ETA)
     report_progress("gains that see the detection only")
     ours, seen = our_gains(), chapter4_seen_gain(partitioned=False)
@@ -92,7 +92,7 @@ def _pairs() -> dict[str, Any]:
     rates = np.array([[0, 0.06, 6, 0], [3, 0, 0, 6], [6, 0, 0, 3], [0, 6, 0.06, 0]], dtype=float)
     return {
         "pairs": [
-            printed_section(system, process, sections, sections, m, np.stack([gains, gains]), vertices=True).verdict
+            detection_section(system, process, sections, sections, m, np.stack([gains, gains]), vertices=True).verdict
             for m in (0, 1)
         ],
         "pair_growth": mean_square_abscissa(np.array([[[-1.0]], [[1.3]], [[1.3]], [[-1.0]]]), rates),
@@ -121,8 +121,8 @@ def recomputed(report_progress: ReportProgress) -> dict[str, Any]:
 
 def _sections(bound: float, gamma: float | None) -> tuple[JumpCertificate, list[JumpCertificate]]:
     system, process = chapter4_system(), faults()
-    single = printed_section(system, process, ONE, ONE, 0, None, gain_bound=bound, gamma=gamma)
-    return single, [printed_section(system, process, ETA, DETECTION, m, None, gain_bound=bound, gamma=gamma) for m in (0, 1)]
+    single = detection_section(system, process, ONE, ONE, 0, None, gain_bound=bound, gamma=gamma)
+    return single, [detection_section(system, process, ETA, DETECTION, m, None, gain_bound=bound, gamma=gamma) for m in (0, 1)]
 
 
 def _stacked(sections: list[JumpCertificate]) -> Array:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from design.as_printed.delayed_hinf import printed_section
+from design.as_printed.attenuation import delayed_section
 from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
@@ -83,7 +83,7 @@ def test_printed_condition_accepts_a_level_2000_times_below_the_norm() -> None:
         e=np.array([[[0.0], [1.0]]]), c=np.array([[[1.0, 0.0]]]), delay_max_s=0.1, delay_slopes=np.zeros(1),
     )  # fmt: skip
     process, gain = SemiMarkov(rates=((None,),)), constant_gain(np.zeros((1, 1, 2)))
-    printed = printed_section(system, process, ((0.0,),), 0, gain, gamma=0.05)
+    printed = delayed_section(system, process, ((0.0,),), 0, gain, gamma=0.05)
     assert printed.certified and not printed.sound
     ours = analyse_delayed(system, gain, process)
     assert 99.99 < ours.gamma < 105.0 and ours.check() > 0  # how near to 100 depends on the solver's last steps
@@ -93,18 +93,18 @@ def test_printed_condition_accepts_a_level_2000_times_below_the_norm() -> None:
 @pytest.mark.slow
 def test_published_gains_fit_093_in_one_reading_of_the_printed_condition_only() -> None:
     for m, smallest in ((0, 0.760), (1, 0.717)):
-        literal = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="literal", gamma=0.93)
+        literal = delayed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="literal", gamma=0.93)
         assert literal.verdict == "refused"
-        consistent = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="consistent")
+        consistent = delayed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="consistent")
         assert consistent.gamma == pytest.approx(smallest, abs=2e-3) and not consistent.sound
 
 
 @pytest.mark.slow
 def test_printed_conditions_carry_their_flag_in_analysis_and_synthesis() -> None:
     for m in (0, 1):
-        analysed = printed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="consistent", gamma=0.93)
+        analysed = delayed_section(SYSTEM, PROCESS, SECTIONS, m, chapter3_gain(), reading="consistent", gamma=0.93)
         assert analysed.certified and analysed.gamma == 0.93 and not analysed.sound
-        made = printed_section(SYSTEM, PROCESS, SECTIONS, m, None, reading="consistent", gain_bound=5.0, gamma=0.93)
+        made = delayed_section(SYSTEM, PROCESS, SECTIONS, m, None, reading="consistent", gain_bound=5.0, gamma=0.93)
         assert made.certified and not made.sound and made.matrices["U[0]"].shape == (2, 4)
 
 

@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from design.as_printed.attenuation import detection_section
 from design.as_printed.examples import (
     chapter4_gain,
     chapter4_partitioned_gain,
@@ -15,7 +16,6 @@ from design.as_printed.examples import (
     chapter4_seen_gain,
     chapter4_system,
 )
-from design.as_printed.fault_tolerant import printed_section
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
@@ -95,14 +95,14 @@ def test_levels_of_the_published_gains(gain: ScheduledGain, level: float) -> Non
 
 
 def test_printed_levels_are_loose_and_speak_against_the_partition() -> None:
-    single = printed_section(SYSTEM, PROCESS, ONE, ONE, 0, chapter4_gain())
+    single = detection_section(SYSTEM, PROCESS, ONE, ONE, 0, chapter4_gain())
     assert single.gamma == pytest.approx(0.0622, abs=2e-4) and not single.sound
-    second = printed_section(SYSTEM, PROCESS, ETA, DETECTION, 1, chapter4_partitioned_gain()[:, :, 1])
+    second = detection_section(SYSTEM, PROCESS, ETA, DETECTION, 1, chapter4_partitioned_gain()[:, :, 1])
     assert second.gamma == pytest.approx(0.1468, abs=5e-4)
 
 
 def test_printed_conditions_carry_their_flag_in_synthesis() -> None:
-    made = printed_section(SYSTEM, PROCESS, ONE, ONE, 0, None, gain_bound=5.0)
+    made = detection_section(SYSTEM, PROCESS, ONE, ONE, 0, None, gain_bound=5.0)
     assert made.gamma == pytest.approx(0.52, abs=0.02) and not made.sound
 
 
@@ -130,7 +130,7 @@ def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:
     known = np.stack([gains, gains])
     sections = ((0.0, 1.0),) * 2
     for m in (0, 1):
-        assert printed_section(system, two(m)[0], sections, sections, m, known, vertices=True).certified
+        assert detection_section(system, two(m)[0], sections, sections, m, known, vertices=True).certified
     loops = np.array([[[-1.0]], [[1.3]], [[1.3]], [[-1.0]]])  # (eta, r) = (0,0), (0,1), (1,0), (1,1)
     rates = np.array([[0, 0.06, 6, 0], [3, 0, 0, 6], [6, 0, 0, 3], [0, 6, 0.06, 0]], dtype=float)
     assert mean_square_abscissa(loops, rates) == pytest.approx(0.2016, abs=1e-3)
