@@ -27,7 +27,8 @@ from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, 
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
-from design.semi_markov_loop.period_moments import gain_mode, proved_decay, worst_growth
+from design.semi_markov_loop.decay_rates import proved_decay, worst_growth
+from design.semi_markov_loop.period_moments import gain_mode
 from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells
 from design.semi_markov_loop.system import JumpSystem
 

@@ -1,4 +1,4 @@
-"""Second moments of a jump loop: over one sample period with jumps at any instant, and their growth at constant rates.
+"""Second moments of a jump loop over one sample period, with jumps at any instant.
 
     z = (x, v_0, ..., v_-D),    dx/dt = A_l x + B_l v_-D,    v held,    l = mode
 
@@ -10,30 +10,22 @@ others the integral over the first jump, after which the constant-rate moment eq
 All are positive maps, so that a larger rate of jumps with a smaller rate of leaving gives a larger map, and the reverse a smaller
 one: the true map lies between the two. Symmetric matrices are vectors here (``svec``), maps are matrices.
 
-Where rates are constant the growth is exact, see `worst_growth`.
-
 Reference: thesis (2.1), (2.16), sampled; ERRATA 11 and 12.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
 from scipy.linalg import expm
 
-from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
-from design.lmi.program import symmetric_part
-from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.sojourn_grid import cells, pair_cells
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
 FloatArray = npt.NDArray[np.float64]
@@ -69,10 +61,37 @@ def congruence(m: FloatArray) -> FloatArray:
     return np.asarray(after.T @ product @ before)
 
 
-def smat(vector: FloatArray) -> FloatArray:
-    """The symmetric matrix of svec ``vector``."""
-    n = round((np.sqrt(8 * vector.size + 1) - 1) / 2)
-    return np.asarray((isometry(n) @ vector).reshape(n, n))
+def svec(matrix: FloatArray) -> FloatArray:
+    """The vector of a symmetric matrix that ``smat`` takes."""
+    return np.asarray(isometry(len(matrix)).T @ matrix.ravel())
+
+
+def smat(vectors: FloatArray) -> FloatArray:
+    """The symmetric matrices (..., n, n) of svec ``vectors``."""
+    n = round((math.sqrt(8 * vectors.shape[-1] + 1) - 1) / 2)
+    return np.asarray((vectors @ isometry(n).T).reshape(*vectors.shape[:-1], n, n))
+
+
+def growth_bound(before: FloatArray, after: FloatArray) -> float:
+    """The least t with after <= t before, of stacks of svec; LinAlgError where not all of ``before`` are positive definite."""
+    root = np.linalg.inv(np.linalg.cholesky(smat(before)))
+    return float(np.linalg.eigvalsh(root @ smat(after) @ np.swapaxes(root, -1, -2))[..., -1].max())
+
+
+def held_flow(a: FloatArray, b: FloatArray, size: int) -> FloatArray:
+    """The generator of z = (x, v_0, ..., v_-D), shape (..., size, size), of which the oldest input acts on x."""
+    n, m = b.shape[-2:]
+    out = np.zeros((*a.shape[:-2], size, size))
+    out[..., :n, :n], out[..., :n, size - m :] = a, b
+    return out
+
+
+def factors(uncertainty: NormBounded, mode: int, size: int) -> tuple[FloatArray, FloatArray]:
+    """[E; 0] (size, q) and [F_A, 0, F_B] (q', size): a norm-bounded uncertainty of z."""
+    n, m = uncertainty.e.shape[1], uncertainty.fb.shape[2]
+    left, right = np.zeros((size, uncertainty.e.shape[2])), np.zeros((uncertainty.fa.shape[1], size))
+    left[:n], right[:, :n], right[:, size - m :] = uncertainty.e[mode], uncertainty.fa[mode], uncertainty.fb[mode]
+    return left, right
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,28 +144,55 @@ def period_moments(
     """
     modes, n, m = system.modes, system.states, system.inputs
     size = n + m * (delay + 1)
-    generators = np.zeros((modes, size, size))
-    generators[:, :n, :n], generators[:, :n, size - m :] = system.a, system.b
+    generators = held_flow(system.a, system.b, size)
     nodes, weights = _first_jump(2.0 * float(np.linalg.norm(generators, 2, axis=(1, 2)).max()) * period_s, period_s)
-    q = svec_size(size)
-    basis, one = isometry(size), np.eye(size)
-    sums = np.einsum("lij,ab->laibj", generators, one) + np.einsum("lij,ab->liajb", generators, one)
-    blocks = basis.T @ sums.reshape(modes, size * size, size * size) @ basis
+    q, one = svec_size(size), np.eye(size)
+    blocks = _moment_operators(generators)
     if system.uncertainty is not None:
         if not upper:
             raise FieldError("uncertainty", "is bounded from above only")
         blocks = blocks + np.array([uncertain_moments(system, i, size, slack) for i in range(modes)])
-    whole = np.zeros((modes, q, modes, q))
-    for j, box in enumerate(fresh):
-        whole[j, :, j, :] = blocks[j] - box.leave(upper) * np.eye(q)
-        for target, rate in enumerate(box.jump(upper)):
-            whole[target, :, j, :] += rate * np.eye(q)
-    flows = expm(np.multiply.outer(period_s - nodes, whole.reshape(modes * q, modes * q)))
+    whole = _with_jumps(blocks, fresh, upper)
+    flows = expm(np.multiply.outer(period_s - nodes, whole))
     flows = flows.reshape(nodes.size, modes, q, modes, q)
     drop = np.eye(q) if held else congruence(one[: size - m])
     first = expm(blocks[:, None] * nodes[:, None, None])
     jumped = np.einsum("pr,glrjs,igsq->ijlgpq", drop, flows, first, optimize=True)
     return PeriodMoments(still=drop @ expm(blocks * period_s), jumped=jumped, nodes_s=nodes, weights_s=weights, period_s=period_s)
+
+
+def period_flows(system: JumpSystem, boxes: Sequence[Box], period_s: float, size: int, upper: bool) -> FloatArray:
+    """The second moments of z after one period at constant rates, by the mode at its end and at its start: (N, q, N, q).
+
+    Args:
+        system: a certain one.
+        boxes: per mode, bounds of its rates at any age.
+        period_s: T (s).
+        size: length of z.
+        upper: whether the map bounds the true one from above or from below.
+    """
+    whole = _with_jumps(_moment_operators(held_flow(system.a, system.b, size)), boxes, upper)
+    q = svec_size(size)
+    return np.asarray(expm(whole * period_s).reshape(system.modes, q, system.modes, q))
+
+
+def _moment_operators(generators: FloatArray) -> FloatArray:
+    """d/dt E z z' on svec where dz/dt = G z: shape (N, q, q) for generators (N, size, size)."""
+    modes, size = generators.shape[:2]
+    basis, one = isometry(size), np.eye(size)
+    sums = np.einsum("lij,ab->laibj", generators, one) + np.einsum("lij,ab->liajb", generators, one)
+    return np.asarray(basis.T @ sums.reshape(modes, size * size, size * size) @ basis)
+
+
+def _with_jumps(blocks: FloatArray, boxes: Sequence[Box], upper: bool) -> FloatArray:
+    """d/dt of the moments of all modes together, shape (N q, N q), jumps at constant rates."""
+    modes, q = blocks.shape[:2]
+    whole = np.zeros((modes, q, modes, q))
+    for i, box in enumerate(boxes):
+        whole[i, :, i, :] = blocks[i] - box.leave(upper) * np.eye(q)
+        for target, rate in enumerate(box.jump(upper)):
+            whole[target, :, i, :] += rate * np.eye(q)
+    return whole.reshape(modes * q, modes * q)
 
 
 def _first_jump(stiffness: float, period_s: float) -> tuple[FloatArray, FloatArray]:
@@ -163,17 +209,13 @@ def uncertain_moments(system: JumpSystem, mode: int, size: int, slack: float) ->
     With y = (dA x + dB u, 0): y z' + z y' <= eps z z' + y y' / eps, and y y' <= [E; 0][E; 0]' |F_A x + F_B u|^2 (norm-bounded)
     or the sum of D_v z z' D_v' over the vertices.
     """
-    uncertainty, n, m = system.uncertainty, system.states, system.inputs
-    total = slack * np.eye(svec_size(size))
+    uncertainty, total = system.uncertainty, slack * np.eye(svec_size(size))
     if isinstance(uncertainty, NormBounded):
-        left, right = np.zeros((size, uncertainty.e.shape[2])), np.zeros((uncertainty.fa.shape[1], size))
-        left[:n], right[:, :n], right[:, size - m :] = uncertainty.e[mode], uncertainty.fa[mode], uncertainty.fb[mode]
-        u = isometry(size)
-        return np.asarray(total + np.outer(u.T @ (left @ left.T).ravel(), u.T @ (right.T @ right).ravel()) / slack)
+        left, right = factors(uncertainty, mode, size)
+        return np.asarray(total + np.outer(svec(left @ left.T), svec(right.T @ right)) / slack)
     if isinstance(uncertainty, VertexUncertainty):
-        change = np.zeros((uncertainty.da.shape[0], size, size))
-        change[:, :n, :n], change[:, :n, size - m :] = uncertainty.da[:, mode], uncertainty.db[:, mode]
-        return np.asarray(total + congruence(change).sum(axis=0) / slack)
+        changes = held_flow(uncertainty.da[:, mode], uncertainty.db[:, mode], size)
+        return np.asarray(total + congruence(changes).sum(axis=0) / slack)
     return np.zeros_like(total)
 
 
@@ -190,86 +232,3 @@ def pair_box(process: FaultDetection, i: int, k: int, until_s: float = math.inf)
 def gain_mode(measured: tuple[str, ...], process: FaultDetection, i: int, k: int) -> int:
     """Which row of the gains acts at eta = i, r = k, by what is ``measured``: (), ("r",) or ("eta", "r")."""
     return {(): 0, ("r",): k, ("eta", "r"): i * process.detection[0].modes + k}[measured]
-
-
-def worst_growth(
-    system: JumpSystem, gain: ScheduledGain, process: FaultDetection
-) -> tuple[float, dict[str, tuple[float, ...]]] | None:
-    """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds held constant, with these rates.
-
-        d/dt vec M_i = (A_i (+) A_i) vec M_i + sum_j lambda_ji vec M_j - lambda_i vec M_i,     M_i = E x x' 1{mode = i}
-
-    If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these
-    bounds can exist; if it is negative at all corners, nothing is proved about rates that vary.
-
-    Exact at every vertex (spectral abscissa of the second-moment generator), for gains without sections. None if there are
-    more than 4096 vertices.
-    """
-    n_eta, n_r = system.modes, process.detection[0].modes
-    one = ((0.0,),)
-    eta = {cell.mode: cell.rates for cell in cells(process.failure, one * n_eta)}
-    r = {(i, c.mode): c.rates for i in range(n_eta) for c in cells(process.detection[i], one * n_r)}
-    keys: list[tuple[int, ...]] = [*((i,) for i in eta), *r]
-    options = [eta[key[0]] if len(key) == 1 else r[key[0], key[1]] for key in keys]
-    if np.prod([len(option) for option in options]) > 4096:
-        return None
-    acting = [[gain.gain[gain_mode(gain.measured, process, i, k), 0] @ system.shown(i) for k in range(n_r)] for i in range(n_eta)]
-    loops = np.array([[system.a[i] + system.b[i] @ each for each in row] for i, row in enumerate(acting)])
-    worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
-    for choice in itertools.product(*options):
-        rates = dict(zip(keys, choice))
-        generator = np.zeros((n_eta, n_r, n_eta, n_r))
-        for i, k in itertools.product(range(n_eta), range(n_r)):
-            generator[i, k, :, k] += rates[(i,)]
-            generator[i, k, i, :] += rates[i, k]
-        growth = mean_square_abscissa(loops.reshape(-1, *loops.shape[2:]), generator.reshape(n_eta * n_r, -1))
-        if growth > worst[0]:
-            worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rates[key] for key in keys}
-    return worst
-
-
-def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
-    """Growth rate of E|x|^2 of a Markov jump system dx = A_i x (1/s): the abscissa of blkdiag(A_i (+) A_i) + (Lambda' (x) I).
-
-    Args:
-        loops: shape (N, n, n).
-        rates: jump rates, shape (N, N); the diagonal is ignored.
-    """
-    modes, n = loops.shape[:2]
-    eye = np.eye(n)
-    rates = rates * (1.0 - np.eye(modes))
-    out = np.kron(rates.T - np.diag(rates.sum(axis=1)), np.eye(n * n))
-    for i in range(modes):
-        block = slice(i * n * n, (i + 1) * n * n)
-        out[block, block] += np.kron(loops[i], eye) + np.kron(eye, loops[i])
-    return float(np.linalg.eigvals(out).real.max())
-
-
-def proved_decay(
-    system: JumpSystem,
-    process: FaultDetection,
-    gain: ScheduledGain,
-    eta_nodes: Partition,
-    r_nodes: Partition,
-    matrices: Mapping[str, FloatArray],
-) -> float:
-    """The largest alpha (1/s) such that V falls like e^(-alpha t) with the P of a certificate: E|x|^2 does at least that.
-
-    d/dt V <= -alpha V on every cell at every rate within its bounds, and V falls where a clock enters a new section.
-    """
-    rates = []
-    for cell in pair_cells(process, eta_nodes, r_nodes):
-        mode = gain_mode(gain.measured, process, cell.i, cell.k)
-        loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b]) @ system.shown(cell.i)
-        own = matrices[f"P[{cell.i},{cell.k},{cell.a},{cell.b}]"]
-        after = 0 if process.failure_restarts_detection_clock else cell.b
-        for failure, detection in cell.vertices:
-            change = symmetric_part(own @ loop)
-            for j, rate in enumerate(failure):
-                if rate > 0:
-                    change = change + rate * (matrices[f"P[{j},{cell.k},0,{after}]"] - own)
-            for l, rate in enumerate(detection):
-                if rate > 0:
-                    change = change + rate * (matrices[f"P[{cell.i},{l},{cell.a},0]"] - own)
-            rates.append(float(scipy.linalg.eigh(-change, own, eigvals_only=True)[0]))
-    return min(rates)

@@ -34,7 +34,7 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
-from design.semi_markov_loop.period_moments import TooLarge, svec_size
+from design.semi_markov_loop.period_moments import TooLarge, held_flow, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
 from design.semi_markov_loop.system import DelayedJumpSystem
 
@@ -141,11 +141,11 @@ def _change(
     end: int,
     cell_s: float,
 ) -> Array:
-    n, m, size = system.states, system.inputs, first.shape[-1]
+    n, size = system.states, first.shape[-1]
     here, weights, landing = last if end else first, rest[: system.modes], rest[system.modes :]
     scale = float(np.linalg.norm(system.ad, 2, axis=(1, 2)).max())  # w in units of 1 / |Ad|: the blocks are of one size
-    flow, delayed = np.zeros((size, size)), np.zeros((size, n))
-    flow[:n, :n], flow[:n, size - m :], delayed[:n] = system.a[mode], system.b[mode], system.ad[mode] / scale
+    flow, delayed = held_flow(system.a[mode], system.b[mode], size), np.zeros((size, n))
+    delayed[:n] = system.ad[mode] / scale
     value = symmetric_part(here @ flow) + (last - first) / cell_s
     for rate, after in zip(rates, landing):
         value = value + rate * (after - here)

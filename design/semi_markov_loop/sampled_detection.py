@@ -27,8 +27,10 @@ from design.semi_markov_loop.period_moments import (
     PeriodMoments,
     congruence,
     gain_mode,
+    held_flow,
     isometry,
     pair_box,
+    period_flows,
     period_moments,
     svec_size,
 )
@@ -115,19 +117,14 @@ def slowest_growth(loop: DetectionLoop) -> float:
     """A lower bound of the growth of E|xi|^2 per period: of the paths on the last sections of the gains, at the least rates."""
     pairs = loop.pairs
     everywhere = [loop.box(pair, math.inf) for pair in range(pairs.system.modes)]
-    maps = period_moments(pairs.system, everywhere, pairs.period_s, pairs.delay, False)
-    p = svec_size(pairs.size)
+    size, p = pairs.size + pairs.system.inputs, svec_size(pairs.size)
+    flows, keep = period_flows(pairs.system, everywhere, pairs.period_s, size, False), congruence(np.eye(pairs.size, size))
     out = np.zeros((pairs.system.modes, p, pairs.system.modes, p))
-    for pair, box in enumerate(everywhere):
-        lift = congruence(pairs.sampled_at(pairs.gain.gain[pair, -1]))
-        weights = maps.weights_s * np.exp(-float(box.high.sum()) * maps.nodes_s)
-        leaps = np.einsum("t,g,tlgpq->lpq", box.low, weights, maps.jumped[pair], optimize=True) @ lift
-        for end in range(pairs.system.modes):
-            if end % loop.seen == pair % loop.seen or loop.first(end) + 1 == pairs.gain.starts_s.shape[1]:
-                out[end, :, pair, :] += leaps[end]
-        out[pair, :, pair, :] += math.exp(-float(box.high.sum()) * pairs.period_s) * maps.still[pair] @ lift
-    size = pairs.system.modes * p
-    return float(np.abs(np.linalg.eigvals(out.reshape(size, size))).max())
+    for pair, end in itertools.product(range(pairs.system.modes), repeat=2):
+        if end % loop.seen == pair % loop.seen or loop.first(end) + 1 == pairs.gain.starts_s.shape[1]:
+            lift = congruence(pairs.sampled_at(pairs.gain.gain[pair, -1]))
+            out[end, :, pair, :] = keep @ flows[end, :, pair, :] @ lift
+    return float(np.abs(np.linalg.eigvals(out.reshape(pairs.system.modes * p, -1))).max())
 
 
 def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
@@ -239,9 +236,7 @@ def growth_while_it_stays(loop: SampledLoop, mode: int, gains: Sequence[FloatArr
 def period_map(loop: SampledLoop, mode: int, gain: FloatArray) -> FloatArray:
     """F, from xi = (x, v_-1, ..., v_-D) to xi one period later while the mode stays, shape (size, size)."""
     n, m, size = loop.system.states, loop.system.inputs, loop.size
-    generator = np.zeros((n + m, n + m))
-    generator[:n, :n], generator[:n, n:] = loop.system.a[mode], loop.system.b[mode]
-    flow = expm(generator * loop.period_s)
+    flow = expm(held_flow(loop.system.a[mode], loop.system.b[mode], n + m) * loop.period_s)
     out = np.zeros((size, size + m))
     out[:n, :n], out[:n, size:] = flow[:n, :n], flow[:n, n:]
     out[n:, n:size] = np.eye(size - n)

@@ -24,14 +24,23 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop.period_moments import Box, TooLarge, congruence, gain_mode, isometry, pair_box, smat, svec_size
+from design.semi_markov_loop.period_moments import (
+    Box,
+    TooLarge,
+    congruence,
+    gain_mode,
+    growth_bound,
+    pair_box,
+    period_flows,
+    svec,
+    svec_size,
+)
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 from design.verdict import State, Verdict
 
@@ -104,9 +113,12 @@ def moment_matrix(loop: RandomDelayLoop, *, upper: bool) -> FloatArray:
             f"{len(labels)} modes of plant and network, {loop.size} states with delayed ones: "
             f"{len(labels) * p} second moments, at most {LARGEST}"
         )
-    flows, index = _flows(loop, upper), {label: k for k, label in enumerate(labels)}
+    size = loop.size + loop.system.inputs
+    if loop.system.modes * svec_size(size) > 1500:
+        raise TooLarge(f"{loop.system.modes} modes of the plant and {size} states with delayed ones are too many")
+    flows, index = period_flows(loop.system, loop.boxes, loop.period_s, size, upper), {label: k for k, label in enumerate(labels)}
     chains = [chain.bounds[int(upper)] for chain in (loop.tau, loop.d)]
-    late, keep = loop.tau.max_delay, congruence(np.eye(loop.size, loop.size + loop.system.inputs))
+    late, keep = loop.tau.max_delay, congruence(np.eye(loop.size, size))
     out = np.zeros((len(labels), p, len(labels), p))
     for label, at in index.items():
         lift = congruence(loop.sampled(label))
@@ -118,25 +130,6 @@ def moment_matrix(loop: RandomDelayLoop, *, upper: bool) -> FloatArray:
             if a * b > 0.0:
                 out[index[end, *history, sc, ca], :, at, :] += a * b * after
     return out.reshape(len(labels) * p, -1)
-
-
-def _flows(loop: RandomDelayLoop, upper: bool) -> FloatArray:
-    # second moments of (xi, v) over one period, by the mode at its end and at its start
-    n, m, modes = loop.system.states, loop.system.inputs, loop.system.modes
-    size = loop.size + m
-    q, basis, one = svec_size(size), isometry(size), np.eye(size)
-    if modes * q > 1500:
-        raise TooLarge(f"{modes} modes of the plant and {size} states with delayed ones are too many")
-    whole = np.zeros((modes, q, modes, q))
-    for i, box in enumerate(loop.boxes):
-        generator = np.zeros((size, size))
-        generator[:n, :n], generator[:n, size - m :] = loop.system.a[i], loop.system.b[i]
-        moments = basis.T @ (np.kron(generator, one) + np.kron(one, generator)) @ basis
-        whole[i, :, i, :] += moments - box.leave(upper) * np.eye(q)
-        for j, rate in enumerate(box.jump(upper)):
-            if j != i:
-                whole[j, :, i, :] += rate * np.eye(q)
-    return np.asarray(expm(whole.reshape(modes * q, -1) * loop.period_s).reshape(modes, q, modes, q))
 
 
 def radius(matrix: FloatArray) -> float:
@@ -156,17 +149,12 @@ def proved_radius(matrix: FloatArray, labels: int, guess: float) -> float:
     if not rho < 1.0:
         return math.inf
     p = matrix.shape[0] // labels
-    n = round((math.sqrt(8 * p + 1) - 1) / 2)
-    unit = np.tile(isometry(n).T @ np.eye(n).ravel(), labels)
-    X = np.linalg.solve(rho * np.eye(matrix.shape[0]) - matrix, unit)
-    bound = 0.0
-    for own, after in zip(X.reshape(labels, p), (matrix @ X).reshape(labels, p)):
-        own_matrix, after_matrix = smat(np.asarray(own)), smat(np.asarray(after))
-        least = float(np.linalg.eigvalsh(own_matrix)[0])
-        if not least > 0.0:
-            return math.inf
-        root = np.linalg.inv(np.linalg.cholesky(own_matrix))
-        bound = max(bound, float(np.linalg.eigvalsh(root @ after_matrix @ root.T)[-1]))
+    unit = np.tile(svec(np.eye(round((math.sqrt(8 * p + 1) - 1) / 2))), labels)
+    X = np.asarray(np.linalg.solve(rho * np.eye(matrix.shape[0]) - matrix, unit), dtype=np.float64)
+    try:
+        bound = growth_bound(X.reshape(labels, p), (matrix @ X).reshape(labels, p))
+    except np.linalg.LinAlgError:  # X > 0 does not hold
+        return math.inf
     return bound if bound < 1.0 else math.inf
 
 

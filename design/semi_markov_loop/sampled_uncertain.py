@@ -33,7 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
-from design.semi_markov_loop.period_moments import TooLarge, svec_size
+from design.semi_markov_loop.period_moments import TooLarge, factors, held_flow, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, rates_by_age
 from design.semi_markov_loop.system import NormBounded, VertexUncertainty
 
@@ -107,18 +107,13 @@ class UncertainProgram:
             for k in range(1, self.parts + 1):
                 self.program.require(f"{name} + {phase}{k} >= 0", lambda x, y: -(x + T * y), name, f"{phase}{k}")
 
-    def _flows(self) -> list[list[FloatArray]]:
-        """The generators of z by mode, one for every vertex of the uncertainty."""
-        system, n, m = self.loop.system, self.loop.system.states, self.loop.system.inputs
+    def _flows(self) -> FloatArray:
+        """The generators of z by mode, one for every vertex of the uncertainty: (N, V, size, size)."""
+        system = self.loop.system
         changes: Sequence[tuple[FloatArray, FloatArray]] = ((np.zeros_like(system.a), np.zeros_like(system.b)),)
         if isinstance(system.uncertainty, VertexUncertainty):
             changes = list(zip(system.uncertainty.da, system.uncertainty.db))
-        found = []
-        for i in range(system.modes):
-            found.append([np.zeros((self.size, self.size)) for _ in changes])
-            for flow, (da, db) in zip(found[i], changes):
-                flow[:n, :n], flow[:n, self.size - m :] = system.a[i] + da[i], system.b[i] + db[i]
-        return found
+        return np.array([held_flow(system.a + da, system.b + db, self.size) for da, db in changes]).swapaxes(0, 1)
 
     def _last(self, mode: int, section: int) -> int:
         """The last node of the age that a section has: what lies beyond it comes later, or the rates are constant there."""
@@ -202,9 +197,7 @@ class UncertainProgram:
 
     def _bounded(self, bound: NormBounded, i: int, value: Array, here: Array, weight: Array) -> Array:
         """Beside a norm-bounded uncertainty: 2 z'P E d F z <= z'P E E'P z / e + e z'F'F z."""
-        n, m = self.loop.system.states, self.loop.system.inputs
-        left, right = np.zeros((self.size, bound.e.shape[2])), np.zeros((bound.fa.shape[1], self.size))
-        left[:n], right[:, :n], right[:, self.size - m :] = bound.e[i], bound.fa[i], bound.fb[i]
+        left, right = factors(bound, i, self.size)
         return symmetric_blocks([
             [value + weight * (right.T @ right)], [transpose(here @ left), -weight * np.eye(left.shape[1])],
         ])  # fmt: skip

@@ -19,7 +19,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.semi_markov_loop.period_moments import congruence, isometry, period_moments, svec_size
+from design.semi_markov_loop.period_moments import congruence, growth_bound, period_moments, smat, svec, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, rates_by_age
 
 FloatArray = npt.NDArray[np.float64]
@@ -105,11 +105,6 @@ class _Side:
         return out
 
 
-def svec(matrix: FloatArray) -> FloatArray:
-    """The vector of a symmetric matrix that ``smat`` takes."""
-    return np.asarray(isometry(len(matrix)).T @ matrix.ravel())
-
-
 class Refined(NamedTuple):
     """What cells fine enough decide: the state, a bound of the growth of the second moments per period, cells in a period."""
 
@@ -175,21 +170,14 @@ def _contracts(side: _Side, growth: float) -> float | None:
         if k > PATIENCE and sizes[-1] > sizes[-PATIENCE]:
             return None  # it grows by more than the bound: the growth had not settled
     W += 4.0 * bound / (bound - growth) * last
-    inside, outside = _matrices(W), _matrices(side.after(W))
-    root = np.linalg.inv(np.linalg.cholesky(inside))
-    t = float(np.linalg.eigvalsh(root @ outside @ np.swapaxes(root, -1, -2))[..., -1].max())
+    t = growth_bound(W, side.after(W))
     return t if t < 1.0 - MARGIN else None
 
 
 def _grows(side: _Side, X: FloatArray, growth: float) -> bool:
     """Whether L X >= t X, to rounding of moments of size 1."""
-    rest = _matrices(side.after(X) - growth * X)
+    rest = smat(side.after(X) - growth * X)
     return float(np.linalg.eigvalsh(rest)[..., 0].min()) >= -ROUNDING
-
-
-def _matrices(X: FloatArray) -> FloatArray:
-    n = round((math.sqrt(8 * X.shape[-1] + 1) - 1) / 2)
-    return np.asarray((X @ isometry(n).T).reshape(*X.shape[:-1], n, n))
 
 
 def _largest(X: FloatArray) -> float:

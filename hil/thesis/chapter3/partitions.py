@@ -19,7 +19,7 @@ from design.as_printed.attenuation import delayed_section, inequality_at
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
-from design.semi_markov_loop.decay_coefficient import decay_of
+from design.semi_markov_loop.decay_rates import decay_of
 from design.semi_markov_loop.delayed_hinf import analyse_delayed
 from hil.pages.html.figures import Figure, Series
 from hil.thesis.chapter import Plot, ReportProgress

@@ -12,9 +12,9 @@ import numpy.typing as npt
 from design.as_printed.examples import chapter4_system
 from design.errors import Infeasible
 from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop.decay_rates import worst_growth
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant
-from design.semi_markov_loop.period_moments import worst_growth
 from design.semi_markov_loop.system import JumpSystem
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose

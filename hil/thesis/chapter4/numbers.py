@@ -25,8 +25,8 @@ from design.processes.partitions import Partition
 from design.processes.rates import PiecewiseLinearRate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
+from design.semi_markov_loop.decay_rates import mean_square_abscissa
 from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant
-from design.semi_markov_loop.period_moments import mean_square_abscissa
 from design.semi_markov_loop.system import JumpSystem
 from hil.thesis.chapter import Chapter, ReportProgress, Stage
 from hil.thesis.chapter4.further import CONSTRAINTS, OTHER_FAULTS, SENSOR_FAULT, constraints, other_faults, sensor_fault

@@ -10,7 +10,7 @@ import pytest
 from design.controllers.scheduled_gain import constant_gain
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
-from design.semi_markov_loop.decay_coefficient import decay_of
+from design.semi_markov_loop.decay_rates import decay_of
 from design.semi_markov_loop.delayed_hinf import analyse_delayed
 from design.semi_markov_loop.system import DelayedJumpSystem
 
