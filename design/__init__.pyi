@@ -12,9 +12,9 @@ from design.jump_linear.certificate import certify_system as certify_system
 from design.jump_linear.h2 import h2_norm as h2_norm
 from design.jump_linear.mjls import MJLS as MJLS
 from design.lmi.exact import prove as prove
+from design.networked_loop.affine_loop import LoopStructure as LoopStructure
 from design.networked_loop.certify import certify_loop as certify_loop
 from design.networked_loop.certify import lower_bounds as lower_bounds
-from design.networked_loop.closed_loop import LoopStructure as LoopStructure
 from design.networked_loop.closed_loop import loop_structure as loop_structure
 from design.networked_loop.prediction import Prediction as Prediction
 from design.networked_loop.prediction import predict_tracking as predict_tracking

@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from design.controllers import Selection
 from design.jump_linear.certificate import Certificate, certify_system
-from design.networked_loop.closed_loop import LoopStructure, loop_structure
+from design.networked_loop.affine_loop import LoopStructure
+from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import Array, DelayChain
 
 

@@ -16,149 +16,32 @@ is j ticks old. The information pattern is the row index:
 
 Where several nodes measure, every output l is known as c_l x(k - tau_l) with an age of its own, and t_k says all ages.
 
-A receiver may have nothing but what it had in the slot before (`DelayChain.held`): then the controller keeps its newest sample
-and the actuator the input that it applied, each in a register of its own.
+A linear controller may have states of its own (`dynamic_loop`),
 
-State: x, then the stored samples, (those used last), (the integral), then the packet rows under way, newest first; for
-`applied` and `both` one register per row, as long as the row's delay; (the input applied last).
-The loop is affine in the gains: A_i(K) = A_i0 + sum L K R.
+    xi(k+1) = Ac xi(k) + Bc e(k),    v_j(k) = Cc_j xi(k) + Dc_j e(k),    e_l(k) = c_l x(k - tau_l)
+
+by the ages that it distinguishes. A table of gains is a law without a state, the integral is one.
+
+State and matrices: `design.networked_loop.affine_loop`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct
+from msgspec.structs import replace
 
-from design.controllers import Selection, row_count
+from design.controllers import LinearLaw, RowsLaw, Selection
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.networked_loop.loop_parts import (
-    check_gains,
-    check_plant_shapes,
-    default_initial,
-    initial_law,
-    joint_bounds,
-    joint_modes,
-    joint_stays,
-    packet_registers,
-    performance_output,
-)
-from design.processes.delay_chain import Array, DelayChain, Index, as_chain
+from design.networked_loop.affine_loop import LoopStructure, wired
+from design.networked_loop.loop_parts import check_plant_shapes
+from design.processes.delay_chain import Array, DelayChain, as_chain
 
-MOST_PRODUCTS = 4_000_000
-"""Numbers of the terms L K R that are held at once: 32 MB."""
 SELECTIONS: tuple[str, ...] = get_args(Selection)
-
-
-class _Entries(NamedTuple):
-    """One term L K[sc, row] R of one mode's matrix, per index e."""
-
-    mode: Index
-    sc: Index
-    row: Index
-    left: Array
-    right: Array
-
-
-class LoopStructure(Struct, frozen=True):
-    """Everything of the closed loop but the gains. Made by `loop_structure`.
-
-    Fields: `base` (N, n, n) matrices for zero gains; `B` (N, n, q); `C` (N, l, n); `transition` (N, N);
-    `between` entrywise lower and upper bounds (N, N) of the transition probabilities, None where these are exact;
-    `stays` those of stays that have lasted long, see `joint_stays`;
-    `default_initial` (N,) and `initial_law`, the distribution of the mode at the H2 impulse and its name;
-    `sc_mode`, `ca_mode`, `ca_before` (N,) indices of each mode's chains (`ca_before` is -1 unless the pattern is
-    `previous`); `stored_outputs` samples lie behind x; `gain_shape` = (sc labels, rows, m, py);
-    `used` (sc labels, rows) says which gains can matter.
-    """
-
-    base: Array
-    B: Array
-    C: Array
-    transition: Array
-    between: tuple[Array, Array] | None
-    stays: tuple[Array, ...]
-    default_initial: Array
-    initial_law: str
-    entries: _Entries
-    input_entries: _Entries
-    input_base: Array
-    gain_shape: tuple[int, int, int, int]
-    sc_mode: Index
-    ca_mode: Index
-    ca_before: Index
-    plant_order: int
-    stored_outputs: int
-    integral: bool
-    selection: str
-
-    @property
-    def used(self) -> npt.NDArray[np.bool_]:
-        """(sc labels, rows): gains that enter the loop; the others have no effect."""
-        mask = np.zeros(self.gain_shape[:2], dtype=bool)
-        mask[self.entries.sc, self.entries.row] = True
-        return mask
-
-    def matrices(self, gains: Array, rows: Index | None = None) -> Array:
-        """(N, n, n) closed-loop matrices for gains K of shape `gain_shape`; `rows` stand for those of the entries."""
-        e = self.entries
-        A = self.base.copy()
-        row, part = e.row if rows is None else rows, max(1, MOST_PRODUCTS // A[0].size)
-        for at in (slice(first, first + part) for first in range(0, len(e.mode), part)):
-            np.add.at(A, e.mode[at], e.left[at] @ gains[e.sc[at], row[at]] @ e.right[at])
-        return A
-
-    def gain_gradient(self, gradient_A: Array) -> Array:
-        """Derivative with respect to the gains from the one with respect to the mode matrices."""
-        e = self.entries
-        gradient = np.zeros(self.gain_shape)
-        np.add.at(gradient, (e.sc, e.row), e.left.transpose(0, 2, 1) @ gradient_A[e.mode] @ e.right.transpose(0, 2, 1))
-        return gradient
-
-    def gain_curvature(self, cost: Array, moments: Array, block: Index) -> Array:
-        """Second derivative, with respect to gains, of sum_i tr(A_i' cost_i A_i moments_i) / 2.
-
-        Args:
-            cost, moments: (N, n, n), held fixed.
-            block: (sc labels, rows), number of the free gain that stands there; gains of one number are equal.
-
-        Returns:
-            (blocks m py, blocks m py), the entries of a gain row by row.
-        """
-        e, (m, py) = self.entries, self.gain_shape[2:]
-        own, count, size = block[e.sc, e.row], int(block.max()) + 1, m * py
-        curvature = np.zeros((count, size, count, size))
-        for mode in np.unique(e.mode):
-            its = np.flatnonzero(e.mode == mode)
-            left, right, number = e.left[its], e.right[its], own[its]
-            by_input = left.transpose(0, 2, 1)[:, None] @ (cost[mode] @ left)[None]
-            by_sample = right[:, None] @ (moments[mode] @ right.transpose(0, 2, 1))[None]
-            pairs = np.einsum("abij,abkl->abikjl", by_input, by_sample).reshape(len(its), len(its), size, size)
-            for one, two in np.ndindex(len(its), len(its)):  # an index may come twice
-                curvature[number[one], :, number[two], :] += pairs[one, two]
-        return curvature.reshape(count * size, count * size)
-
-    def applied_input(self, gains: Array) -> Array:
-        """(N, m, n) matrices U_i with u(k) = U_i X(k), the (deviation of the) input that acts on the plant."""
-        e = self.input_entries
-        U = self.input_base.copy()
-        np.add.at(U, e.mode, gains[e.sc, e.row] @ e.right)
-        return U
-
-    def standing(self, C: Array) -> Array:
-        """(order, n): the state of the loop whose plant has stood at x, with y = C x, and no packet under way."""
-        n, samples = self.plant_order, self.stored_outputs * len(C)
-        found = np.zeros((self.base.shape[-1], n))
-        found[:n], found[n : n + samples] = np.eye(n), np.tile(C, (self.stored_outputs, 1))
-        return found
-
-    def system(self, gains: npt.ArrayLike) -> MJLS:
-        """The closed loop for the given gains."""
-        A = self.matrices(check_gains(gains, self.gain_shape))
-        return MJLS(A=A, B=self.B, C=self.C, transition=self.transition)
 
 
 def loop_structure(
@@ -197,132 +80,138 @@ def loop_structure(
         ValueError: wrong shapes; the message starts with the argument's name.
         TooLarge: more modes or states than second moments are computed of.
     """
-    A_, B_, C_ = check_plant_shapes(A, B, C)
-    n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
-    sc_chain, ca_chain = as_chain(sc, "Lambda"), as_chain(ca, "Pi")
+    plant = check_plant_shapes(A, B, C)
+    sc_chain, ca_chain, p, m = as_chain(sc, "Lambda"), as_chain(ca, "Pi"), len(plant[2]), plant[1].shape[1]
     if samples < 1:
         raise FieldError("samples", f"{samples}, expected at least 1")
     if integral < 0 or not np.isfinite(integral):
         raise FieldError("integral", f"{integral:g}, expected a finite weight >= 0")
-    labels = int(ca_chain.label.max()) + 1
     if selection not in SELECTIONS:
         raise FieldError("selection", f"{selection!r}, expected one of {', '.join(SELECTIONS)}")
-    rows = row_count(selection, labels - 1)
-    taken = C_ if store == "output" else np.eye(n)
-    width = taken.shape[0]
-    depth = sc_chain.max_delay + samples - 1
-    keeps_samples, keeps_input = bool(sc_chain.holds.any()), bool(ca_chain.holds.any())
-    if keeps_samples and store != "output":
-        raise FieldError("store", f"{store!r}, but a controller that keeps its sample stores outputs")
-
-    # where things lie in the state: x | samples k-1.. | samples used in k-1 | xi | registers
-    used = n + depth * width
-    xi = used + (samples * p if keeps_samples else 0)
-    start = xi + (p if integral > 0 else 0)
-    registers = packet_registers(selection, ca_chain, start, m)
-    weighs_applied = selection in ("applied", "both")
-    last_input = start + sum(length for _, length in registers) * m
-    order = last_input + (m if weighs_applied or keeps_input else 0)
-
-    modes, transition = joint_modes(sc_chain, ca_chain, order=order, with_previous=selection == "previous")
-    N = len(modes)
-    shift = np.zeros((order, order))
-    shift[:n, :n] = A_
-    if depth:
-        shift[n : n + width, :n] = taken
-        shift[n + width : used, n : used - width] = np.eye((depth - 1) * width)
-    for first, length in registers:
-        tail = (length - 1) * m
-        shift[first + m : first + m + tail, first : first + tail] = np.eye(tail)
-
-    delayed = np.eye(p) if store == "output" else C_
-
-    def sample(ages: Index) -> Array:
-        """c_l x(k - age_l) of every output l as a function of the state."""
-        reader = np.zeros((p, order))
-        for l, age in enumerate(ages.tolist()):
-            if age == 0:
-                reader[l, :n] = C_[l]
-            else:
-                at = n + (age - 1) * width
-                reader[l, at : at + width] = delayed[l]
-        return reader
-
-    output_ages, held = sc_chain.output_ages(p), sc_chain.held_outputs(p)
-    kept = np.eye(samples * p, order, used).reshape(samples, p, order)
-    base = np.repeat(shift[None], N, axis=0)
-    input_base = np.zeros((N, m, order))
-    entries: list[tuple[int, int, int, Array, Array]] = []
-    inputs: list[tuple[int, int, int, Array, Array]] = []
-    into_plant = np.zeros((order, m))
-    into_plant[:n] = B_
-    into_plant[last_input:] = np.eye(order - last_input, m)
-    for i, (s, c, before) in enumerate(modes):
-        tau, d, label = output_ages[s], int(ca_chain.delay[c]), int(ca_chain.label[c])
-        known = [sample(tau + lag) for lag in range(samples)]
-        if held[s].any():
-            known = [np.where(held[s][:, None], old, new) for old, new in zip(kept, known)]
-        if keeps_samples:
-            base[i, used:xi] += np.concatenate(known)
-        if integral > 0:
-            reader = np.zeros((p, order))
-            reader[:, xi : xi + p] = np.eye(p)
-            base[i, xi : xi + p] += known[0] + reader
-            known.append(reader)
-        Y = np.concatenate(known)
-        generated = {"generated": label, "previous": int(ca_chain.label[before]), "both": label * labels}
-        offset = generated.get(selection, 0)
-        per_row = selection in ("applied", "both")
-        # rows that go into a register: one per label if the actuator chooses, else the only one
-        for slot, (first, _) in enumerate(registers):
-            store_at = np.zeros((order, m))
-            store_at[first : first + m] = np.eye(m)
-            choice = registers.labels[slot] if per_row else 0
-            entries.append((i, int(sc_chain.label[s]), offset + choice, store_at, Y))
-        if ca_chain.holds[c]:
-            input_base[i, :, last_input : last_input + m] = np.eye(m)
-            base[i, :, last_input : last_input + m] += into_plant
-        elif d == 0:
-            term = (i, int(sc_chain.label[s]), offset + (label if per_row else 0), into_plant, Y)
-            entries.append(term)
-            inputs.append(term)
-        else:
-            first = registers.first_of(label if per_row else 0) + (d - 1) * m
-            input_base[i, :, first : first + m] = np.eye(m)
-            base[i, :, first : first + m] += into_plant
-    input_at = last_input if weighs_applied else registers[0][0]
-    weight = performance_output(C_, m, order, Q=Q, R=R, output=output, input_at=input_at, integral=integral, integral_at=xi)
-    drive = np.zeros((order, m))
-    drive[:n] = B_
-    known_size = p * (samples + (1 if integral > 0 else 0))
-    sc_labels = int(sc_chain.label.max()) + 1
-    index = np.array(modes, dtype=np.int64)
-    return LoopStructure(
-        base=base,
-        B=np.repeat(drive[None], N, axis=0),
-        C=np.repeat(weight[None], N, axis=0),
-        transition=transition,
-        between=joint_bounds(sc_chain, ca_chain, modes),
-        stays=joint_stays(sc_chain, ca_chain, modes),
-        default_initial=default_initial(sc_chain, ca_chain, modes),
-        initial_law=initial_law(sc_chain, ca_chain),
-        entries=_pack(entries, order, m, known_size),
-        input_entries=_pack(inputs, order, m, known_size),
-        input_base=input_base,
-        gain_shape=(sc_labels, rows, m, known_size),
-        sc_mode=index[:, 0],
-        ca_mode=index[:, 1],
-        ca_before=index[:, 2],
-        plant_order=n,
-        stored_outputs=depth + (samples if keeps_samples else 0),
-        integral=integral > 0,
-        selection=selection,
-    )
+    own = int(integral > 0) * p
+    into = np.repeat(np.eye(own, samples * p)[None], int(sc_chain.label.max()) + 1, axis=0)
+    found = wired(
+        plant, sc_chain, ca_chain, selection, samples=samples, own=(np.repeat(np.eye(own)[None], len(into), axis=0), into),
+        weighs_input=True, store=store,
+    )  # fmt: skip
+    order = found.base.shape[-1]
+    xi = order - found.behind - own
+    weight = _performance_output(
+        plant[2], m, order, Q=Q, R=R, output=output, integral=integral, integral_at=xi,
+        input_at=order - m if selection in ("applied", "both") else xi + own,
+    )  # fmt: skip
+    return replace(found, C=np.repeat(weight[None], len(found.base), axis=0), integral=integral > 0)
 
 
-def _pack(entries: list[tuple[int, int, int, Array, Array]], order: int, m: int, known: int) -> _Entries:
-    """The entries as arrays; none of them where no packet is ever applied in the slot in which it was generated."""
-    index = np.array([entry[:3] for entry in entries], dtype=np.int64).reshape(-1, 3)
-    left = np.array([entry[3] for entry in entries], dtype=np.float64).reshape(-1, order, m)
-    right = np.array([entry[4] for entry in entries], dtype=np.float64).reshape(-1, known, order)
-    return _Entries(index[:, 0], index[:, 1], index[:, 2], left, right)
+def _performance_output(
+    C: Array,
+    m: int,
+    order: int,
+    *,
+    Q: npt.ArrayLike | None,
+    R: npt.ArrayLike | None,
+    output: str,
+    input_at: int,
+    integral: float,
+    integral_at: int,
+) -> Array:
+    """Weights of the closed-loop state in z(k).
+
+    It is z = [Q x; R u1], or the sum Q x + R u1 that (7.14c) prints.
+
+    Args:
+        C: (p, n) output matrix, the default of Q.
+        m: number of inputs; order: number of closed-loop states.
+        Q: (l, n) weight of x, default C.
+        R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
+            identity); default the row 0.01 .. 0.01 of Section 7.4.
+        output: "stacked" or "sum".
+        input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.
+        integral: weight of the integrated error at states `integral_at`.., 0 for none; always stacked.
+
+    DEVIATION: (7.14c) prints the sum. Q x and R u1 may cancel in it, so that large gains look cheap (the VTOL's best
+    H-infinity sum has a norm of 2.58 from w to y alone). Stacked is the default, the sum is available.
+    """
+    n, p = C.shape[1], C.shape[0]
+    state_weight = C if Q is None else np.atleast_2d(np.asarray(Q, dtype=np.float64))
+    raw = np.asarray(np.full(m, 0.01) if R is None else R, dtype=np.float64)
+    input_weight = raw * np.eye(m) if raw.ndim == 0 else np.atleast_2d(raw)
+    for name, weight, columns, what in (("Q", state_weight, n, "states"), ("R", input_weight, m, "inputs")):
+        if weight.ndim != 2 or weight.shape[1] != columns:
+            raise FieldError(name, f"shape {weight.shape}, expected {columns} columns ({what})")
+        if not np.isfinite(weight).all():
+            raise FieldError(name, "not finite")
+    of_state, of_input = np.zeros((state_weight.shape[0], order)), np.zeros((input_weight.shape[0], order))
+    of_state[:, :n] = state_weight
+    of_input[:, input_at : input_at + m] = input_weight
+    if output == "sum":
+        if of_state.shape != of_input.shape:
+            raise FieldError("output", f"a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
+        z = of_state + of_input
+    elif output == "stacked":
+        z = np.concatenate([of_state, of_input])
+    else:
+        raise FieldError("output", f"{output!r}, expected 'stacked' or 'sum'")
+    if integral > 0:
+        accumulated = np.zeros((p, order))
+        accumulated[:, integral_at : integral_at + p] = integral * np.eye(p)
+        z = np.concatenate([z, accumulated])
+    return z
+
+
+class DynamicLoop(NamedTuple):
+    """The closed loop, bounds of its transition probabilities (None where exact), and the law of the mode at an impulse.
+
+    `inputs` (N, m, order) with u(k) = U_i X(k); `standing` (order, n), the state of the loop whose plant has stood at x, with the
+    controller's state and all rows at 0.
+    """
+
+    system: MJLS
+    between: tuple[Array, Array] | None
+    stays: tuple[Array, ...]
+    initial: Array
+    initial_law: str
+    inputs: Array
+    standing: Array
+
+
+def dynamic_loop(
+    A: npt.ArrayLike,
+    B: npt.ArrayLike,
+    C: npt.ArrayLike,
+    sc: DelayChain,
+    ca: DelayChain,
+    laws: LinearLaw | Sequence[RowsLaw],
+    selection: str = "constant",
+    *,
+    input_weight: float = 0.01,
+) -> DynamicLoop:
+    """Return the loop of a plant, two delay chains and a linear controller; z = [C x; input_weight u], w adds to u.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
+        sc, ca: the delay chains.
+        laws: the controller, or one for every label of the S-C chain.
+        selection: how a row of a packet is picked.
+        input_weight: weight of the applied input in z.
+
+    Raises:
+        ValueError: wrong shapes; the message starts with the argument's name.
+        TooLarge: more modes or states than second moments are computed of.
+    """
+    plant = check_plant_shapes(A, B, C)
+    (n, m), p = plant[1].shape, len(plant[2])
+    own = [laws.one_row()] * (int(sc.label.max()) + 1) if isinstance(laws, LinearLaw) else list(laws)
+    c = own[0].A.shape[0]
+    for i, law in enumerate(own):
+        if law.B.shape != (c, p) or law.D.shape[1:] != (m, p) or law.C.shape != (len(law.D), m, c):
+            raise FieldError(f"laws[{i}]", f"B {law.B.shape}, C {law.C.shape}, D {law.D.shape}, expected {p} inputs, {m} outputs")
+    loop = wired(plant, sc, ca, selection, own=(np.array([law.A for law in own]), np.array([law.B for law in own])))
+    gains = np.array([np.concatenate([law.D, law.C], axis=-1) for law in own])
+    inputs, of_state = loop.applied_input(gains), np.zeros((len(loop.base), p, loop.base.shape[-1]))
+    of_state[:, :, :n] = plant[2]
+    output = np.concatenate([of_state, input_weight * inputs], axis=1)
+    system = MJLS(A=loop.matrices(gains), B=loop.B, C=output, transition=loop.transition)
+    return DynamicLoop(
+        system, loop.between, loop.stays, loop.default_initial, loop.initial_law, inputs, loop.standing(plant[2])
+    )  # fmt: skip

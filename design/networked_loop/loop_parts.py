@@ -1,17 +1,17 @@
-"""What the loop over two networks is put together from: joint modes, checked shapes, packet registers, output weights.
+"""What the loop over two networks is put together from: joint modes, checked shapes, packet registers, the ideal response.
 
-A joint mode is (S-C mode, C-A mode, C-A mode before or -1). `design.networked_loop.closed_loop` and `dynamic_loop` build their
-matrices of these parts.
+A joint mode is (S-C mode, C-A mode, C-A mode before or -1). `design.networked_loop.affine_loop` builds its matrices of these parts,
+in deviations from the ideal plant response: state and input at which the output equals the reference, (7.6)-(7.7).
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError, TooLarge
+from design.errors import DesignError, FieldError, TooLarge
 from design.jump_linear.certificate import too_large
 from design.processes.delay_chain import DelayChain
 
@@ -216,57 +216,53 @@ def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> Pack
     return PacketRegisters(items, labels)
 
 
-def performance_output(
-    C: Array,
-    m: int,
-    order: int,
-    *,
-    Q: npt.ArrayLike | None,
-    R: npt.ArrayLike | None,
-    output: str,
-    input_at: int,
-    integral: float,
-    integral_at: int,
-) -> Array:
-    """Weights of the closed-loop state in z(k).
+class SteadyState(NamedTuple):
+    """x* = state @ r and u* = input @ r: Omega_12 (n, p) and Omega_22 (m, p) of (7.7)."""
 
-    It is z = [Q x; R u1], or the sum Q x + R u1 that (7.14c) prints.
+    state: Array
+    input: Array
+
+
+def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> SteadyState:
+    """Omega_12 and Omega_22; with more inputs than outputs the solution of least norm, as printed.
+
+    More outputs than inputs cannot follow any reference: there the two hold for the references that `check_held` lets pass.
 
     Args:
-        C: (p, n) output matrix, the default of Q.
-        m: number of inputs; order: number of closed-loop states.
-        Q: (l, n) weight of x, default C.
-        R: weight of u1(k-1): (l', m), a vector (one row), or a number (times the
-            identity); default the row 0.01 .. 0.01 of Section 7.4.
-        output: "stacked" or "sum".
-        input_at: first of the m states that R weighs, u1(k-1) of (7.16) or the applied input.
-        integral: weight of the integrated error at states `integral_at`.., 0 for none; always stacked.
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
 
-    DEVIATION: (7.14c) prints the sum. Q x and R u1 may cancel in it, so that large gains look cheap (the VTOL's best
-    H-infinity sum has a norm of 2.58 from w to y alone). Stacked is the default, the sum is available.
+    Raises:
+        DesignError: p <= m, and N = [[A - I, B], [C, 0]] has not full row rank; `value` is its smallest singular value.
+
+    >>> steady_state([[0.5]], [[1.0]], [[1.0]]).input.round(9).tolist()
+    [[0.5]]
     """
-    n, p = C.shape[1], C.shape[0]
-    state_weight = C if Q is None else np.atleast_2d(np.asarray(Q, dtype=np.float64))
-    raw = np.asarray(np.full(m, 0.01) if R is None else R, dtype=np.float64)
-    input_weight = raw * np.eye(m) if raw.ndim == 0 else np.atleast_2d(raw)
-    for name, weight, columns, what in (("Q", state_weight, n, "states"), ("R", input_weight, m, "inputs")):
-        if weight.ndim != 2 or weight.shape[1] != columns:
-            raise FieldError(name, f"shape {weight.shape}, expected {columns} columns ({what})")
-        if not np.isfinite(weight).all():
-            raise FieldError(name, "not finite")
-    of_state, of_input = np.zeros((state_weight.shape[0], order)), np.zeros((input_weight.shape[0], order))
-    of_state[:, :n] = state_weight
-    of_input[:, input_at : input_at + m] = input_weight
-    if output == "sum":
-        if of_state.shape != of_input.shape:
-            raise FieldError("output", f"a sum needs as many rows in Q ({len(of_state)}) as in R ({len(of_input)})")
-        z = of_state + of_input
-    elif output == "stacked":
-        z = np.concatenate([of_state, of_input])
-    else:
-        raise FieldError("output", f"{output!r}, expected 'stacked' or 'sum'")
-    if integral > 0:
-        accumulated = np.zeros((p, order))
-        accumulated[:, integral_at : integral_at + p] = integral * np.eye(p)
-        z = np.concatenate([z, accumulated])
-    return z
+    A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
+    n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
+    N = np.block([[A_ - np.eye(n), B_], [C_, np.zeros((p, m))]])
+    smallest = float(np.linalg.svd(N, compute_uv=False)[-1])
+    if p <= m and smallest < 1e-10 * max(1.0, float(np.abs(N).max())):
+        raise DesignError(
+            f"steady state: no input holds every reference, [[A - I, B], [C, 0]] has smallest singular value {smallest:.3g}",
+            value=smallest,
+        )
+    right = np.linalg.lstsq(N, np.vstack([np.zeros((n, p)), np.eye(p)]), rcond=None)[0]
+    return SteadyState(np.asarray(right[:n]), np.asarray(right[n:]))
+
+
+def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, star: SteadyState, reference: npt.ArrayLike) -> None:
+    """Refuse a reference that the ideal response does not hold.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
+        star: of this plant.
+        reference: (K, p).
+
+    Raises:
+        DesignError: `value` is by how much x* or C x* is off.
+    """
+    A_, B_, C_, r = (np.asarray(M, dtype=np.float64) for M in (A, B, C, reference))
+    x, u = r @ star.state.T, r @ star.input.T
+    off = max(float(np.abs(x @ A_.T + u @ B_.T - x).max()), float(np.abs(x @ C_.T - r).max()))
+    if off > 1e-8 * max(1.0, float(np.abs(r).max()), float(np.abs(x).max())):
+        raise DesignError(f"reference: no input holds it, the steady state misses it by {off:.3g}", value=off)

@@ -25,7 +25,7 @@ from design.errors import FieldError, Infeasible
 from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import expect
-from design.networked_loop.closed_loop import LoopStructure
+from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import Array
 

@@ -15,7 +15,7 @@ from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold
 from design.jump_linear.h2 import H2Derivative, H2Nearby, h2_derivative
 from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
-from design.networked_loop.closed_loop import LoopStructure
+from design.networked_loop.affine_loop import LoopStructure
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.problem import GainParametrisation

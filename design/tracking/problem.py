@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
-from design.networked_loop.closed_loop import LoopStructure, loop_structure
+from design.networked_loop.affine_loop import LoopStructure
+from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import Array, DelayChain, Index, as_chain
 
 Information = Literal["constant", "tau", "previous", "generated", "applied", "both", "total"]

@@ -176,7 +176,7 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     Empty, with the reason, where the experiment's own start is not judged.
     """
     from design.jump_linear.leaving import SLOTS
-    from design.networked_loop.steady_state import check_held, steady_state
+    from design.networked_loop.loop_parts import check_held, steady_state
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     m = B.shape[1]

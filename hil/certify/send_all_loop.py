@@ -218,7 +218,7 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
     law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
-        from design.networked_loop.dynamic_loop import dynamic_loop
+        from design.networked_loop.closed_loop import dynamic_loop
 
         found = dynamic_loop(A, B, C, sc, ca, law)
         chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
@@ -250,7 +250,7 @@ def judge_linear_law(
     """
     from design.blas_threads import one_blas_thread
     from design.jump_linear.certificate import certify_system, observed_part
-    from design.networked_loop.dynamic_loop import dynamic_loop
+    from design.networked_loop.closed_loop import dynamic_loop
 
     loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
     with one_blas_thread():

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from design.blas_threads import one_blas_thread
 from design.errors import DesignError, Infeasible
 from design.jump_linear.mjls import STABILITY_MARGIN
-from design.networked_loop.closed_loop import LoopStructure
+from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.polytope import MOST_UNKNOWNS, Growth, quadratic_growth
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
 from design.tracking.robust_synthesis import robust

@@ -11,7 +11,7 @@ from design.errors import FieldError
 from design.jump_linear.certificate import certify_system
 from design.local import game_feedback, local_design, lqr_feedback
 from design.networked_loop.certify import certify_loop
-from design.networked_loop.dynamic_loop import dynamic_loop
+from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import DesignTask, LocalDesigned
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
@@ -91,7 +91,7 @@ def test_matrices_that_do_not_fit_are_refused_by_name(change: dict[str, object],
 
 @pytest.mark.parametrize("selection", ["constant", "generated", "applied"])
 def test_rows_without_a_state_are_the_table_of_their_gains_however_late_they_act(selection: str) -> None:
-    """The loops of `dynamic_loop` and of a table are two programs for one loop; packets are up to two slots under way."""
+    """A table of gains is a law without a state, asked for either way; packets are up to two slots under way."""
     sc = DelayChain(transition=((0.6, 0.4), (0.7, 0.3)))
     ca = DelayChain(transition=((0.5, 0.3, 0.2), (0.4, 0.3, 0.3), (0.2, 0.4, 0.4)))
     gains = -0.01 * np.arange(1.0, 7.0).reshape(2, 3, 1, 1)[:, : 1 if selection == "constant" else 3]

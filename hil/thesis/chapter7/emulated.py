@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.monte_carlo.parallel_runs import Workers, spread
-from design.networked_loop.steady_state import steady_state
+from design.networked_loop.loop_parts import steady_state
 from hil.measure.batch_protocols import BatchValues, BatchView
 from hil.measure.prediction import predict
 from hil.rig.loop import Loop

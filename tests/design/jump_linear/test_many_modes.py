@@ -15,7 +15,8 @@ from design.jump_linear.joint_expectation import factors_of, mean
 from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Bordered, Resolvent, mean_square_radius, operator_matrix
 from design.jump_linear.stability_proof import StabilityProof
-from design.networked_loop.closed_loop import LoopStructure, loop_structure
+from design.networked_loop.affine_loop import LoopStructure
+from design.networked_loop.closed_loop import loop_structure
 
 PLANT = ([[0.9, 0.3], [-0.1, 0.8]], [[0.2], [1.0]], [[1.0, 0.4]])
 SC = [[0.6, 0.4, 0.0], [0.5, 0.2, 0.3], [0.4, 0.3, 0.3]]

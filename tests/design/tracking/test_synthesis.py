@@ -10,7 +10,7 @@ import pytest
 from design.errors import DesignError, Infeasible, NotStable
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
-from design.networked_loop.steady_state import check_held, steady_state
+from design.networked_loop.loop_parts import check_held, steady_state
 from design.processes.delay_chain import DelayChain
 from design.tracking.bfgs import bfgs
 from design.tracking.loop_objective import LoopObjective, closed_classes, stabilising

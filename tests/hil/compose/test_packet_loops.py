@@ -13,7 +13,7 @@ import hil
 from design.controllers import LinearLaw
 from design.errors import FieldError
 from design.networked_loop.certify import certify_loop
-from design.networked_loop.dynamic_loop import dynamic_loop
+from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
@@ -141,7 +141,7 @@ def test_radius_over_bursts_of_loss(to_actuator: bool) -> None:
 
 
 def test_a_linear_controller_is_the_table_of_one_gain() -> None:
-    """xi of order 0: the loop of `dynamic_loop` and that of a table are two programs for one loop."""
+    """xi of order 0: a law without a state is a table, asked for either way."""
     a, b, c = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.0], [0.1]]), np.array([[1.0, 0.0]])
     law = law_of(1, np.array([0.6, 0.4]), 0.2, waits=False)
     sc, ca = (received("law", law, Receiver(T, DEADLINE, 1, holds_input=side)).delays() for side in (False, True))
