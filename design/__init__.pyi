@@ -9,8 +9,8 @@ from design.identification.axis import square_wave as square_wave
 from design.jump_linear.bounded_real import hinf_norm as hinf_norm
 from design.jump_linear.certificate import Certificate as Certificate
 from design.jump_linear.certificate import certify_system as certify_system
-from design.jump_linear.h2 import h2_norm as h2_norm
 from design.jump_linear.mjls import MJLS as MJLS
+from design.jump_linear.mjls import h2_norm as h2_norm
 from design.lmi.exact import prove as prove
 from design.networked_loop.affine_loop import LoopStructure as LoopStructure
 from design.networked_loop.certify import certify_loop as certify_loop
@@ -21,11 +21,11 @@ from design.networked_loop.prediction import predict_tracking as predict_trackin
 from design.networked_loop.uncertainty import robust_norms as robust_norms
 from design.networked_loop.uncertainty import uncertainty_margin as uncertainty_margin
 from design.processes.delay_chain import DelayChain as DelayChain
-from design.processes.lifetimes import BathtubRate as BathtubRate
+from design.processes.further_rates import BathtubRate as BathtubRate
+from design.processes.further_rates import UserRate as UserRate
 from design.processes.rates import ScaledRate as ScaledRate
 from design.processes.semi_markov import FaultDetection as FaultDetection
 from design.processes.semi_markov import SemiMarkov as SemiMarkov
-from design.processes.user_rate import UserRate as UserRate
 from design.semi_markov_loop.certificate import JumpCertificate as JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed as analyse_delayed
 from design.semi_markov_loop.delayed_hinf import delayed_hinf as delayed_hinf

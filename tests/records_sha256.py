@@ -21,7 +21,7 @@ from design.monte_carlo.markov_batch import simulate_mjls
 from design.monte_carlo.parallel_runs import JUMPS, uniforms
 from design.monte_carlo.studies import settling_times
 from design.processes.elementary import log
-from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
+from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.rates import WeibullRate, clip_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.system import JumpSystem

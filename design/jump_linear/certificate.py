@@ -15,8 +15,8 @@ from msgspec import Struct
 from msgspec.structs import asdict
 
 from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
-from design.jump_linear.power_proof import BUDGET, OPEN, side_of_one
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
+from design.jump_linear.stability_proof import BUDGET, OPEN, side_of_one
 from design.verdict import State
 
 MOST_UNKNOWNS = 2_000_000
@@ -31,7 +31,7 @@ class Certificate(Struct, frozen=True, kw_only=True):
 
     Args:
         mean_square_radius: spectral radius of the second-moment operator; stable if and only if < 1 (Theorem 7.1). Where no
-            eigenvalue was found, the bound of it by which `design.jump_linear.power_proof` decided.
+            eigenvalue was found, the bound of it by which `design.jump_linear.stability_proof` decided.
         radius_is: ``at most`` or ``at least``, where it is such a bound; else empty.
         tail_radius: the same radius over the upper bounds of the transition probabilities, where a mode stands for a tail that
             is cut; None where the probabilities are exact. Below 1 it proves stability over the law without the cut.

@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear.long_computations import gmres, spectral_radius
-from design.jump_linear.power_proof import side_of_one
 from design.jump_linear.second_moment import (
     EIG_DENSE_AFTER,
     EIG_DENSE_LIMIT,
@@ -28,6 +27,7 @@ from design.jump_linear.second_moment import (
     to_matrix,
     to_vector,
 )
+from design.jump_linear.stability_proof import side_of_one
 
 Array = npt.NDArray[np.float64]
 

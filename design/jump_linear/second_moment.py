@@ -16,11 +16,9 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from design.jump_linear.coupled_lyapunov import basis_of, solve_bordered, solve_coupled
-from design.jump_linear.joint_expectation import factors_of, mean, transposed_factors
+from design.jump_linear.coupled_lyapunov import basis_of, factors_of, mean, solve_bordered, solve_coupled, transposed_factors
 from design.jump_linear.long_computations import spectral_radius
-from design.jump_linear.power_proof import side_of_one
-from design.jump_linear.stability_proof import is_sparse, positive_radius, solve_sparse, sparse_operator
+from design.jump_linear.stability_proof import is_sparse, positive_radius, side_of_one, solve_sparse, sparse_operator
 
 Array = npt.NDArray[np.float64]
 
@@ -253,8 +251,8 @@ def mean_square_radius(A: Array, transition: Array, *, bounded: bool = True) -> 
     possible, see `design.jump_linear.stability_proof`. Other large systems take ARPACK, matrix-free, started at the identity:
     the operator maps positive semidefinite families to such, so its radius is an eigenvalue with such a family. Where ARPACK
     does not converge, or would take too long, all eigenvalues are computed as far as the size allows. Beyond, none is found: nan,
-    or the bound of `design.jump_linear.power_proof`, which is nan where its budget ends. Stability is decided by (7.17), not by
-    this number: `design.jump_linear.certificate`.
+    or the bound of `design.jump_linear.stability_proof`, which is nan where its budget ends. Stability is decided by (7.17), not
+    by this number: `design.jump_linear.certificate`.
     """
     size = A.shape[0] * A.shape[-1] * (A.shape[-1] + 1) // 2
     if len(A) == 1 and size > SINGLE_LIMIT:

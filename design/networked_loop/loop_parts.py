@@ -1,7 +1,7 @@
 """What the loop over two networks is put together from: joint modes, checked shapes, packet registers, the ideal response.
 
-A joint mode is (S-C mode, C-A mode, C-A mode before or -1). `design.networked_loop.affine_loop` builds its matrices of these parts,
-in deviations from the ideal plant response: state and input at which the output equals the reference, (7.6)-(7.7).
+A joint mode is (S-C mode, C-A mode, C-A mode before or -1). `design.networked_loop.affine_loop` builds its matrices of these
+parts, in deviations from the ideal plant response: state and input at which the output equals the reference, (7.6)-(7.7).
 """
 
 from __future__ import annotations

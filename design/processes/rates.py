@@ -10,8 +10,8 @@ Every rate is a frozen callable of the sojourn time h (seconds, array) with valu
 - ``limit``, if it can (``TendingRate``): where lambda tends to.
 
 Families here: constant, clipped ramp (2.26), piecewise linear table, Weibull, a fraction of another rate.
-``design.processes.user_rate`` adds a user's function with bounds, ``design.processes.lifetimes`` the bathtub and the redundant
-components of Figures 4.1 and 4.2.
+``design.processes.further_rates`` adds a user's function with bounds, the bathtub and the redundant components of Figures 4.1
+and 4.2.
 
 References: thesis Sections 2.2 and 2.5.
 """

@@ -10,7 +10,7 @@ at every rate vertex of every cell, A_i = A_i + B_i K(i, h). ``analyse_delayed``
 constant per section with P_{i,m+1} <= P_{i,m}; ``pwl``: linear in h). ``delayed_hinf`` finds gains in X = P^-1, U = K X.
 Without a gain bound the infimum of gamma is 0 (the disturbance is matched and z holds no u), so a bound is required.
 
-The printed forms live in ``design.as_printed.attenuation``. References: thesis (3.7), (3.27), (3.42); ERRATA 9 and 10.
+The printed forms live in ``design.as_printed.chapters_2_to_4``. References: thesis (3.7), (3.27), (3.42); ERRATA 9 and 10.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@
 
 for P = P_ik(a, b), a the section of eta's clock and b that of r's, at all vertices of all rates of the pair of sections.
 A jump of eta lands in (1, b), or in (1, 1) if it restarts r's clock; a jump of r lands in (a, 1); P falls where a clock
-enters a new section. The printed (4.27) has one index for both clocks and couples neither: ``design.as_printed.attenuation``.
+enters a new section. The printed (4.27) has one index for both clocks and couples neither: ``design.as_printed.chapters_2_to_4``.
 
 References: thesis (4.6), (4.14), (4.23); ERRATA 11, 12 and 13.
 """

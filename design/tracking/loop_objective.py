@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from design.errors import NotStable
 from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
-from design.jump_linear.h2 import H2Derivative, H2Nearby, h2_derivative
+from design.jump_linear.mjls import H2Derivative, H2Nearby, h2_derivative
 from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.affine_loop import LoopStructure

@@ -140,7 +140,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
         return _undecided(verdict, CLAMPED)
     if pushed is None or not verdict.certified:
         return limited_to_model(loop.plant, verdict) if not loop.slack else _undecided(verdict, "a dead-band trigger")
-    from design.jump_linear.ultimate_bound import ultimate_bound
+    from design.jump_linear.leaving import ultimate_bound
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     (n, m), p = B.shape, len(C)

@@ -27,7 +27,7 @@ from hil.rig.watched import JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
 
 if TYPE_CHECKING:
-    from design.jump_linear.fourth_moment import FourthMoments
+    from design.jump_linear.higher_moments import FourthMoments
 
 
 BOUNDED = (
@@ -143,7 +143,7 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
         loop: the composed experiment.
     """
     from design.blas_threads import one_blas_thread
-    from design.jump_linear.fourth_moment import FourthMoments, fourth_moments
+    from design.jump_linear.higher_moments import FourthMoments, fourth_moments
     from design.networked_loop.closed_loop import loop_structure
 
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):

@@ -121,7 +121,7 @@ def _evaluations(problem: TrackingProblem, gains: Array) -> tuple[float, float]:
     """CPU seconds of an H2 norm with its derivative: near the last one, as a descent takes it, and each alone."""
     from threadpoolctl import threadpool_limits
 
-    from design.jump_linear.h2 import h2_derivative
+    from design.jump_linear.mjls import h2_derivative
     from design.tracking.loop_objective import LoopObjective
 
     structure, space = problem.structure(), problem.space()
@@ -206,8 +206,7 @@ def _one_mode(n: int, progress: Callable[[str], None]) -> list[Row]:
     import control
 
     from design.jump_linear.bounded_real import hinf_norm
-    from design.jump_linear.h2 import h2_norm
-    from design.jump_linear.mjls import MJLS
+    from design.jump_linear.mjls import MJLS, h2_norm
 
     progress(f"norms of one mode, {n} states")
     rng = np.random.default_rng(n)

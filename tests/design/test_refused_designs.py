@@ -15,7 +15,7 @@ from design.controllers.wall_pattern import Patch, Pattern
 from design.errors import FieldError
 from design.passivity.loop import HeldDevice
 from design.processes.delay_chain import DelayChain
-from design.processes.lifetimes import ColdStandbyRate
+from design.processes.further_rates import ColdStandbyRate
 from design.requests.historical import HistoricalDesigned
 from design.requests.walls import CouplerRequest
 

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from design.as_printed.chapter2 import PRINTED, PrintedRequest, printed_stability
+from design.as_printed.chapters_2_to_4 import PRINTED, PrintedRequest, printed_stability
 from design.as_printed.examples import (
     CHAPTER2_BOUNDARY_S,
     chapter2_gain,

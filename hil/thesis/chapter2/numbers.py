@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.chapter2 import PrintedRequest, printed_stability
+from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
 from design.as_printed.examples import chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform
 from design.processes.rates import PiecewiseLinearRate, clip_rate, constant_rate

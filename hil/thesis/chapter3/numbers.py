@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.attenuation import delayed_section
+from design.as_printed.chapters_2_to_4 import delayed_section
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.semi_markov import SemiMarkov

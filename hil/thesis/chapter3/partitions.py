@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.attenuation import delayed_section, inequality_at
+from design.as_printed.chapters_2_to_4 import delayed_section, inequality_at
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate

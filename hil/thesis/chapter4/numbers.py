@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.attenuation import detection_section
+from design.as_printed.chapters_2_to_4 import detection_section
 from design.as_printed.examples import (
     CHAPTER4_DETECTION_BOUNDARY_S,
     CHAPTER4_FAILURE_BOUNDARY_S,

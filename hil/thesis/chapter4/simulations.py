@@ -17,7 +17,7 @@ from design.as_printed.examples import (
     chapter4_system,
 )
 from design.controllers.scheduled_gain import ScheduledGain
-from design.processes.lifetimes import ColdStandbyRate, KOutOfNRate
+from design.processes.further_rates import ColdStandbyRate, KOutOfNRate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback

@@ -14,8 +14,7 @@ from design.jump_linear.bounded_real import (
     refine_fold,
     solve_bounded_real,
 )
-from design.jump_linear.h2 import h2_norm
-from design.jump_linear.mjls import MJLS
+from design.jump_linear.mjls import MJLS, h2_norm
 from design.jump_linear.second_moment import Resolvent, expect
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.jump_linear import fourth_moment
-from design.jump_linear.fourth_moment import fourth_moment_radius, fourth_moments
+from design.jump_linear import higher_moments
+from design.jump_linear.higher_moments import fourth_moment_radius, fourth_moments
 from design.jump_linear.second_moment import backward, congruence_matrices, mean_square_radius, operator_matrix
 
 
@@ -31,7 +31,7 @@ def test_the_radius_is_the_largest_eigenvalue(monkeypatch: pytest.MonkeyPatch, s
     found = fourth_moments(A, P)
     assert fourth_moment_radius(A, P) == pytest.approx(exact, rel=1e-5)
     assert found.state == ("growing" if exact > 1 else "bounded")
-    monkeypatch.setattr(fourth_moment, "EXACT", 0)  # as of a large system
+    monkeypatch.setattr(higher_moments, "EXACT", 0)  # as of a large system
     grown = fourth_moments(A, P)
     radius = fourth_moment_radius(A, P)
     assert grown.state == found.state and (radius is None or radius == pytest.approx(exact, rel=1e-4))
@@ -42,8 +42,8 @@ def test_bounds_of_a_tail_and_too_many_moments_are_undecided(monkeypatch: pytest
     A, P = np.array([[[1.1]], [[0.5]]]), np.full((2, 2), 0.5)
     assert fourth_moments(A, P, upper=P * 1.05).state == "bounded"
     assert fourth_moments(A, P, upper=P * 2.0).state == "undecided"
-    monkeypatch.setattr(fourth_moment, "EXACT", 0)
-    monkeypatch.setattr(fourth_moment, "MOST_MOMENTS", 0)
+    monkeypatch.setattr(higher_moments, "EXACT", 0)
+    monkeypatch.setattr(higher_moments, "MOST_MOMENTS", 0)
     found = fourth_moments(A, P)
     assert found.state == "undecided" and found.radius is None and "2 moments" in found.reason
 
@@ -65,8 +65,8 @@ def test_the_growth_is_sought_in_blocks_of_products_within_the_limit_of_work(mon
             family = backward(W, P, family)
         growth.append(float(np.log(np.abs(family).max())))
     work = 25 * (len(growth) - 1) * (4 * 5 * 3**3 + 2 * 5**2 * 3**2)
-    monkeypatch.setattr(fourth_moment, "EXACT", 0)
-    monkeypatch.setattr(fourth_moment, "MOST_FLOPS", float(work))
+    monkeypatch.setattr(higher_moments, "EXACT", 0)
+    monkeypatch.setattr(higher_moments, "MOST_FLOPS", float(work))
     assert fourth_moment_radius(A, P) == pytest.approx(np.exp(growth[-1] / 25), rel=1e-9)
-    monkeypatch.setattr(fourth_moment, "MOST_FLOPS", float(work - 1))
+    monkeypatch.setattr(higher_moments, "MOST_FLOPS", float(work - 1))
     assert fourth_moment_radius(A, P) is None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
-from design.jump_linear.forms import at, count, power, power_of_row
+from design.jump_linear.higher_moments import at, count, power, power_of_row
 from design.jump_linear.leaving import Leaving, leaving
 
 Array = np.ndarray

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.jump_linear import certificate, power_proof
+from design.jump_linear import certificate, stability_proof
 from design.jump_linear.certificate import certify_system
 from design.jump_linear.mjls import MJLS
-from design.jump_linear.power_proof import side_of_one
 from design.jump_linear.second_moment import mean_square_radius
+from design.jump_linear.stability_proof import side_of_one
 from hil.certify.send_all_loop import second_moment_verdict
 
 Array = np.ndarray
@@ -42,14 +42,14 @@ def test_the_side_is_that_of_all_eigenvalues_and_the_bound_lies_between(radius: 
 def test_a_family_is_judged_by_its_own_product(monkeypatch: pytest.MonkeyPatch) -> None:
     """Powers that were computed wrongly, too small by far, prove nothing."""
     A, P = random_loop(3, 1.05)
-    real = power_proof.mean
+    real = stability_proof.mean
     calls: list[int] = []
 
     def wrong(chains: Any, family: Array) -> Array:
         calls.append(0)
         return real(chains, family) * (0.0 if len(calls) == 1 else 1.0)
 
-    monkeypatch.setattr(power_proof, "mean", wrong)
+    monkeypatch.setattr(stability_proof, "mean", wrong)
     assert side_of_one(A, P, 2 * A.size).stable is None
 
 

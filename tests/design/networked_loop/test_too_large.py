@@ -10,7 +10,7 @@ import pytest
 
 from design.controllers import LoopModel
 from design.errors import TooLarge
-from design.networked_loop import closed_loop
+from design.networked_loop import affine_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.loop_parts import MOST_MODES, joint_modes
 from design.processes.delay_chain import DelayChain
@@ -57,7 +57,7 @@ def test_terms_are_added_in_parts_to_the_same_matrices(monkeypatch: pytest.Monke
     structure = loop_structure(*PLANT, even(3), even(3), "applied")
     gains = np.random.default_rng(3).normal(size=structure.gain_shape)
     whole = structure.matrices(gains)
-    monkeypatch.setattr(closed_loop, "MOST_PRODUCTS", 2 * whole[0].size)
+    monkeypatch.setattr(affine_loop, "MOST_PRODUCTS", 2 * whole[0].size)
     assert np.array_equal(structure.matrices(gains), whole) and len(structure.entries.mode) > 2
 
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
+from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate, UserRate
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, clip_rate, constant_rate
-from design.processes.user_rate import UserRate
 
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.5, 0.5), values=(0.01, 0.01, 20.0))
 BATHTUB = BathtubRate(infant=3.0, infant_time_s=0.4, useful=0.2, wear=1.5, wear_start_s=0.6, wear_span_s=2.0)

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
+from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate, UserRate
 from design.processes.rates import PiecewiseLinearRate, ScaledRate, WeibullRate, clip_rate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov, sample_fault_detection, sample_path
-from design.processes.user_rate import UserRate
 
 LEVEL = 1e-3
 BATHTUB = BathtubRate(infant=3.0, infant_time_s=0.4, useful=0.2, wear=1.5, wear_start_s=0.6, wear_span_s=2.0)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from design.as_printed.attenuation import detection_section
+from design.as_printed.chapters_2_to_4 import detection_section
 from design.as_printed.examples import (
     chapter4_gain,
     chapter4_partitioned_gain,

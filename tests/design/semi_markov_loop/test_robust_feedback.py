@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.as_printed.chapter2 import PrintedRequest
+from design.as_printed.chapters_2_to_4 import PrintedRequest
 from design.as_printed.examples import chapter2_process, chapter2_system
 from design.errors import Infeasible
 from design.lmi.exact import prove

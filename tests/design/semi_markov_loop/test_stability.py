@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 from scipy.special import erf, erfcx
 
-from design.as_printed.chapter2 import printed_stability
+from design.as_printed.chapters_2_to_4 import printed_stability
 from design.as_printed.examples import (
     CHAPTER2_BOUNDARY_S,
     chapter2_gain,
@@ -19,7 +19,7 @@ from design.as_printed.examples import (
 )
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi.exact import prove
-from design.processes.lifetimes import BathtubRate, ColdStandbyRate, KOutOfNRate
+from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition, equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
-from design.jump_linear.ultimate_bound import ultimate_bound
+from design.jump_linear.leaving import ultimate_bound
 from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose

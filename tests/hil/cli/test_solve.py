@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from design.controllers import SendAll
+from design.processes.further_rates import UserRate
 from design.processes.rates import clip_rate
 from design.processes.semi_markov import SemiMarkov
-from design.processes.user_rate import UserRate
 from design.requests.tracking import DesignTask
 from hil.compose.loop import compose, solved_gains
 from hil.compose.stored_gains import FORMAT, NoDigest, problem_digest

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.h2 import h2_norm
+from design.jump_linear.mjls import h2_norm
 from design.monte_carlo.parallel_runs import Workers
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem

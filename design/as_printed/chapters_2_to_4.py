@@ -1,4 +1,8 @@
-"""The attenuation conditions of Chapters 3 and 4 as they are printed, section by section. NOT SOUND; kept to be compared with.
+"""The conditions of Chapters 2 to 4 as they are printed. NOT SOUND with sections; kept to be compared with.
+
+Corollaries 2.1 and 2.2, ``printed_stability`` and ``PrintedRequest``: section m sees P_j, and X_j, in its own section m (jumps
+land in section 1), sections are not linked; of the box of rates only "all low" and "all high" are tested, and the uncertainties
+of A and B have a multiplier each.
 
 ``delayed_section``, (3.42) and (3.41), in one of two readings:
 
@@ -12,7 +16,7 @@ real lemma of (A', B, C)), let jumps land in the same section, link no sections,
 diagonal ones (sound, but loose); (4.27) has one section index m for two clocks, tests only the pairs (m, m) and links no
 sections.
 
-References: thesis (3.27), (3.40)-(3.42), (4.18)-(4.20), (4.26), (4.27); ERRATA 9 to 13.
+References: thesis (2.12)-(2.15), (2.18)-(2.21), (3.27), (3.40)-(3.42), (4.18)-(4.20), (4.26), (4.27); ERRATA 1 to 3, 9 to 13.
 """
 
 from __future__ import annotations
@@ -20,19 +24,24 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.lmi.decision import attenuation
-from design.lmi.program import Array, LmiProgram, add_schur_rows, symmetric_blocks, symmetric_part
-from design.processes.partitions import Partition
+from design.errors import Infeasible
+from design.lmi.decision import attenuation, decide
+from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, symmetric_blocks, symmetric_part
+from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.fault_tolerant import inverse_block
 from design.semi_markov_loop.fault_tolerant_analysis import check_loop
+from design.semi_markov_loop.robust_feedback import feedback_program, tabulate
+from design.semi_markov_loop.sojourn_grid import Coupling
+from design.semi_markov_loop.stability import CONDITION, checked_gain, stability_certificate
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 Reading = Literal["literal", "consistent"]
@@ -223,3 +232,69 @@ def detection_section(
         partial(attenuation, build, what, gamma), method="printed",
         assumptions=("the controller measures the fault (false)", "both clocks share one section, sections need no link (false)"),
     )  # fmt: skip
+
+
+PRINTED = Coupling(all_corners=False, lands_first=False, linked=False)
+FALSE = "jumps from section m land in section m of the next mode and sections are not linked (false: they land in section 1)"
+
+
+def printed_stability(
+    system: JumpSystem,
+    gain: ScheduledGain | None,
+    process: SemiMarkov,
+    *,
+    nodes: Partition | None = None,
+    decay: float = 0.0,
+) -> JumpCertificate:
+    """What the printed conditions say of the loop u = K(i, h) x; a certificate with ``sound = False``, whatever it says.
+
+    Args:
+        nodes: sections per mode, by default those of the gains.
+        decay: demanded decay rate of E|x|^2 (1/s).
+
+    Raises:
+        ValueError: as ``analyse``.
+    """
+    gain = checked_gain(system, gain, process)
+    sections = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
+    form = f"printed Corollary 2.1, I <= P <= {CONDITION:g} I"
+    found = stability_certificate(system, gain, process, sections, "pwc", decay, CONDITION, form, coupling=PRINTED)
+    return replace(found, method="printed", sound=False, assumptions=(FALSE, *found.assumptions))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PrintedRequest:
+    """Gains by the printed conditions, within a bound of their norm.
+
+    Args:
+        gain_bound: largest spectral norm of any gain.
+        sections: number of equal-probability sections, or section starts per mode.
+    """
+
+    process: SemiMarkov
+    gain_bound: float
+    sections: int | Partition = 2
+
+    @property
+    def starts(self) -> Partition:
+        """Section starts per mode."""
+        return equal_probability(self.process, self.sections) if isinstance(self.sections, int) else self.sections
+
+    def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
+        """Solve (2.21). Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
+        program = feedback_program(
+            system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, PRINTED, multipliers=2
+        )
+        found = decide(program, verify_with="nothing" if quick else "cvxpy")
+        if not found.holds:
+            raise Infeasible(f"printed Corollary 2.2, gain norm <= {self.gain_bound:g}: {found.explain()}", value=found.margin)
+        return found
+
+    def judge(self, system: JumpSystem, found: LmiSolution, decay: float) -> JumpCertificate:
+        """The gains and what the printed test says of them (``sound = False``); Infeasible where it does not accept them."""
+        gain = tabulate(found, self.starts, "pwc", "hold", 1)
+        gain = replace(gain, gain=gain.gain * min(1.0, self.gain_bound / gain.norm))
+        certificate = printed_stability(system, gain, self.process, nodes=self.starts, decay=decay)
+        if not certificate.certified:
+            raise Infeasible(f"printed Corollary 2.2: gains found, but {certificate.reason}", value=certificate.margin)
+        return certificate
