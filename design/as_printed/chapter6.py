@@ -3,7 +3,7 @@
 - (6.9): the coupler's condition, which has no delay in it.
 - (6.17): the attenuation of (6.14), in which nothing drives the weight; it does not know how long the delay is.
 
-A verdict has ``method = "printed"`` and ``sound = False``, whatever it says; what replaces it is `design.passivity`.
+Nothing follows from what is met here; what replaces it is `design.passivity`.
 
 Reference: Chapter 6, (6.9)-(6.11), (6.14)-(6.17), Section 6.5; ERRATA 22, 26.
 """
@@ -11,9 +11,7 @@ Reference: Chapter 6, (6.9)-(6.11), (6.14)-(6.17), Section 6.5; ERRATA 22, 26.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +26,7 @@ from design.passivity.condition import is_passive_over
 from design.passivity.loop import HeldDevice
 from design.passivity.transparency import distortion, low_pass
 
+Array = npt.NDArray[np.float64]
 PERIOD_S = 0.05
 DELAY = 6
 LAMBDA = ((0.4, 0.3, 0.3), (0.3, 0.4, 0.3), (0.15, 0.15, 0.7))
@@ -107,44 +106,9 @@ def energy_of_a_press(switching: str) -> float:
     return total
 
 
-Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PrintedVerdict:
-    """What a printed condition says; nothing follows from it.
-
-    Args:
-        condition: its number in the thesis.
-        holds: whether it holds.
-        number: the number that it is about.
-        quantity: what the number is, with its unit.
-    """
-
-    condition: str
-    holds: bool
-    number: float
-    quantity: str
-    method: Literal["printed"] = "printed"
-    sound: Literal[False] = False
-
-
-def printed_stability(coupler: Coupler, damping_n_s_per_m: float) -> PrintedVerdict:
-    """Return what (6.9) says of a coupler, over any delay.
-
-    Args:
-        coupler: C.
-        damping_n_s_per_m: b in N s/m.
-    """
-    return PrintedVerdict(
-        condition="(6.9)", holds=meets_printed_condition(coupler, damping_n_s_per_m), number=PERIOD_S / (2.0 * damping_n_s_per_m),
-        quantity="T/(2 b), m/N",
-    )  # fmt: skip
-
-
-def printed_attenuation(
+def meets_printed_attenuation(
     materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float, gamma: float
-) -> PrintedVerdict:
+) -> bool:
     """Return whether (6.17) certifies a level for (6.14) as printed, D_w = 0; the delay does not enter.
 
     In units of gamma: z is divided by gamma, so that gamma^2 I becomes I. Block (2, 3) is read as C_d' E.
@@ -173,8 +137,7 @@ def printed_attenuation(
         program.require(
             f"(6.17) {i}", partial(_left_side, mode=i, data=modes[i], row=chain[i], gamma=gamma), "Q", *names
         )
-    found = decide(program, verify_with="nothing")
-    return PrintedVerdict(condition="(6.17)", holds=found.holds, number=gamma, quantity="level, N/m")
+    return decide(program, verify_with="nothing").holds
 
 
 def _left_side(q: Array, *p: Array, mode: int, data: tuple[Array, Array, Array], row: Array, gamma: float) -> Array:

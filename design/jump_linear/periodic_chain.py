@@ -10,7 +10,6 @@ the cost to go of one class; those of the others follow from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from math import gcd
 
@@ -22,6 +21,7 @@ from design.jump_linear.long_computations import gmres, spectral_radius
 from design.jump_linear.second_moment import (
     EIG_DENSE_AFTER,
     EIG_DENSE_LIMIT,
+    largest_by_arpack,
     mean_square_radius,
     restarts_for,
     to_matrix,
@@ -70,24 +70,15 @@ def periodic_radius(A: Array, transition: Array, *, bounded: bool = True) -> flo
         return mean_square_radius(A, transition, bounded=bounded)
     if len(classes) == len(A):
         return _product_radius([A[each[0]] for each in classes])
-    if size <= EIG_DENSE_LIMIT:
-        return float(_dense_radius(partial(_around, _steps(A, transition, classes), n), size) ** (1.0 / len(classes)))
-    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
-
-    product = partial(_around, _steps(A, transition, classes), n)
-    start = to_vector(np.broadcast_to(np.eye(n), (len(first), n, n))).ravel()
-    operator, restarts = LinearOperator((size, size), matvec=product, dtype=np.float64), restarts_for(size * len(classes))
-    try:
-        if restarts:
-            values: npt.NDArray[np.complex128] = eigs(
-                operator, k=2, v0=start, ncv=20, return_eigenvectors=False, tol=1e-12, maxiter=restarts
-            )
-            return float(np.abs(values).max() ** (1.0 / len(classes)))
-    except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
-        pass
-    if size > EIG_DENSE_AFTER:
-        return side_of_one(A, transition).bound if bounded else float("nan")
-    return float(_dense_radius(product, size) ** (1.0 / len(classes)))
+    product, found = partial(_around, _steps(A, transition, classes), n), None
+    if size > EIG_DENSE_LIMIT:
+        start = to_vector(np.broadcast_to(np.eye(n), (len(first), n, n))).ravel()
+        found = largest_by_arpack(product, start, restarts_for(size * len(classes)), 2, 20)
+    if found is None:
+        if size > EIG_DENSE_AFTER:
+            return side_of_one(A, transition).bound if bounded else float("nan")
+        found = spectral_radius(np.column_stack([product(column) for column in np.eye(size)]))
+    return float(found ** (1.0 / len(classes)))
 
 
 def _product_radius(matrices: list[Array]) -> float:
@@ -101,10 +92,6 @@ def _product_radius(matrices: list[Array]) -> float:
         product, grown = product / size, grown + np.log(size)
     radius = float(np.abs(np.linalg.eigvals(product)).max())
     return float(np.exp(2.0 * (grown + np.log(radius)) / len(matrices))) if radius > 0.0 else 0.0
-
-
-def _dense_radius(product: Callable[[Array], Array], size: int) -> float:
-    return spectral_radius(np.column_stack([product(column) for column in np.eye(size)]))
 
 
 def periodic_cost(A: Array, transition: Array, Q: Array) -> Array:

@@ -11,6 +11,7 @@ sqrt 2), so that the forward operator is the transpose of the backward one, and 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Literal
 
 import numpy as np
@@ -263,25 +264,42 @@ def mean_square_radius(A: Array, transition: Array, *, bounded: bool = True) -> 
         operator = sparse_operator(congruence_matrices(A), transition)
         unit = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
         return positive_radius(operator, unit, lambda x: to_matrix(x.reshape(len(A), -1), A.shape[-1]))
-    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
-
     shape, chains = (A.shape[0], size // A.shape[0]), factors_of(transition)
     turned = np.ascontiguousarray(A.transpose(0, 2, 1))
 
     def product(vector: Array) -> Array:
         return to_vector(turned @ to_matrix(mean(chains, vector.reshape(shape)), A.shape[-1]) @ A).ravel()
 
-    operator, restarts = LinearOperator((size, size), matvec=product, dtype=np.float64), restarts_for(size)
     start = to_vector(np.broadcast_to(np.eye(A.shape[-1]), A.shape)).ravel()
-    wanted = 4 if size < CLUSTER_LIMIT else 1
+    found = largest_by_arpack(product, start, restarts_for(size), 4 if size < CLUSTER_LIMIT else 1, 40)
+    if found is not None:
+        return found
+    if size <= EIG_DENSE_AFTER:
+        return spectral_radius(operator_matrix(A, transition))
+    return side_of_one(A, transition).bound if bounded else float("nan")
+
+
+def largest_by_arpack(
+    product: Callable[[Array], Array], start: Array, restarts: int, wanted: int, basis: int
+) -> float | None:  # fmt: skip
+    """Return the largest absolute eigenvalue of a linear map; None where ARPACK does not find it, or may not restart.
+
+    Args:
+        product: of the map and a vector (size,).
+        start: (size,).
+        restarts: at most.
+        wanted: eigenvalues, in case several lie on the spectral circle.
+        basis: vectors that are kept.
+    """
+    from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
+
+    operator = LinearOperator((start.size, start.size), matvec=product, dtype=np.float64)
     try:
         if restarts:
             values: npt.NDArray[Any] = eigs(
-                operator, k=wanted, v0=start, ncv=40, return_eigenvectors=False, tol=1e-12, maxiter=restarts
+                operator, k=wanted, v0=start, ncv=basis, return_eigenvectors=False, tol=1e-12, maxiter=restarts
             )
             return float(np.abs(values).max())
     except ArpackNoConvergence:  # what has converged may not be the largest: its number is not taken
         pass
-    if size <= EIG_DENSE_AFTER:
-        return spectral_radius(operator_matrix(A, transition))
-    return side_of_one(A, transition).bound if bounded else float("nan")
+    return None

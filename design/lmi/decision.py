@@ -8,10 +8,9 @@ answer is the matrices, put into the inequalities here.
 from __future__ import annotations
 
 import math
-import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -25,29 +24,6 @@ from design.solvers import solver
 FloatArray = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SecondOpinion:
-    """What cvxpy and SCS found.
-
-    Args:
-        margin: -(largest eigenvalue) over the strict inequalities at the returned matrices; slack: over the others.
-        matrices: the solution by name.
-        status: what the solver said (for the reader only).
-        wall_s: time that it took, s.
-    """
-
-    margin: float
-    slack: float
-    status: str
-    wall_s: float
-    matrices: Mapping[str, FloatArray] = field(repr=False)
-
-    @property
-    def holds(self) -> bool:
-        """Whether every strict inequality holds at the returned matrices, and the others to rounding."""
-        return self.margin > 0 and self.slack > -1e-7
-
-
 def second_opinion(
     inequalities: Sequence[Inequality],
     like: Mapping[str, FloatArray],
@@ -55,7 +31,7 @@ def second_opinion(
     bases: Mapping[str, FloatArray] | None = None,
     largest_margin: float = 1.0,
     time_limit_s: float = 20.0,
-) -> SecondOpinion:
+) -> LmiSolution:
     """Maximise the margin t <= largest_margin of F_i(X) <= -t I (strict) and F_i(X) <= 0 (the others), by cvxpy and SCS.
 
     The program's own route (`design.lmi.program`) writes triangles for Clarabel by hand. Here cvxpy gets matrix variables and
@@ -70,10 +46,9 @@ def second_opinion(
         time_limit_s: of the solver, s.
 
     Returns:
-        the matrices found, with the margin of the inequalities at them.
+        the matrices found, with the margin of the inequalities at them; of the dual matrices nothing is known.
     """
     cp = solver("cvxpy")
-    begun = time.perf_counter()
     names = sorted({name for item in inequalities for name in item.on})
     unknown = {name: _unknown(cp, like[name], None if bases is None else bases.get(name)) for name in names}
     t = cp.Variable()
@@ -95,7 +70,9 @@ def second_opinion(
         for name, variable in unknown.items()
     }
     margin, slack = verify(inequalities, found)
-    return SecondOpinion(margin=margin, slack=slack, status=status, wall_s=time.perf_counter() - begun, matrices=found)
+    return LmiSolution(
+        matrices=found, margin=margin, slack=slack, objective=-margin, excluded=0.0, reach=math.inf, solver="cvxpy", status=status
+    )
 
 
 def _unknown(cp: Any, like: FloatArray, basis: FloatArray | None) -> Any:
@@ -154,11 +131,7 @@ def decide(program: LmiProgram, *, verify_with: VerifyWith = "cvxpy") -> LmiSolu
     second = second_opinion(program.inequalities, found.matrices, bases=bases, time_limit_s=TIME_LIMIT_S)
     if not (second.holds and second.margin > found.margin):
         return found
-    matrices = {**found.matrices, **second.matrices}
-    return replace(
-        found, matrices=matrices, margin=second.margin, slack=second.slack, objective=-second.margin, solver="cvxpy",
-        status=second.status,
-    )  # fmt: skip
+    return replace(second, matrices={**found.matrices, **second.matrices})
 
 
 def prove_certificate(certificate: Rebuildable, *, verify_with: VerifyWith = "cvxpy") -> ExactProof:
