@@ -40,7 +40,6 @@ from design.semi_markov_loop.certificate import JumpCertificate, attenuation_cer
 from design.semi_markov_loop.fault_tolerant import inverse_block
 from design.semi_markov_loop.fault_tolerant_analysis import check_loop
 from design.semi_markov_loop.robust_feedback import feedback_program, tabulate
-from design.semi_markov_loop.sojourn_grid import Coupling
 from design.semi_markov_loop.stability import CONDITION, checked_gain, stability_certificate
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
@@ -234,7 +233,6 @@ def detection_section(
     )  # fmt: skip
 
 
-PRINTED = Coupling(all_corners=False, lands_first=False, linked=False)
 FALSE = "jumps from section m land in section m of the next mode and sections are not linked (false: they land in section 1)"
 
 
@@ -258,8 +256,8 @@ def printed_stability(
     gain = checked_gain(system, gain, process)
     sections = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
     form = f"printed Corollary 2.1, I <= P <= {CONDITION:g} I"
-    found = stability_certificate(system, gain, process, sections, "pwc", decay, CONDITION, form, coupling=PRINTED)
-    return replace(found, method="printed", sound=False, assumptions=(FALSE, *found.assumptions))
+    found = stability_certificate(system, gain, process, sections, "pwc", decay, CONDITION, form, sound=False)
+    return replace(found, method="printed", assumptions=(FALSE, *found.assumptions))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -283,7 +281,7 @@ class PrintedRequest:
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve (2.21). Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
         program = feedback_program(
-            system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, PRINTED, multipliers=2
+            system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, sound=False
         )
         found = decide(program, verify_with="nothing" if quick else "cvxpy")
         if not found.holds:

@@ -34,7 +34,6 @@ class JumpCertificate:
 
     Args:
         method: exact, pwl, pwc or printed.
-        sound: whether ``certified`` implies stability (False for every printed form).
         verdict: certified, refused or undecided; reason: why, in one sentence.
         margin: -(largest eigenvalue) of the strict inequalities at the matrices, which are normalised to P >= I (or X >= I).
         decay_rate: E|x|^2 falls at least like e^(-decay_rate t) (1/s): a bound, exact where the rates are constant. Where the
@@ -50,7 +49,6 @@ class JumpCertificate:
     """
 
     method: Method
-    sound: bool
     verdict: Verdict
     reason: str
     margin: float | None = None
@@ -63,6 +61,11 @@ class JumpCertificate:
     scale: float = 1.0
     matrices: Mapping[str, FloatArray] = field(default_factory=dict, repr=False)
     rebuild: Callable[[Lift], list[Inequality]] | None = field(default=None, repr=False)
+
+    @property
+    def sound(self) -> bool:
+        """Whether ``certified`` implies stability: of no printed form."""
+        return self.method != "printed"
 
     @property
     def certified(self) -> bool:
@@ -98,15 +101,14 @@ def attenuation_certificate(
         assumptions: what a certificate rests on.
         rebuild: (scale, gamma, lift) to the inequalities.
     """
-    sound = method != "printed"
     try:
         result = find()
     except Infeasible as error:
         verdict: Verdict = "refused" if error.proved else "undecided"
-        return JumpCertificate(method=method, sound=sound, verdict=verdict, reason=str(error), gain=gain)
+        return JumpCertificate(method=method, verdict=verdict, reason=str(error), gain=gain)
     found = result.found
     return JumpCertificate(
-        method=method, sound=sound, verdict="certified", reason=found.explain(), margin=found.margin, gamma=result.gamma,
+        method=method, verdict="certified", reason=found.explain(), margin=found.margin, gamma=result.gamma,
         gain=gain, assumptions=assumptions, matrices=found.matrices, scale=result.scale, solver=found.solver,
         rebuild=None if rebuild is None else partial(rebuild, result.scale, result.gamma),
     )  # fmt: skip

@@ -30,7 +30,7 @@ from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import fastest_exit
 from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.sojourn_grid import cells, pair_cells
+from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
@@ -144,18 +144,13 @@ def proved_decay(
     d/dt V <= -alpha V on every cell at every rate within its bounds, and V falls where a clock enters a new section.
     """
     rates = []
-    for cell in pair_cells(process, eta_nodes, r_nodes):
-        mode = gain_mode(gain.measured, process, cell.i, cell.k)
-        loop = system.a[cell.i] + system.b[cell.i] @ gain.at(mode, r_nodes[cell.k][cell.b]) @ system.shown(cell.i)
-        own = matrices[f"P[{cell.i},{cell.k},{cell.a},{cell.b}]"]
-        after = 0 if process.failure_restarts_detection_clock else cell.b
-        for failure, detection in cell.vertices:
+    for eta, r in pair_cells(process, eta_nodes, r_nodes):
+        i, k = eta.mode, r.mode
+        loop = system.a[i] + system.b[i] @ gain.at(gain_mode(gain.measured, process, i, k), r.start) @ system.shown(i)
+        own = matrices[f"P[{i},{k},{eta.index},{r.index}]"]
+        for jumps in pair_corners(process, eta, r):
             change = symmetric_part(own @ loop)
-            for j, rate in enumerate(failure):
-                if rate > 0:
-                    change = change + rate * (matrices[f"P[{j},{cell.k},0,{after}]"] - own)
-            for l, rate in enumerate(detection):
-                if rate > 0:
-                    change = change + rate * (matrices[f"P[{cell.i},{l},{cell.a},0]"] - own)
+            for rate, place in jumps:
+                change = change + rate * (matrices["P[{},{},{},{}]".format(*place)] - own)
             rates.append(float(scipy.linalg.eigh(-change, own, eigvals_only=True)[0]))
     return min(rates)

@@ -47,7 +47,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     r_sections,
 )
 from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.sojourn_grid import bounded_gains, pair_cells
+from design.semi_markov_loop.sojourn_grid import bounded_gains, pair_cells, pair_corners
 from design.semi_markov_loop.system import JumpSystem
 
 Measured = tuple[str, ...]
@@ -76,26 +76,23 @@ def _start_program(
     program.matrix("s", 1, 1)
     if performance is None:
         program.matrix("g2", 1, 1)
-    for cell in pair_cells(process, ((0.0,),) * system.modes, sections):
-        i, k, b = cell.i, cell.k, cell.b
-        mode = gain_mode(measured, process, i, k)
-        x, r = f"X[{mode},{b}]", f"R[{mode},{b}]"
+    for eta, r in pair_cells(process, ((0.0,),) * system.modes, sections):
+        mode = gain_mode(measured, process, eta.mode, r.mode)
+        x, u = f"X[{mode},{r.index}]", f"R[{mode},{r.index}]"
         if x not in program.variables:
             program.symmetric(x, system.states)
-            program.bounded_gain(x, r, system.inputs, gain_bound)
-            if not cell.last_b:
-                program.require("coupling", lambda p, q: q - p, f"X[{mode},{b + 1}]", x, strict=False)
-        after = 0 if process.failure_restarts_detection_clock else b
-        for failure, detection in cell.vertices:
-            jumps = [(rate, f"X[{gain_mode(measured, process, j, k)},{after}]") for j, rate in enumerate(failure) if rate > 0]
-            jumps += [(rate, f"X[{gain_mode(measured, process, i, l)},0]") for l, rate in enumerate(detection) if rate > 0]
-            jumps = [(rate, name) for rate, name in jumps if name != x]  # a jump to the same X changes nothing
-            rates = [rate for rate, _ in jumps]
+            program.bounded_gain(x, u, system.inputs, gain_bound)
+            if not r.last:
+                program.require("coupling", lambda p, q: q - p, f"X[{mode},{r.index + 1}]", x, strict=False)
+        for jumps in pair_corners(process, eta, r):
+            named = [(rate, f"X[{gain_mode(measured, process, i, k)},{b}]") for rate, (i, k, _, b) in jumps]
+            named = [(rate, name) for rate, name in named if name != x]  # a jump to the same X changes nothing
+            rates = [rate for rate, _ in named]
             function = partial(
-                inverse_block, system=system, mode=i, leaving=sum(rates), rates=rates, performance=performance, scale=scale
+                inverse_block, system=system, mode=eta.mode, leaving=sum(rates), rates=rates, performance=performance, scale=scale
             )
-            on = (x, r, *(() if performance else ("g2",)), *(name for _, name in jumps))
-            program.require(f"{x} at {failure}, {detection}", function, *on)
+            on = (x, u, *(() if performance else ("g2",)), *(name for _, name in named))
+            program.require(f"{x} at {[rate for rate, _ in jumps]}", function, *on)
     return program
 
 

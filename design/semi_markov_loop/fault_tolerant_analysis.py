@@ -29,7 +29,7 @@ from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.decay_rates import proved_decay, worst_growth
 from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells
+from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells, pair_corners
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
@@ -109,22 +109,21 @@ def loop_inequalities(
         if missing:
             raise FieldError(f"r_nodes[{k}]", f"a section of the gains starts at {missing[0]:g} s, inside a cell")
     out = []
-    for cell in pair_cells(process, eta_nodes, r_nodes):
-        i, k, a, b = cell.i, cell.k, cell.a, cell.b
+    for eta, r in pair_cells(process, eta_nodes, r_nodes):
+        i, k, a, b = eta.mode, r.mode, eta.index, r.index
         own = f"P[{i},{k},{a},{b}]"
         mode = gain_mode(gain.measured, process, i, k)
         section = int(np.searchsorted(gain.starts_s[mode], r_nodes[k][b], side="right")) - 1
-        after = 0 if process.failure_restarts_detection_clock else b
-        for failure, detection in cell.vertices:
-            jumps = [(rate, f"P[{j},{k},0,{after}]") for j, rate in enumerate(failure) if rate > 0]
-            jumps += [(rate, f"P[{i},{l},{a},0]") for l, rate in enumerate(detection) if rate > 0]
+        for jumps in pair_corners(process, eta, r):
+            rates = [rate for rate, _ in jumps]
             function = partial(
-                _bounded_real, system=system, mode=i, rates=[lift(rate) for rate, _ in jumps], performance=performance,
+                _bounded_real, system=system, mode=i, rates=[lift(rate) for rate in rates], performance=performance,
                 scale=scale, lift=lift,
             )  # fmt: skip
-            on = (own, f"K[{mode},{section}]", *(() if performance else ("g2",)), *(name for _, name in jumps))
-            out.append(Inequality(name=f"{own} at rates {failure}, {detection}", function=function, on=on))
-        for last, later in ((cell.last_a, f"P[{i},{k},{a + 1},{b}]"), (cell.last_b, f"P[{i},{k},{a},{b + 1}]")):
+            landing = ("P[{},{},{},{}]".format(*place) for _, place in jumps)
+            on = (own, f"K[{mode},{section}]", *(() if performance else ("g2",)), *landing)
+            out.append(Inequality(name=f"{own} at rates {rates}", function=function, on=on))
+        for last, later in ((eta.last, f"P[{i},{k},{a + 1},{b}]"), (r.last, f"P[{i},{k},{a},{b + 1}]")):
             if not last:
                 out.append(Inequality(name=f"{later} <= {own}", function=lambda p, q: p - q, on=(later, own)))
         out.append(Inequality(name=f"{own} > 0", function=lambda p: -p, on=(own,)))
@@ -215,8 +214,8 @@ def analyse_fault_tolerant(
 
     def build(scale: float) -> LmiProgram:
         program = LmiProgram()
-        for cell in pair_cells(process, eta, r):
-            program.symmetric(f"P[{cell.i},{cell.k},{cell.a},{cell.b}]", system.states)
+        for one, two in pair_cells(process, eta, r):
+            program.symmetric(f"P[{one.mode},{two.mode},{one.index},{two.index}]", system.states)
         if performance is None:
             program.matrix("g2", 1, 1)
         program.inequalities = rebuild(scale, None)
@@ -226,7 +225,7 @@ def analyse_fault_tolerant(
     if growth is not None and growth[0] >= 0:
         reason = f"second moments grow like e^({growth[0]:.4g} t) at constant rates within the bounds: {growth[1]}"
         return JumpCertificate(
-            method="exact", sound=True, verdict="refused", reason=reason, gain=gain, decay_rate=-growth[0],
+            method="exact", verdict="refused", reason=reason, gain=gain, decay_rate=-growth[0],
             assumptions=assumptions[:1],
         )  # fmt: skip
     what = "fault-tolerant loop"

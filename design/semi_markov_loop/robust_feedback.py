@@ -41,7 +41,7 @@ from design.lmi.program import (
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method, check_stabilisable
-from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, cells, refine
+from design.semi_markov_loop.sojourn_grid import Cell, cells, refine
 from design.semi_markov_loop.stability import analyse
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
@@ -57,14 +57,17 @@ def feedback_program(
     gain_bound: float,
     decay: float,
     condition: float,
-    coupling: Coupling = SOUND,
-    multipliers: int = 1,
+    *,
+    sound: bool = True,
 ) -> LmiProgram:
-    """The synthesis problem on X[i,r], Y[i,r] and, under a norm-bounded uncertainty, eps[i,r] (or one for A and one for B)."""
+    """The synthesis problem on X[i,r], Y[i,r] and, under a norm-bounded uncertainty, eps[i,r].
+
+    Not ``sound``, as it is printed, it has one for A and one for B; see ``along_cells``.
+    """
     program = LmiProgram(reach=condition)
     n, m = system.states, system.inputs
     bounded = isinstance(system.uncertainty, NormBounded)
-    scales = ["eps", "eps2"][: bounded * multipliers]
+    scales = ["eps", "eps2"][: bounded * (1 if sound else 2)]
     for i, row in enumerate(nodes):
         for r in range(len(row)):
             x, y = f"X[{i},{r}]", f"Y[{i},{r}]"
@@ -78,12 +81,12 @@ def feedback_program(
                 program.matrix(f"{scale}[{i},{r}]", 1, 1)
                 program.require(f"{scale} >= 0", lambda e: -e, f"{scale}[{i},{r}]", strict=False)
                 program.require(f"{scale} bounded", lambda e: e - condition, f"{scale}[{i},{r}]", strict=False)
-    for cell in cells(process, nodes, all_corners=coupling.all_corners):
+    for cell in cells(process, nodes, sound=sound):
         i, here = cell.mode, cell.index
         pwl = method == "pwl" and not cell.last
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
-            landing = [f"X[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets]
+            landing = [f"X[{j},{cell.landing(len(nodes[j]), sound=sound)}]" for j in targets]
             for end in (0, 1) if pwl else (0,):
                 on = [f"X[{i},{here}]"] + ([f"X[{i},{here + 1}]"] if pwl else [])
                 on += [f"{kind}[{i},{here + end}]" for kind in ("Y", *scales)]
@@ -93,7 +96,7 @@ def feedback_program(
                         rates=[rates[j] for j in targets], decay=decay,
                     )  # fmt: skip
                     program.require(f"decrease of mode {i} from {cell.start:g} s at {rates}", function, *on, *landing)
-        if method == "pwc" and coupling.linked and not cell.last:
+        if method == "pwc" and sound and not cell.last:
             later, own = f"X[{i},{here + 1}]", f"X[{i},{here}]"
             program.require(f"{later} >= {own}", lambda a, b: b - a, later, own, strict=False)
     return program

@@ -254,11 +254,11 @@ def exact_certificate(system: JumpSystem, gain: ScheduledGain, process: SemiMark
     try:
         moments, radius = _settled_moments(system, gain, process)
     except DesignError as error:
-        return JumpCertificate(method="exact", sound=True, verdict="undecided", reason=str(error), gain=gain)
+        return JumpCertificate(method="exact", verdict="undecided", reason=str(error), gain=gain)
     decay, stable = _decay(moments, radius), radius < 1.0 - 1e-9
     verdict = "mean-square stable" if stable else "not mean-square stable"
     return JumpCertificate(
-        method="exact", sound=True, verdict="certified" if stable else "refused", gain=gain, spectral_radius=radius,
+        method="exact", verdict="certified" if stable else "refused", gain=gain, spectral_radius=radius,
         reason=f"{verdict}: second moments are multiplied by {radius:.6g} per jump at worst", decay_rate=decay,
         margin=1.0 - radius, assumptions=("the system and the rates are exactly as given",),
     )  # fmt: skip

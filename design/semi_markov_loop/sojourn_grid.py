@@ -37,28 +37,6 @@ def as_float(value: npt.ArrayLike) -> Array:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Coupling:
-    """How inequalities of different cells hang together. The defaults are what holds; anything else proves nothing.
-
-    Args:
-        all_corners: every corner of the box of rates, or only "all low" and "all high": a segment of it.
-        lands_first: a jump lands in the first section of the next mode, or in the section that it left.
-        linked: P falls where a new section begins.
-    """
-
-    all_corners: bool = True
-    lands_first: bool = True
-    linked: bool = True
-
-    def landing(self, section: int, sections: int) -> int:
-        """The section in which a jump from ``section`` lands in a mode with ``sections`` of them."""
-        return 0 if self.lands_first else min(section, sections - 1)
-
-
-SOUND = Coupling()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Cell:
     """One cell of one mode.
 
@@ -79,12 +57,15 @@ class Cell:
         """Whether the cell never ends."""
         return math.isinf(self.stop)
 
+    def landing(self, sections: int, *, sound: bool) -> int:
+        """The section in which a jump lands in a mode with so many: the first; as printed, the one that it left (not sound)."""
+        return 0 if sound else min(self.index, sections - 1)
 
-def cells(process: SemiMarkov, nodes: Partition, *, all_corners: bool = True) -> list[Cell]:
+
+def cells(process: SemiMarkov, nodes: Partition, *, sound: bool = True) -> list[Cell]:
     """All cells between the nodes, mode by mode.
 
-    ``all_corners=False`` takes only the two corners "all low" and "all high": a segment of the box when a mode has two targets
-    or more.
+    ``sound=False`` takes only the two corners "all low" and "all high": a segment of the box when a mode has two targets or more.
 
     Raises:
         ValueError: the nodes are not increasing from 0, or a rate has no finite bound on a cell.
@@ -99,9 +80,8 @@ def cells(process: SemiMarkov, nodes: Partition, *, all_corners: bool = True) ->
                     raise FieldError(f"rates[{mode}][{target}]", f"no finite bound on [{start:g}, {stop:g}) s; clip it")
                 if not 0 <= a <= b:
                     raise FieldError(f"rates[{mode}][{target}]", f"bounds [{a:g}, {b:g}] on [{start:g}, {stop:g}) s cross")
-            if not all_corners:
-                corners = {tuple(low.tolist()), tuple(high.tolist())}
-            else:
+            corners = {tuple(low.tolist()), tuple(high.tolist())}
+            if sound:
                 corners = set(itertools.product(*({a, b} for a, b in zip(low.tolist(), high.tolist()))))
             out.append(Cell(mode=mode, index=index, start=start, stop=stop, rates=tuple(sorted(corners))))
     return out
@@ -121,43 +101,29 @@ def refine(process: SemiMarkov, starts: Partition, parts: int) -> Partition:
     return tuple(out)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GainOnCell:
-    """K along a cell as a mixture of stored gains: K at end e is sum_s weights[e][s] gain[mode, sections[s]]."""
-
-    sections: tuple[int, ...]
-    weights: tuple[tuple[float, ...], ...]
-
-    @property
-    def moves(self) -> bool:
-        """Whether K changes along the cell."""
-        return self.weights[0] != self.weights[-1]
-
-
-def gain_on(starts: npt.NDArray[np.float64], schedule: str, cell: Cell) -> GainOnCell:
-    """The stored gains that act on a cell, with their weights at its ends (one end if the cell never ends).
+def gain_on(gain: ScheduledGain, cell: Cell, lift: Lift) -> list[Array]:
+    """K at both ends of a cell along which it is linear; one matrix where it is held.
 
     Raises ValueError where a section of the gains starts inside the cell: K would not be linear on it.
     """
+    starts, stored = gain.starts_s[cell.mode], gain.gain[cell.mode]
     if ((starts > cell.start) & (starts < cell.stop)).any():
         raise FieldError(f"nodes[{cell.mode}]", f"a section of the gains starts inside [{cell.start:g}, {cell.stop:g}) s")
     section = int(np.searchsorted(starts, cell.start, side="right")) - 1
-    ends = 1 if cell.last else 2
-    if schedule == "hold" or section + 1 == starts.size:
-        return GainOnCell(sections=(section,), weights=((1.0,),) * ends)
-    width = starts[section + 1] - starts[section]
-    parts = [float((h - starts[section]) / width) for h in (cell.start, cell.stop)[:ends]]
-    return GainOnCell(sections=(section, section + 1), weights=tuple((1.0 - part, part) for part in parts))
+    if gain.schedule == "hold" or section + 1 == starts.size:
+        return [lift(stored[section])]
+    parts = [float((h - starts[section]) / (starts[section + 1] - starts[section])) for h in (cell.start, cell.stop)]
+    return [np.asarray(lift(1.0 - part) * lift(stored[section]) + lift(part) * lift(stored[section + 1])) for part in parts]
 
 
-def bernstein(gain: GainOnCell) -> list[list[tuple[int, tuple[float, ...]]]]:
+def bernstein(gains: Sequence[Array], ends: int) -> list[list[tuple[int, Array]]]:
     """What to check on a cell for g(s) = f(P(s), K(s)), P and K linear in s and f affine in each of them.
 
     The Bernstein coefficients are f(P_0, K_0), f(P_1, K_1) and (f(P_0, K_1) + f(P_1, K_0)) / 2; each is returned as the
-    list of (end of P, weights of K) whose mean it is. Where K does not move, the middle one follows from the ends.
+    list of (end of P, K) whose mean it is. Where K does not move, the middle one follows from the ends.
     """
-    ends = [[(end, weights)] for end, weights in enumerate(gain.weights)]
-    return [*ends, [(0, gain.weights[1]), (1, gain.weights[0])]] if gain.moves else ends
+    out = [[(end, gains[min(end, len(gains) - 1)])] for end in range(ends)]
+    return [*out, [(0, gains[1]), (1, gains[0])]] if len(gains) > 1 else out
 
 
 Change = Callable[..., Array]
@@ -173,7 +139,7 @@ def along_cells(
     *,
     at_nodes: Sequence[str] = ("P",),
     shared: Sequence[str] = (),
-    coupling: Coupling = SOUND,
+    sound: bool = True,
     lift: Lift = as_float,
 ) -> list[Inequality]:
     """What must be negative definite along every cell at every corner of the rates, and what links the cells of ``pwc``.
@@ -190,34 +156,31 @@ def along_cells(
         method: ``pwl`` or ``pwc``.
         at_nodes: "P", and other matrices that lie at the same nodes.
         shared: matrices of all cells.
-        coupling: how cells hang together.
+        sound: as it holds; else as Chapter 2 prints it: two corners of the rates, jumps that land in the section that they left,
+            and sections that are not linked, which proves nothing.
         lift: into floats or fractions.
 
     Raises:
         ValueError: as ``cells``; a gain that varies within a section of ``pwc``.
     """
     out = []
-    for cell in cells(process, nodes, all_corners=coupling.all_corners):
+    for cell in cells(process, nodes, sound=sound):
         i, here = cell.mode, cell.index
-        mixture = gain_on(gain.starts_s[i], gain.schedule, cell)
-        pwl = method == "pwl" and not cell.last
-        if mixture.moves and not pwl:
+        gains, pwl = gain_on(gain, cell, lift), method == "pwl" and not cell.last
+        if len(gains) > 1 and not pwl:
             raise FieldError("gain", f"varies within the section at {cell.start:g} s; only method 'pwl' can follow it")
         own = [f"{kind}[{i},{r}]" for kind in at_nodes for r in ([here, here + 1] if pwl else [here])]
-        stored = [lift(gain.gain[i, s]) for s in mixture.sections]
-        checks = bernstein(mixture) if pwl else [[(0, mixture.weights[0])]]
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
-            on = (*own, *shared, *(f"P[{j},{coupling.landing(here, len(nodes[j]))}]" for j in targets))
-            for pairs, one in itertools.product(checks, [change] if callable(change) else change):
+            on = (*own, *shared, *(f"P[{j},{cell.landing(len(nodes[j]), sound=sound)}]" for j in targets))
+            for pairs, one in itertools.product(bernstein(gains, 1 + pwl), [change] if callable(change) else change):
                 function = partial(
-                    _mean_of_ends, change=partial(one, cell), kinds=len(at_nodes), shared=len(shared), lift=lift,
-                    pairs=[(end, np.asarray(sum(lift(w) * k for w, k in zip(weights, stored)))) for end, weights in pairs],
+                    _mean_of_ends, change=partial(one, cell), kinds=len(at_nodes), shared=len(shared), lift=lift, pairs=pairs,
                     width=lift(cell.stop) - lift(cell.start) if pwl else None, rates=[lift(rates[j]) for j in targets],
                 )  # fmt: skip
                 name = f"decrease of mode {i} on [{cell.start:g}, {cell.stop:g}) s at rates {rates}"
                 out.append(Inequality(name=name, function=function, on=on))
-        if method == "pwc" and coupling.linked and not cell.last:
+        if method == "pwc" and sound and not cell.last:
             both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
             out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
     return out
@@ -244,35 +207,19 @@ def _mean_of_ends(
     return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PairCell:
-    """One pair of sections: eta = i in section a of its clock, r = k in section b of its; rate vertices (1/s)."""
-
-    i: int
-    k: int
-    a: int
-    b: int
-    failure: tuple[tuple[float, ...], ...]
-    detection: tuple[tuple[float, ...], ...]
-    last_a: bool
-    last_b: bool
-
-    @property
-    def vertices(self) -> Iterator[tuple[tuple[float, ...], tuple[float, ...]]]:
-        """All pairs of rate vertices."""
-        return itertools.product(self.failure, self.detection)
-
-
-def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[PairCell]:
-    """All pairs of sections. Raises ValueError as ``design.semi_markov_loop.sojourn_grid.cells``."""
+def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[tuple[Cell, Cell]]:
+    """All pairs of a section of eta's clock and one of r's. Raises ValueError as ``cells``."""
     return [
-        PairCell(
-            i=one.mode, k=two.mode, a=one.index, b=two.index, failure=one.rates, detection=two.rates, last_a=one.last,
-            last_b=two.last,
-        )
-        for one in cells(process.failure, eta_nodes)
-        for two in cells(process.detection[one.mode], r_nodes)
+        (eta, r) for eta in cells(process.failure, eta_nodes) for r in cells(process.detection[eta.mode], r_nodes)
     ]  # fmt: skip
+
+
+def pair_corners(process: FaultDetection, eta: Cell, r: Cell) -> Iterator[list[tuple[float, tuple[int, int, int, int]]]]:
+    """At every corner of both boxes the rates above 0 (1/s), each with (eta, r, section of eta, section of r) after its jump."""
+    after = 0 if process.failure_restarts_detection_clock else r.index
+    for failure, detection in itertools.product(eta.rates, r.rates):
+        jumps = [(rate, (j, r.mode, 0, after)) for j, rate in enumerate(failure) if rate > 0]
+        yield jumps + [(rate, (eta.mode, l, eta.index, 0)) for l, rate in enumerate(detection) if rate > 0]
 
 
 def bounded_gains(

@@ -36,7 +36,7 @@ from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
 from design.semi_markov_loop.second_moments import exact_certificate
-from design.semi_markov_loop.sojourn_grid import SOUND, Cell, Coupling, Lift, along_cells, as_float, refine
+from design.semi_markov_loop.sojourn_grid import Cell, Lift, along_cells, as_float, refine
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
 CONDITION = 1e4
@@ -51,13 +51,13 @@ def stability_inequalities(
     method: Method,
     decay: float,
     lift: Lift = as_float,
-    coupling: Coupling = SOUND,
+    sound: bool = True,
 ) -> list[Inequality]:
     """Every inequality of ``pwl`` or ``pwc`` on P[i,r] (and eps[i,r]), for floats or fractions."""
     bounded = isinstance(system.uncertainty, NormBounded)
     change = [partial(_decrease, system=system, vertex=vertex, decay=decay, lift=lift) for vertex in system.vertices]
     at_nodes = ("P", "eps") if bounded else ("P",)
-    out = along_cells(change, process, gain, nodes, method, at_nodes=at_nodes, coupling=coupling, lift=lift)
+    out = along_cells(change, process, gain, nodes, method, at_nodes=at_nodes, sound=sound, lift=lift)
     identity = lift(np.eye(system.states))
     for name in (f"P[{i},{r}]" for i, row in enumerate(nodes) for r in range(len(row))):
         out.append(Inequality(name=f"{name} >= I", function=lambda p: identity - p, on=(name,), strict=False))
@@ -155,14 +155,14 @@ def stability_certificate(
     condition: float,
     form: str,
     *,
-    coupling: Coupling = SOUND,
+    sound: bool = True,
     verify_with: VerifyWith = "cvxpy",
 ) -> JumpCertificate:
     """What the inequalities at one decay rate say, with matrices I <= P <= ``condition`` I; ``form`` begins the reason."""
-    rebuild = partial(stability_inequalities, system, gain, process, nodes, method, decay, coupling=coupling)
+    rebuild = partial(stability_inequalities, system, gain, process, nodes, method, decay, sound=sound)
     found = decide(lyapunov_program(rebuild(as_float), system.states, condition), verify_with=verify_with)
     return JumpCertificate(
-        method=method, sound=True, reason=f"{form}: {found.explain()}", margin=found.margin, verdict=found.verdict,
+        method=method, reason=f"{form}: {found.explain()}", margin=found.margin, verdict=found.verdict,
         matrices=found.matrices, assumptions=("rates anywhere in their bounds on every cell",), gain=gain, rebuild=rebuild,
         solver=found.solver,
     )  # fmt: skip

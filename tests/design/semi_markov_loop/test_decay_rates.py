@@ -27,7 +27,7 @@ def loop(a: float, ad: float, slope: float = 0.0) -> DelayedJumpSystem:
 def test_closed_form_of_a_scalar_loop() -> None:
     """x' = -2 x + x(t - tau) / 2 with P = 2, Q = 1: mu = 8 - 1 - 1, a = 2, b = 1."""
     proof = JumpCertificate(
-        method="pwc", sound=True, verdict="certified", reason="", gain=NO_GAIN,
+        method="pwc", verdict="certified", reason="", gain=NO_GAIN,
         matrices={"P[0,0]": np.array([[2.0]]), "Q": np.array([[1.0]])},
     )  # fmt: skip
     rate, coefficient = decay_of(loop(-2.0, 0.5), NO_JUMPS, proof)
@@ -48,6 +48,6 @@ def test_a_simulated_loop_stays_below_the_proved_bound(a: float, ad: float) -> N
 
 
 def test_only_a_certificate_proves_a_decay() -> None:
-    refused = JumpCertificate(method="pwc", sound=True, verdict="refused", reason="", gain=NO_GAIN)
+    refused = JumpCertificate(method="pwc", verdict="refused", reason="", gain=NO_GAIN)
     with pytest.raises(ValueError, match="certificate: refused by 'pwc', expected certified"):
         decay_of(loop(-2.0, 0.5), NO_JUMPS, refused)

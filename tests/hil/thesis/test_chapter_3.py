@@ -126,7 +126,7 @@ def test_the_figures_show_one_run_of_each_gain_with_the_same_seed_and_every_leve
     assert [len(panel.series) for panel in numbers._trajectories(chapter3_gain(), None).panels] == [1] * 4
 
     def certificate(gamma: float | None) -> JumpCertificate:
-        return JumpCertificate(method="pwc", sound=True, verdict="certified", reason="", gamma=gamma)
+        return JumpCertificate(method="pwc", verdict="certified", reason="", gamma=gamma)
 
     (bars,) = numbers._levels_plot(certificate(0.8), {5.0: certificate(0.5), 1.5: certificate(None)}).panels
     assert isinstance(bars, Bars)
