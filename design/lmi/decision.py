@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, Infeasible
-from design.lmi.exact import ExactProof, Rebuildable, as_fraction, prove, prove_inequalities, rounded
+from design.lmi.exact import ExactProof, Rebuildable, as_float, as_fraction, prove, prove_inequalities, rounded
 from design.lmi.program import Inequality, LmiProgram, LmiSolution, verify
 from design.solvers import solver
 
@@ -147,7 +147,7 @@ def prove_certificate(certificate: Rebuildable, *, verify_with: VerifyWith = "cv
     proof = prove(certificate)
     if proof.proved or verify_with == "nothing" or certificate.rebuild is None:
         return proof
-    in_floats = certificate.rebuild(lambda value: np.asarray(value, dtype=float))
+    in_floats = certificate.rebuild(as_float)
     second = second_opinion(in_floats, certificate.matrices, time_limit_s=TIME_LIMIT_S)
     if not second.holds:
         return proof

@@ -21,6 +21,9 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.lmi.program import Array, Inequality
 
+Lift = Callable[[npt.ArrayLike], Array]
+"""Into floats or into fractions."""
+
 
 class Rebuildable(Protocol):
     """A certificate that can build its inequalities anew, in floats or in fractions, at the matrices that it holds."""
@@ -32,7 +35,7 @@ class Rebuildable(Protocol):
     def matrices(self) -> Mapping[str, npt.NDArray[np.float64]]: ...
 
     @property
-    def rebuild(self) -> Callable[[Callable[[npt.ArrayLike], Array]], list[Inequality]] | None: ...
+    def rebuild(self) -> Callable[[Lift], list[Inequality]] | None: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -54,6 +57,11 @@ class ExactProof:
     failed: str | None
     bits: int
     matrices_by: Literal["certificate", "cvxpy"] = "certificate"
+
+
+def as_float(value: npt.ArrayLike) -> Array:
+    """The lift that changes nothing: numbers stay floats."""
+    return np.asarray(value, dtype=float)
 
 
 def as_fraction(value: npt.ArrayLike) -> Array:

@@ -18,9 +18,9 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import Attenuation
+from design.lmi.exact import Lift, as_float
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.sojourn_grid import Lift, as_float
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]

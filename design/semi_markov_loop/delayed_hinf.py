@@ -23,11 +23,11 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import attenuation
+from design.lmi.exact import Lift, as_float
 from design.lmi.program import (
     Array,
     Inequality,
     LmiProgram,
-    add_schur_rows,
     check_gain_bound,
     symmetric_blocks,
     symmetric_part,
@@ -36,7 +36,7 @@ from design.lmi.program import (
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method, attenuation_certificate
-from design.semi_markov_loop.sojourn_grid import Cell, Lift, along_cells, as_float, bounded_gains, cells
+from design.semi_markov_loop.sojourn_grid import Cell, along_cells, bounded_gains, cells, require_inverse
 from design.semi_markov_loop.system import DelayedJumpSystem
 
 ASSUMPTIONS = (
@@ -138,49 +138,29 @@ def synthesis_program(
 ) -> LmiProgram:
     """The corrected (3.42) on X[i,m], U[i,m], Q, s and g2; X >= s I and [[k^2 s I, U], [U', X]] >= 0 bound the gains."""
     program = LmiProgram()
-    n = system.states
-    eta = fastest_exit(process, sections)
-    program.symmetric("Q", n)
+    program.symmetric("Q", system.states)
     program.matrix("g2", 1, 1)
     program.matrix("s", 1, 1)
     for i, row in enumerate(sections):
         for r in range(len(row)):
-            program.symmetric(f"X[{i},{r}]", n)
+            program.symmetric(f"X[{i},{r}]", system.states)
             program.bounded_gain(f"X[{i},{r}]", f"U[{i},{r}]", system.inputs, gain_bound)
-    for cell in cells(process, sections):
-        i, here = cell.mode, cell.index
-        for rates in cell.rates:
-            targets = [j for j, rate in enumerate(rates) if rate > 0]
-            on = (f"X[{i},{here}]", f"U[{i},{here}]", "Q", "g2", *(f"X[{j},0]" for j in targets))
-            function = partial(_synthesis_block, system=system, mode=i, rates=[rates[j] for j in targets], eta=eta, scale=scale)
-            program.require(f"bounded real lemma of mode {i} from {cell.start:g} s at {rates}", function, *on)
-        if not cell.last:
-            program.require("coupling", lambda a, b: b - a, f"X[{i},{here + 1}]", f"X[{i},{here}]", strict=False)
+    block = partial(_synthesis_block, system=system, eta=fastest_exit(process, sections), scale=scale)
+    require_inverse(program, [block], process, sections, "pwc", at_nodes=("U",), shared=("Q", "g2"))
     return program
 
 
 def _synthesis_block(
-    x: Array,
-    u: Array,
-    q: Array,
-    g2: Array,
-    *landing: Array,
-    system: DelayedJumpSystem,
-    mode: int,
-    rates: list[float],
-    eta: float,
-    scale: float,
-) -> Array:
-    a, b, ad, e, c = (m[mode] for m in (system.a, system.b, system.ad, system.e, system.c))
-    rows: list[list[Array | None]] = [
-        [symmetric_part(a @ x + b @ u) - sum(rates) * x],
-        [q @ ad.T, -(1.0 - system.delay_slopes[mode]) * q],
+    cell: Cell, x: Array, u: Array, q: Array, g2: Array, *, system: DelayedJumpSystem, eta: float, scale: float
+) -> list[list[Array | None]]:
+    a, b, ad, e, c = (m[cell.mode] for m in (system.a, system.b, system.ad, system.e, system.c))
+    return [
+        [symmetric_part(a @ x + b @ u)],
+        [q @ ad.T, -(1.0 - system.delay_slopes[cell.mode]) * q],
         [math.sqrt(1.0 + eta * system.delay_max_s) * x, None, -q],
         [e.T, None, None, -g2 * np.eye(e.shape[1])],
         [scale * (c @ x), None, None, None, -np.eye(c.shape[0])],
     ]
-    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
-    return symmetric_blocks(rows)
 
 
 def delayed_hinf(

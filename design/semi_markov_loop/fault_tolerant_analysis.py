@@ -23,13 +23,14 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import Attenuation, attenuation, decide
+from design.lmi.exact import Lift, as_float
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.decay_rates import proved_decay, worst_growth
 from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.sojourn_grid import Lift, as_float, pair_cells, pair_corners
+from design.semi_markov_loop.sojourn_grid import pair_cells, pair_corners
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]

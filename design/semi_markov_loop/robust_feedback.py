@@ -21,13 +21,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
 from design.errors import FieldError, Infeasible
 from design.lmi.decision import decide
+from design.lmi.exact import as_float
 from design.lmi.program import (
     Array,
     LmiProgram,
@@ -35,15 +36,14 @@ from design.lmi.program import (
     add_schur_rows,
     check_gain_bound,
     gain_limit,
-    symmetric_blocks,
     symmetric_part,
 )
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method, check_stabilisable
-from design.semi_markov_loop.sojourn_grid import Cell, cells, refine
+from design.semi_markov_loop.sojourn_grid import Cell, refine, require_inverse
 from design.semi_markov_loop.stability import analyse
-from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 CONDITION = 1e4
 """Largest condition number of X that is searched (X >= I, X <= CONDITION I)."""
@@ -81,58 +81,25 @@ def feedback_program(
                 program.matrix(f"{scale}[{i},{r}]", 1, 1)
                 program.require(f"{scale} >= 0", lambda e: -e, f"{scale}[{i},{r}]", strict=False)
                 program.require(f"{scale} bounded", lambda e: e - condition, f"{scale}[{i},{r}]", strict=False)
-    for cell in cells(process, nodes, sound=sound):
-        i, here = cell.mode, cell.index
-        pwl = method == "pwl" and not cell.last
-        for rates in cell.rates:
-            targets = [j for j, rate in enumerate(rates) if rate > 0]
-            landing = [f"X[{j},{cell.landing(len(nodes[j]), sound=sound)}]" for j in targets]
-            for end in (0, 1) if pwl else (0,):
-                on = [f"X[{i},{here}]"] + ([f"X[{i},{here + 1}]"] if pwl else [])
-                on += [f"{kind}[{i},{here + end}]" for kind in ("Y", *scales)]
-                for vertex in system.vertices:
-                    function = partial(
-                        _decrease, system=system, cell=cell, vertex=vertex, end=end, ends=1 + pwl, scales=len(scales),
-                        rates=[rates[j] for j in targets], decay=decay,
-                    )  # fmt: skip
-                    program.require(f"decrease of mode {i} from {cell.start:g} s at {rates}", function, *on, *landing)
-        if method == "pwc" and sound and not cell.last:
-            later, own = f"X[{i},{here + 1}]", f"X[{i},{here}]"
-            program.require(f"{later} >= {own}", lambda a, b: b - a, later, own, strict=False)
+    blocks = [partial(_block, system=system, vertex=vertex, decay=decay) for vertex in system.vertices]
+    require_inverse(program, blocks, process, nodes, method, at_nodes=("Y", *scales), sound=sound)
     return program
 
 
-def _decrease(
-    *matrices: Array,
-    system: JumpSystem,
-    cell: Cell,
-    vertex: int | None,
-    end: int,
-    ends: int,
-    scales: int,
-    rates: list[float],
-    decay: float,
-) -> Array:
-    """The left side of the condition in the module's docstring; ``matrices``: X ends, Y, multipliers, landings."""
+def _block(
+    cell: Cell, x: Array, y: Array, *eps: Array, system: JumpSystem, vertex: int | None, decay: float
+) -> list[list[Array | None]]:
+    """The condition in the module's docstring, but for jumps and dX/dh."""
     i, uncertainty = cell.mode, system.uncertainty
-    x, y = matrices[end], matrices[ends]
-    eps, landing = matrices[ends + 1 : ends + 1 + scales], matrices[ends + 1 + scales :]
-    a, b = system.a[i], system.b[i]
-    if vertex is not None:
-        uncertainty = cast(VertexUncertainty, uncertainty)
-        a, b = a + uncertainty.da[vertex, i], b + uncertainty.db[vertex, i]
-    value = symmetric_part(a @ x + b @ y) + (decay - sum(rates)) * x
-    if ends == 2:
-        value = value - (matrices[1] - matrices[0]) / (cell.stop - cell.start)
-    rows: list[list[Array | None]] = [[value]]
-    if scales:
-        uncertainty = cast(NormBounded, uncertainty)
-        rows[0][0] = value + sum(eps) * (uncertainty.e[i] @ uncertainty.e[i].T)
-        of_state, of_input = uncertainty.fa[i] @ x, uncertainty.fb[i] @ y
-        blocks = [of_state + of_input] if scales == 1 else [of_state, of_input]
-        add_schur_rows(rows, blocks, (scale * np.eye(block.shape[-2]) for scale, block in zip(eps, blocks)))
-    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), landing)
-    return symmetric_blocks(rows)
+    a, b = system.at(i, vertex, as_float)
+    value = symmetric_part(a @ x + b @ y) + decay * x
+    if not isinstance(uncertainty, NormBounded):
+        return [[value]]
+    rows: list[list[Array | None]] = [[value + sum(eps) * (uncertainty.e[i] @ uncertainty.e[i].T)]]
+    of_state, of_input = uncertainty.fa[i] @ x, uncertainty.fb[i] @ y
+    blocks = [of_state + of_input] if len(eps) == 1 else [of_state, of_input]
+    add_schur_rows(rows, blocks, (scale * np.eye(block.shape[-2]) for scale, block in zip(eps, blocks)))
+    return rows
 
 
 def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Schedule, points: int) -> ScheduledGain:

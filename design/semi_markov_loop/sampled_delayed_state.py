@@ -32,7 +32,6 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
 from design.semi_markov_loop.period_moments import TooLarge, held_flow, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
@@ -51,13 +50,12 @@ def delayed_decrease(system: DelayedJumpSystem, loop: SampledLoop) -> LmiSolutio
 
     Args:
         system: the plant with its delay.
-        loop: rates, gains, period and delays of the network; its ``system`` has the same A and B.
+        loop: finite rates, gains that are held, period and delays of the network; its ``system`` has the same A and B.
 
     Returns:
         the last solution that was tried; its margin is m. See ``delayed_program`` for its matrices.
 
     Raises:
-        ValueError: rates without a finite bound, a gain that is linear in the sojourn time.
         TooLarge: even the smallest program has more unknowns than ``UNKNOWNS``.
     """
     found = None
@@ -83,8 +81,6 @@ def delayed_program(system: DelayedJumpSystem, loop: SampledLoop, *, by_section:
         by_section: whether P has a label b for every section of the gain, or one for all.
         cells: into how many cells the phase of a period is cut.
     """
-    if loop.gain.schedule != "hold":
-        raise FieldError("gain", "a linear schedule is not covered with a delay inside the plant, hold it")
     size, modes = loop.size + loop.system.inputs, system.modes
     labels = range(loop.gain.starts_s.shape[1] if by_section else 1)
     program = LmiProgram(reach=CONDITION)
@@ -118,8 +114,6 @@ def _require_flow(
     starts = loop.gain.starts_s[mode]
     until = float(starts[label + 1]) + 2.0 * loop.period_s if by_section and label + 1 < starts.size else math.inf
     low, high = loop.process.bounds(mode, 0.0, until)
-    if not np.isfinite(high).all():
-        raise FieldError(f"rates[{mode}]", "no finite bound; clip it")
     targets = [j for j in range(system.modes) if j != mode and high[j] > 0]
     weights = [f"S[{i}]" for i in range(system.modes)]
     corners = list(itertools.product(*(sorted({float(low[j]), float(high[j])}) for j in targets)))

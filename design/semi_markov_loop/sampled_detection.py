@@ -19,7 +19,6 @@ import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError
 from design.lmi.program import Array, LmiProgram, LmiSolution
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import (
@@ -58,7 +57,7 @@ class DetectionLoop:
     def of(
         cls, system: JumpSystem, process: FaultDetection, gain: ScheduledGain, *, period_s: float, tau: int, d: int
     ) -> DetectionLoop:
-        """The loop with the gains that a controller has which sees ``gain.measured``."""
+        """The loop with the gains, held over their sections, that a controller has which sees ``gain.measured``."""
         seen = process.detection[0].modes
         both = list(itertools.product(range(system.modes), range(seen)))
         eta = [i for i, _ in both]
@@ -66,8 +65,6 @@ class DetectionLoop:
         paired = JumpSystem(a=system.a[eta], b=system.b[eta])
         shown = np.array([system.shown(i) for i in eta])[:, None]  # of the instant of the sample, as r is
         table = replace(gain, gain=gain.gain[rows] @ shown, starts_s=gain.starts_s[rows])
-        if gain.schedule != "hold":
-            raise FieldError("gain", "a linear schedule is not covered with two processes, hold it")
         loop = SampledLoop(system=paired, process=process.failure, gain=table, period_s=period_s, tau=tau, d=d)
         check_size(loop)
         return cls(pairs=loop, process=process)
@@ -86,11 +83,7 @@ class DetectionLoop:
 
     def box(self, pair: int, until_s: float) -> Box:
         """Bounds of the rates out of a pair while r is younger than ``until_s``, by the pair that they lead to."""
-        i, k = divmod(pair, self.seen)
-        box = pair_box(self.process, i, k, until_s)
-        if not np.isfinite(box.high).all():
-            raise FieldError("rates", f"no finite bound at eta = {i + 1}, r = {k + 1}; clip them")
-        return box
+        return pair_box(self.process, *divmod(pair, self.seen), until_s)
 
     def first(self, pair: int) -> int:
         """The section of the gains at count 0."""
@@ -128,7 +121,7 @@ def slowest_growth(loop: DetectionLoop) -> float:
 
 
 def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
-    """Search P_ikb and check every inequality by its eigenvalues; raises ValueError as the rates' bounds do.
+    """Search P_ikb and check every inequality by its eigenvalues; all rates have finite bounds.
 
     The function has a clock for the failure and one for its detection:
 

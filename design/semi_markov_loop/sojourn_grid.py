@@ -23,17 +23,12 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
-from design.lmi.program import Inequality
+from design.lmi.exact import Lift, as_float
+from design.lmi.program import Inequality, LmiProgram, add_schur_rows, symmetric_blocks
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 Array = npt.NDArray[Any]
-Lift = Callable[[npt.ArrayLike], Array]
-
-
-def as_float(value: npt.ArrayLike) -> Array:
-    """The lift that changes nothing: numbers stay floats (the other lift makes fractions, ``design.lmi.exact``)."""
-    return np.asarray(value, dtype=float)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +121,7 @@ def bernstein(gains: Sequence[Array], ends: int) -> list[list[tuple[int, Array]]
     return [*out, [(0, gains[1]), (1, gains[0])]] if len(gains) > 1 else out
 
 
-Change = Callable[..., Array]
+Change = Callable[..., Any]
 """(cell, K, what P itself changes by per second, P, what else lies at the nodes, what all cells share) to the left side."""
 
 
@@ -205,6 +200,56 @@ def _mean_of_ends(
         flow = slope + sum(rate * (after - at[end]) for rate, after in zip(rates, rest[shared:]))
         terms.append(change(k, flow, *at[end::ends], *rest[:shared]))
     return cast(Array, sum(terms[1:], terms[0]) / lift(len(terms)))
+
+
+def require_inverse(
+    program: LmiProgram,
+    blocks: Sequence[Change],
+    process: SemiMarkov,
+    nodes: Partition,
+    method: str,
+    *,
+    at_nodes: Sequence[str],
+    shared: Sequence[str] = (),
+    sound: bool = True,
+) -> None:
+    """Require along every cell, at every corner of the rates, what is linear in X = P^-1 and in products with it.
+
+        (rows of the block)  and  [sqrt(lambda_ij) X_i, 0, -X_j(0)],    - dX_i/dh - sum_j lambda_ij X_i in the first corner.
+
+    Args:
+        program: with X[i,r] and the matrices below.
+        blocks: (cell, X, what else lies at the node, what all cells share) to the lower block triangle; each must hold.
+        process, nodes, method, sound: as of ``along_cells``.
+        at_nodes: matrices at the nodes of X.
+        shared: matrices of all cells.
+    """
+    for cell in cells(process, nodes, sound=sound):
+        i, here = cell.mode, cell.index
+        pwl = method == "pwl" and not cell.last
+        for rates in cell.rates:
+            targets = [j for j, rate in enumerate(rates) if rate > 0]
+            landing = [f"X[{j},{cell.landing(len(nodes[j]), sound=sound)}]" for j in targets]
+            for end, block in itertools.product(range(1 + pwl), blocks):
+                function = partial(
+                    _with_jumps, block=partial(block, cell), end=end, width=cell.stop - cell.start if pwl else None,
+                    rates=[rates[j] for j in targets],
+                )  # fmt: skip
+                on = (f"X[{i},{here + r}]" for r in range(1 + pwl))
+                own = (f"{kind}[{i},{here + end}]" for kind in at_nodes)
+                program.require(f"decrease of mode {i} from {cell.start:g} s at {rates}", function, *on, *own, *shared, *landing)
+        if method == "pwc" and sound and not cell.last:
+            program.require("coupling", lambda a, b: b - a, f"X[{i},{here + 1}]", f"X[{i},{here}]", strict=False)
+
+
+def _with_jumps(*matrices: Array, block: Change, end: int, width: float | None, rates: list[float]) -> Array:
+    """The block at one end of a cell with the rows of its jumps; ``matrices``: X at the ends, others, landings."""
+    x, rest = matrices[end], matrices[1 if width is None else 2 : len(matrices) - len(rates)]
+    rows = cast(list[list[Array | None]], block(x, *rest))
+    slope = 0.0 if width is None else (matrices[1] - matrices[0]) / width
+    rows[0][0] = cast(Array, rows[0][0]) - sum(rates) * x - slope
+    add_schur_rows(rows, (math.sqrt(rate) * x for rate in rates), matrices[len(matrices) - len(rates) :])
+    return symmetric_blocks(rows)
 
 
 def pair_cells(process: FaultDetection, eta_nodes: Partition, r_nodes: Partition) -> list[tuple[Cell, Cell]]:

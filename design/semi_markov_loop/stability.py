@@ -15,13 +15,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError
 from design.lmi.decision import VerifyWith, decide
+from design.lmi.exact import Lift, as_float
 from design.lmi.program import (
     Array,
     Inequality,
@@ -36,8 +36,8 @@ from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate, Method
 from design.semi_markov_loop.second_moments import exact_certificate
-from design.semi_markov_loop.sojourn_grid import Cell, Lift, along_cells, as_float, refine
-from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop.sojourn_grid import Cell, along_cells, refine
+from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 CONDITION = 1e4
 """Largest condition number of the Lyapunov matrices that is searched (P >= I, P <= CONDITION I)."""
@@ -69,10 +69,7 @@ def _decrease(
 ) -> Array:
     """The left side of the decrease condition at K and P; ``flow``: what P itself changes by."""
     i, uncertainty = cell.mode, system.uncertainty
-    a, b = lift(system.a[i]), lift(system.b[i])
-    if vertex is not None:
-        uncertainty = cast(VertexUncertainty, uncertainty)
-        a, b = a + lift(uncertainty.da[vertex, i]), b + lift(uncertainty.db[vertex, i])
+    a, b = system.at(i, vertex, lift)
     value = symmetric_part(p @ (a + b @ k)) + flow + lift(decay) * p
     if not isinstance(uncertainty, NormBounded):
         return np.asarray(value)

@@ -12,11 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
+
+if TYPE_CHECKING:  # nothing of a solver
+    from design.lmi.exact import Lift
+    from design.lmi.program import Array
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -164,6 +169,13 @@ class JumpSystem(_Sized):
         """The vertices of its uncertainty; one None where it has no vertices."""
         uncertainty = self.uncertainty
         return list(range(uncertainty.da.shape[0])) if isinstance(uncertainty, VertexUncertainty) else [None]
+
+    def at(self, mode: int, vertex: int | None, lift: Lift) -> tuple[Array, Array]:
+        """A and B of a mode, at a vertex of the uncertainty where it has them, in floats or in fractions."""
+        a, b, uncertainty = lift(self.a[mode]), lift(self.b[mode]), self.uncertainty
+        if isinstance(uncertainty, VertexUncertainty) and vertex is not None:
+            a, b = a + lift(uncertainty.da[vertex, mode]), b + lift(uncertainty.db[vertex, mode])
+        return a, b
 
     def scaled(self, scale: float) -> JumpSystem:
         """The same nominal system with its uncertainty ``scale`` times as large."""

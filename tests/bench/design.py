@@ -139,7 +139,7 @@ def _second(certificate: JumpCertificate) -> dict[str, Any]:
     if certificate.rebuild is None or not certificate.matrices:
         return {"cvxpy": None, "cvxpy_margin": None, "cvxpy_s": None}
     from design.lmi.decision import second_opinion
-    from design.semi_markov_loop.sojourn_grid import as_float
+    from design.lmi.exact import as_float
 
     begun = time.perf_counter()
     found = second_opinion(certificate.rebuild(as_float), certificate.matrices)
