@@ -110,9 +110,7 @@ def analyse_delayed(
     Raises:
         ValueError: shapes that do not fit, rates without finite bounds.
     """
-    expected, got = (system.modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
-    if got != expected or process.modes != system.modes:
-        raise FieldError("gain", f"(modes, inputs, states) = {got}, process: {process.modes} modes; the system has {expected}")
+    system.check(process, gain)
     starts = nodes if nodes is not None else tuple(tuple(row.tolist()) for row in gain.starts_s)
     if method not in ("pwl", "pwc"):
         raise FieldError("method", f"{method!r} is not pwl or pwc")
@@ -185,8 +183,7 @@ def delayed_hinf(
         Infeasible: no such gains exist (proved) or none could be verified.
     """
     check_gain_bound(gain_bound)
-    if process.modes != system.modes:
-        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
+    system.check(process)
     starts = sections if sections is not None else ((0.0,),) * system.modes
     build = partial(synthesis_program, system, process, starts, gain_bound)
     what = f"delayed H-infinity feedback with gain norm <= {gain_bound:g}"

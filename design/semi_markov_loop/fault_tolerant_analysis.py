@@ -76,18 +76,8 @@ def check_loop(system: JumpSystem, process: FaultDetection, gain: ScheduledGain 
         raise FieldError("c" if system.c is None else "e", "is needed for a performance bound")
     if system.uncertainty is not None:
         raise FieldError("uncertainty", "is not covered by the two-process conditions")
-    if process.failure.modes != system.modes:
-        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {system.modes}")
-    if gain is None:
-        return
-    seen = process.detection[0].modes
-    modes = {(): 1, ("r",): seen, ("eta", "r"): system.modes * seen}.get(gain.measured)
-    if modes is None:
-        raise FieldError("measured", f"{gain.measured!r} is not (), ('r',) or ('eta', 'r')")
-    expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
-    if got != expected:
-        raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected} for measured = {gain.measured!r}")
-    if gain.schedule != "hold":
+    system.check(process, gain)
+    if gain is not None and gain.schedule != "hold":
         raise FieldError("gain", "linear schedules are not covered by the two-process conditions, hold them")
 
 

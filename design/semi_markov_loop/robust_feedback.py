@@ -160,8 +160,7 @@ class FeedbackRequest:
         """Solve the inequalities. Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
         if not np.isfinite(decay) or decay < 0:
             raise FieldError("decay", f"{decay!r} is not a finite non-negative rate")
-        if self.process.modes != system.modes:
-            raise FieldError("process", f"{self.process.modes} modes, the system has {system.modes}")
+        system.check(self.process)
         check_stabilisable(system, self.process)
         for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty
             program = feedback_program(

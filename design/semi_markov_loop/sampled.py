@@ -112,16 +112,8 @@ def _undecided(reason: str) -> Verdict:
     return Verdict(kind="mean-square stability", state="undecided", reason=reason, method="sampled jump loop")
 
 
-def _check(modes: int, system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain) -> None:
-    expected, got = (modes, system.inputs, system.states), (gain.modes, *gain.gain.shape[2:])
-    if got != expected:
-        raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected}")
-
-
 def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
-    if process.modes != system.modes:
-        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
-    _check(system.modes, system, gain)
+    system.check(process, gain)
     for mode in range(process.modes):
         if not np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all():
             return _undecided(f"the rates out of mode {mode + 1} have no finite bound")
@@ -253,9 +245,7 @@ def _delayed(
 ) -> Verdict:
     if isinstance(process, FaultDetection):
         return _undecided("a delay inside the plant together with a detected mode is not decided")
-    if process.modes != system.modes:
-        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
-    _check(system.modes, system, gain)
+    system.check(process, gain)
     if gain.schedule != "hold":
         return _undecided("a gain that is linear in the sojourn time is not decided beside a delay inside the plant")
     if not all(np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all() for mode in range(process.modes)):
@@ -282,11 +272,9 @@ def _delayed(
 def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
     if system.uncertainty is not None:
         return _undecided("an uncertainty beside a detected mode is not decided")
-    if process.failure.modes != system.modes:
-        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {system.modes}")
     if gain.measured not in ((), ("r",)):
         return _undecided(f"the gain depends on {' and '.join(gain.measured)}; a controller sees the detected mode only")
-    _check(process.detection[0].modes if gain.measured else 1, system, gain)
+    system.check(process, gain)
     if gain.schedule != "hold":
         return _undecided("a gain that is linear in the sojourn time is not decided beside a detected mode")
     rows = [(process.failure, i) for i in range(system.modes)]

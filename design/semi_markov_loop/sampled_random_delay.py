@@ -179,6 +179,7 @@ def random_delay_verdict(
         return _undecided("sensors that fail together with random delays of the network are not decided")
     if not np.array_equal(gain.gain, np.broadcast_to(gain.gain[:, :1], gain.gain.shape)):
         return _undecided("a gain that depends on the sojourn time is not decided over random delays")
+    system.check(process)
     rows, seen, boxes = _modes(system.modes, process, gain)
     if gain.gain.shape[2:] != (system.inputs, system.states) or max(seen) >= gain.modes:
         raise FieldError("gain", f"shape {gain.gain.shape} does not fit the plant and its {max(seen) + 1} modes")
@@ -212,12 +213,8 @@ def _modes(
 ) -> tuple[list[int], list[int], list[Box]]:
     # per mode of the product: the matrices, the gain that the controller picks, and the rates by the mode that they lead to
     if isinstance(process, SemiMarkov):
-        if process.modes != modes:
-            raise FieldError("process", f"{process.modes} modes, the system has {modes}")
         bounds = [process.bounds(i, 0.0, math.inf) for i in range(modes)]
         return list(range(modes)), list(range(modes)), [Box(low=low, high=high) for low, high in bounds]
-    if process.failure.modes != modes:
-        raise FieldError("process", f"{process.failure.modes} failure modes, the system has {modes}")
     pairs = list(itertools.product(range(modes), range(process.detection[0].modes)))
     gains = [gain_mode(gain.measured, process, i, k) for i, k in pairs]
     return [i for i, _ in pairs], gains, [pair_box(process, i, k) for i, k in pairs]

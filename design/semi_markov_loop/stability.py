@@ -167,15 +167,8 @@ def stability_certificate(
 
 def checked_gain(system: JumpSystem, gain: ScheduledGain | None, process: SemiMarkov) -> ScheduledGain:
     """The gain, or zero gains for None. Raises ValueError unless system, gain and process fit each other."""
-    if process.modes != system.modes:
-        raise FieldError("process", f"{process.modes} modes, the system has {system.modes}")
-    if gain is None:
-        return constant_gain(np.zeros((system.modes, system.inputs, system.states)))
-    expected = (system.modes, system.inputs, system.states)
-    got = (gain.modes, *gain.gain.shape[2:])
-    if got != expected:
-        raise FieldError("gain", f"(modes, inputs, states) = {got}, the system has {expected}")
-    return gain
+    system.check(process, gain)
+    return constant_gain(np.zeros((system.modes, system.inputs, system.states))) if gain is None else gain
 
 
 def _proved_decay(build: Callable[[float], list[Inequality]], matrices: Mapping[str, Array], low: float) -> float:

@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
+from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 if TYPE_CHECKING:  # nothing of a solver
     from design.lmi.exact import Lift
@@ -116,6 +118,22 @@ class _Sized:
     def inputs(self) -> int:
         """Number of inputs m."""
         return int(self.b.shape[2])
+
+    def check(self, process: SemiMarkov | FaultDetection, gain: ScheduledGain | None = None) -> None:
+        """Raise FieldError unless the process, and the gains by what they measure of it, have the sizes of the system."""
+        real, of, measured = process.failure if isinstance(process, FaultDetection) else process, self.modes, ""
+        if real.modes != self.modes:
+            word = "modes" if real is process else "failure modes"
+            raise FieldError("process", f"{real.modes} {word}, the system has {self.modes}")
+        if isinstance(process, FaultDetection) and gain is not None:
+            seen = process.detection[0].modes
+            known = {(): 1, ("r",): seen, ("eta", "r"): self.modes * seen}
+            if gain.measured not in known:
+                raise FieldError("measured", f"{gain.measured!r} is not (), ('r',) or ('eta', 'r')")
+            of, measured = known[gain.measured], f" for measured = {gain.measured!r}"
+        expected = (of, self.inputs, self.states)
+        if gain is not None and (got := (gain.modes, *gain.gain.shape[2:])) != expected:
+            raise FieldError("gain", f"(modes, inputs, states) = {got}, expected {expected}{measured}")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -210,7 +210,7 @@ def test_certificate_is_judged_by_its_own_matrices() -> None:
         (lambda: analyse(autonomous([[-1.0]]), None, STEP_PROCESS), "process: 2 modes, the system has 1"),
         (
             lambda: analyse(STEP_SYSTEM, constant_gain(np.zeros((2, 1, 3))), STEP_PROCESS),
-            r"gain: \(modes, inputs, states\) = \(2, 1, 3\), the system has \(2, 1, 2\)",
+            r"gain: \(modes, inputs, states\) = \(2, 1, 3\), expected \(2, 1, 2\)",
         ),
         (lambda: analyse(chapter2_system(), None, PROCESS, method="exact"), "uncertainty: the exact test"),
         (
