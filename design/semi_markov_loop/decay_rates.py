@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy.linalg
+from scipy.linalg import block_diag, eigh
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
@@ -29,7 +29,7 @@ from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import fastest_exit
-from design.semi_markov_loop.period_moments import gain_mode
+from design.semi_markov_loop.period_moments import gain_mode, moment_operators
 from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
@@ -121,13 +121,8 @@ def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
         loops: shape (N, n, n).
         rates: jump rates, shape (N, N); the diagonal is ignored.
     """
-    modes, n = loops.shape[:2]
-    eye = np.eye(n)
-    rates = rates * (1.0 - np.eye(modes))
-    out = np.kron(rates.T - np.diag(rates.sum(axis=1)), np.eye(n * n))
-    for i in range(modes):
-        block = slice(i * n * n, (i + 1) * n * n)
-        out[block, block] += np.kron(loops[i], eye) + np.kron(eye, loops[i])
+    rates, operators = rates * (1.0 - np.eye(len(rates))), moment_operators(loops)
+    out = np.kron(rates.T - np.diag(rates.sum(axis=1)), np.eye(operators.shape[-1])) + block_diag(*operators)
     return float(np.linalg.eigvals(out).real.max())
 
 
@@ -152,5 +147,5 @@ def proved_decay(
             change = symmetric_part(own @ loop)
             for rate, place in jumps:
                 change = change + rate * (matrices["P[{},{},{},{}]".format(*place)] - own)
-            rates.append(float(scipy.linalg.eigh(-change, own, eigvals_only=True)[0]))
+            rates.append(float(eigh(-change, own, eigvals_only=True)[0]))
     return min(rates)

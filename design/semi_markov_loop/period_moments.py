@@ -147,7 +147,7 @@ def period_moments(
     generators = held_flow(system.a, system.b, size)
     nodes, weights = _first_jump(2.0 * float(np.linalg.norm(generators, 2, axis=(1, 2)).max()) * period_s, period_s)
     q, one = svec_size(size), np.eye(size)
-    blocks = _moment_operators(generators)
+    blocks = moment_operators(generators)
     if system.uncertainty is not None:
         if not upper:
             raise FieldError("uncertainty", "is bounded from above only")
@@ -171,12 +171,12 @@ def period_flows(system: JumpSystem, boxes: Sequence[Box], period_s: float, size
         size: length of z.
         upper: whether the map bounds the true one from above or from below.
     """
-    whole = _with_jumps(_moment_operators(held_flow(system.a, system.b, size)), boxes, upper)
+    whole = _with_jumps(moment_operators(held_flow(system.a, system.b, size)), boxes, upper)
     q = svec_size(size)
     return np.asarray(expm(whole * period_s).reshape(system.modes, q, system.modes, q))
 
 
-def _moment_operators(generators: FloatArray) -> FloatArray:
+def moment_operators(generators: FloatArray) -> FloatArray:
     """d/dt E z z' on svec where dz/dt = G z: shape (N, q, q) for generators (N, size, size)."""
     modes, size = generators.shape[:2]
     basis, one = isometry(size), np.eye(size)

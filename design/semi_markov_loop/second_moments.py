@@ -2,7 +2,7 @@
 
     T_ji = int_0^inf f_ij(h) Phi_i(h) (x) Phi_i(h) dh,    f_ij = lambda_ij e^(-H_i),    Phi_i(h) = transition matrix of mode i
 
-The second moments after jump k are vec M_j(k+1) = sum_i T_ji vec M_i(k), so the loop is mean-square stable if and only if
+The second moments after jump k are svec M_j(k+1) = sum_i T_ji svec M_i(k), so the loop is mean-square stable if and only if
 the radius is below 1 (and the integral over the last, endless cell exists). With e^(beta h) under the integral, a beta that
 keeps the radius below 1 is a rate at which E|x|^2 decays: a bound from below, which modes that
 contract very differently make loose. Necessary and sufficient for a certain system, also for
@@ -29,6 +29,7 @@ from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import DesignError, FieldError
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
+from design.semi_markov_loop.period_moments import congruence, moment_operators, svec_size
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
@@ -66,7 +67,7 @@ _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _ModeMoments:
-    """One mode's integrand: nodes h, weights f_ij(h) dh (nodes, N), Phi(x)Phi (nodes, n^2, n^2), and the endless cell.
+    """One mode's integrand: nodes h, weights f_ij(h) dh (nodes, N), Phi(x)Phi on svec (nodes, q, q), and the endless cell.
 
     Where the rates never settle, ``tail_rates`` is None, ``limit`` the limit of their total, and ``spent`` the H that was used up
     from the last start of a section, ``tail_span`` seconds before the end.
@@ -91,12 +92,6 @@ class _ModeMoments:
         return self.growth + beta < self.limit and self.spent - (self.growth + beta) * self.tail_span >= _LEFT_OUT
 
 
-def _kron2(matrix: FloatArray) -> FloatArray:
-    n = matrix.shape[-1]
-    product = np.einsum("...ij,...kl->...ikjl", matrix, matrix)
-    return np.asarray(product.reshape(*matrix.shape[:-2], n * n, n * n))
-
-
 def _closed_loop(system: JumpSystem, gain: ScheduledGain, mode: int, left: float, right: float) -> tuple[FloatArray, FloatArray]:
     # A(h) at the left end and its slope, on a piece without section starts inside
     k0 = gain.at(mode, left)
@@ -118,7 +113,7 @@ def _transitions(a0: FloatArray, slope: FloatArray, offsets: FloatArray, lengths
 
 
 def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, mode: int, parts: int) -> _ModeMoments:
-    n, settled = system.states, process.settled(mode)
+    n, q, settled = system.states, svec_size(system.states), process.settled(mode)
     starts = gain.starts_s[mode]
     last = system.a[mode] + system.b[mode] @ gain.at(mode, float(starts[-1]))
     growth = 2.0 * float(np.linalg.eigvals(last).real.max())
@@ -150,18 +145,17 @@ def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, 
         for step in range(steps):  # phi carries e^(-H/2), so that neither factor leaves the range of floats
             starts_of_steps[step] = phi
             phi = across[step] @ phi
-        squares.append(_kron2(local[:, :-1] @ starts_of_steps[:, None]).reshape(-1, n * n, n * n))
+        squares.append(congruence(local[:, :-1] @ starts_of_steps[:, None]).reshape(-1, q, q))
     tail = system.a[mode] + system.b[mode] @ gain.at(mode, end)
-    generator = np.kron(tail, np.eye(n)) + np.kron(np.eye(n), tail)
     rates = process.rate(mode, end) if math.isfinite(settled) else None
     return _ModeMoments(
         h=np.concatenate(hs) if hs else np.zeros(0),
         weights=np.concatenate(weights) if hs else np.zeros((0, process.modes)),
-        squares=np.concatenate(squares) if hs else np.zeros((0, n * n, n * n)),
+        squares=np.concatenate(squares) if hs else np.zeros((0, q, q)),
         tail_start=end,
         tail_rates=rates,
-        tail_square=_kron2(phi),
-        tail_generator=generator,
+        tail_square=congruence(phi),
+        tail_generator=moment_operators(tail[None])[0],
         growth=growth,
         limit=process.limit(mode),
         spent=float(process.integral(mode, end) - process.integral(mode, float(starts[-1]))),
@@ -186,7 +180,7 @@ def _far_enough(process: SemiMarkov, mode: int, start: float, growth: float) -> 
 
 
 def _operator(moments: list[_ModeMoments], beta: float) -> FloatArray | None:
-    """T(beta), shape (N n^2, N n^2), or None where an integral over an endless cell does not exist."""
+    """T(beta), shape (N q, N q), or None where an integral over an endless cell does not exist."""
     if not all(mode.exists(beta) for mode in moments):
         return None
     modes, size = len(moments), moments[0].tail_square.shape[0]

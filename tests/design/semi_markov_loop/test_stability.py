@@ -152,9 +152,10 @@ def test_gains_linear_in_the_sojourn_time_are_certified_between_their_nodes_too(
 
 
 def test_exact_radius_agrees_with_a_simulated_second_moment() -> None:
-    # E vec(x x') after one jump, from 20,000 sampled sojourns, against the operator's own first step
+    # E x x' after one jump, from 20,000 sampled sojourns, against the operator's own first step
     from scipy.linalg import expm
 
+    from design.semi_markov_loop.period_moments import smat, svec
     from design.semi_markov_loop.second_moments import _mode_moments, _operator
 
     system, gain = chapter2_system("none"), chapter2_reference_gain()
@@ -162,7 +163,7 @@ def test_exact_radius_agrees_with_a_simulated_second_moment() -> None:
     operator = _operator(moments, 0.0)
     assert operator is not None
     x = np.array([1.0, -0.5])
-    predicted = (operator[4:, :4] @ np.kron(x, x)).reshape(2, 2)
+    predicted = smat(operator[3:, :3] @ svec(np.outer(x, x)))
     h, _ = PROCESS.next_jump(np.zeros(20_000, dtype=int), np.random.default_rng(8))
     a = system.a[0] + system.b[0] @ gain.gain[0, 0]
     after = expm(a * h[:, None, None]) @ x
