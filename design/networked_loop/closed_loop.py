@@ -28,7 +28,7 @@ State and matrices: `design.networked_loop.affine_loop`.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -36,7 +36,6 @@ from msgspec.structs import replace
 
 from design.controllers import LinearLaw, RowsLaw, Selection
 from design.errors import FieldError
-from design.jump_linear.mjls import MJLS
 from design.networked_loop.affine_loop import LoopStructure, wired
 from design.networked_loop.loop_parts import check_plant_shapes
 from design.processes.delay_chain import Array, DelayChain, as_chain
@@ -159,22 +158,6 @@ def _performance_output(
     return z
 
 
-class DynamicLoop(NamedTuple):
-    """The closed loop, bounds of its transition probabilities (None where exact), and the law of the mode at an impulse.
-
-    `inputs` (N, m, order) with u(k) = U_i X(k); `standing` (order, n), the state of the loop whose plant has stood at x, with the
-    controller's state and all rows at 0.
-    """
-
-    system: MJLS
-    between: tuple[Array, Array] | None
-    stays: tuple[Array, ...]
-    initial: Array
-    initial_law: str
-    inputs: Array
-    standing: Array
-
-
 def dynamic_loop(
     A: npt.ArrayLike,
     B: npt.ArrayLike,
@@ -185,8 +168,10 @@ def dynamic_loop(
     selection: str = "constant",
     *,
     input_weight: float = 0.01,
-) -> DynamicLoop:
-    """Return the loop of a plant, two delay chains and a linear controller; z = [C x; input_weight u], w adds to u.
+) -> tuple[LoopStructure, Array]:
+    """Return the loop of a plant, two delay chains and a linear controller, and the gains [Dc Cc] by which it is this loop.
+
+    z = [C x; input_weight u], w adds to u.
 
     Args:
         A, B, C: (n, n), (n, m), (p, n) discrete plant (7.1).
@@ -211,7 +196,4 @@ def dynamic_loop(
     inputs, of_state = loop.applied_input(gains), np.zeros((len(loop.base), p, loop.base.shape[-1]))
     of_state[:, :, :n] = plant[2]
     output = np.concatenate([of_state, input_weight * inputs], axis=1)
-    system = MJLS(A=loop.matrices(gains), B=loop.B, C=output, transition=loop.transition)
-    return DynamicLoop(
-        system, loop.between, loop.stays, loop.default_initial, loop.initial_law, inputs, loop.standing(plant[2])
-    )  # fmt: skip
+    return replace(loop, C=output, gain_shape=(len(gains), gains.shape[1], m, p + c)), gains

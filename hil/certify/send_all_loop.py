@@ -37,6 +37,7 @@ from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate
+    from design.networked_loop.affine_loop import LoopStructure
 
 
 STABLE = 1.0 - 1e-6
@@ -119,9 +120,7 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.closed_loop import loop_structure
 
-        structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral)
-        chances = structure.transition if structure.between is None else structure.between[1]
-        return ClosedLoop(structure.matrices(gains), chances, structure.applied_input(gains), structure.standing(C))
+        return _closed(loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral), gains, C)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
@@ -220,13 +219,17 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.closed_loop import dynamic_loop
 
-        found = dynamic_loop(A, B, C, sc, ca, law)
-        chances = np.asarray(found.system.transition) if found.between is None else found.between[1]
-        return ClosedLoop(np.asarray(found.system.A), chances, found.inputs, found.standing)
+        return _closed(*dynamic_loop(A, B, C, sc, ca, law), C)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
     return ends_within(loop, judge_linear_law(loop.motion, sc, ca, law, digest=loop.digest), modes)
+
+
+def _closed(structure: LoopStructure, gains: Array, C: Array) -> ClosedLoop:
+    """The loop by these gains, over the upper bounds of its transition probabilities."""
+    chances = structure.transition if structure.between is None else structure.between[1]
+    return ClosedLoop(structure.matrices(gains), chances, structure.applied_input(gains), structure.standing(C))
 
 
 def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:
@@ -252,12 +255,13 @@ def judge_linear_law(
     from design.jump_linear.certificate import certify_system, observed_part
     from design.networked_loop.closed_loop import dynamic_loop
 
-    loop = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
+    loop, gains = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
     with one_blas_thread():
-        plant = np.eye(len(model.A), loop.system.order)
-        system, unseen = (loop.system, 0) if isinstance(law, LinearLaw) else observed_part(loop.system, plant)
+        system, unseen = loop.system(gains), 0
+        if not isinstance(law, LinearLaw):
+            system, unseen = observed_part(system, np.eye(len(model.A), system.order))
         certificate = certify_system(
-            system, selection=selection, output="stacked", initial=loop.initial, initial_law=loop.initial_law,
+            system, selection=selection, output="stacked", initial=loop.default_initial, initial_law=loop.initial_law,
             between=loop.between, stays=loop.stays, hinf=True,
         )  # fmt: skip
     verdict = second_moment_verdict(certificate, digest)

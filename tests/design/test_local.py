@@ -27,8 +27,8 @@ def model(tau_max: int = 2, d_max: int = 1) -> LoopModel:
 def test_without_a_network_the_norms_are_python_controls() -> None:
     """The loop that the certificate is of, built by python-control from plant and controller, has the same H2 norm."""
     law = local_design(A, B, C, "lqg")
-    loop = dynamic_loop(A, B, C, NOW, NOW, law)
-    ours = certify_system(loop.system, initial=loop.initial, hinf=True)
+    loop, gains = dynamic_loop(A, B, C, NOW, NOW, law)
+    ours = certify_system(loop.system(gains), initial=loop.default_initial, hinf=True)
     plant = control.ss(A, np.hstack([B, B]), np.vstack([C, np.zeros((1, 2)), C]), np.array([[0, 0], [0, 0.01], [0, 0]]), 1.0)
     closed = plant.lft(control.ss(law.A, law.B, law.C, law.D, 1.0))
     gramian = control.dlyap(closed.A, closed.B @ closed.B.T)
@@ -42,8 +42,8 @@ def test_without_a_network_the_norms_are_python_controls() -> None:
 def test_lqr_is_the_best_and_the_game_bounds_every_disturbance() -> None:
     def norms(F: np.ndarray) -> tuple[float, float]:
         feedback = LinearLaw(A=np.zeros((0, 0)), B=np.zeros((0, 2)), C=np.zeros((1, 0)), D=-F)
-        loop = dynamic_loop(A, B, np.eye(2), NOW, NOW, feedback)
-        system = loop.system
+        loop, gains = dynamic_loop(A, B, np.eye(2), NOW, NOW, feedback)
+        system = loop.system(gains)
         output = np.concatenate([np.asarray(system.C)[:, :1], np.asarray(system.C)[:, 2:]], axis=1)  # the angle and the input
         found = certify_system(type(system)(A=system.A, B=system.B, C=output, transition=system.transition), hinf=True)
         return found.h2_norm or np.inf, found.hinf_norm or np.inf
@@ -60,8 +60,8 @@ def test_the_law_that_runs_is_the_law_that_is_certified() -> None:
     controller = LocalDesigned(method="hinf").solve(task)
     assert isinstance(controller, LinearFeedback)
     late = DelayChain(transition=((0.0, 1.0), (0.0, 1.0)))
-    loop = dynamic_loop(A, B, C, late, late, controller.linear_law(model()))
-    matrix = np.asarray(loop.system.A)[3]  # tau = 1, d = 1
+    loop, gains = dynamic_loop(A, B, C, late, late, controller.linear_law(model()))
+    matrix = loop.matrices(gains)[3]  # tau = 1, d = 1
     running, x = controller.start(model()), np.array([0.3, -1.0])
     state = np.concatenate([x, np.zeros(matrix.shape[0] - 2)])
     sample, row = np.zeros(1), np.zeros(1)
@@ -74,9 +74,12 @@ def test_the_law_that_runs_is_the_law_that_is_certified() -> None:
 
 def test_delays_that_the_design_does_not_know_can_undo_it() -> None:
     law = local_design(A, B, C, "lqr")
-    over = dynamic_loop(A, B, C, DelayChain(transition=LAMBDA), DelayChain(transition=PI), law)
-    assert certify_system(dynamic_loop(A, B, C, NOW, NOW, law).system).state == "certified"
-    assert certify_system(over.system).state == "refused"
+    (now, gains), (over, late) = (
+        dynamic_loop(A, B, C, *chains, law)
+        for chains in ((NOW, NOW), (DelayChain(transition=LAMBDA), DelayChain(transition=PI)))
+    )
+    assert certify_system(now.system(gains)).state == "certified"
+    assert certify_system(over.system(late)).state == "refused"
 
 
 @pytest.mark.parametrize(
@@ -96,5 +99,6 @@ def test_rows_without_a_state_are_the_table_of_their_gains_however_late_they_act
     ca = DelayChain(transition=((0.5, 0.3, 0.2), (0.4, 0.3, 0.3), (0.2, 0.4, 0.4)))
     gains = -0.01 * np.arange(1.0, 7.0).reshape(2, 3, 1, 1)[:, : 1 if selection == "constant" else 3]
     rows = [RowsLaw(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((len(D), 1, 0)), D=D) for D in gains]
-    own = certify_system(dynamic_loop(A, B, C, sc, ca, rows, selection).system, hinf=False)
+    loop, table = dynamic_loop(A, B, C, sc, ca, rows, selection)
+    own = certify_system(loop.system(table), hinf=False)
     assert own.mean_square_radius == pytest.approx(certify_loop(A, B, C, sc, ca, gains, selection).mean_square_radius, rel=1e-8)

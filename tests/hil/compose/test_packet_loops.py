@@ -149,7 +149,8 @@ def test_a_linear_controller_is_the_table_of_one_gain() -> None:
     assert ca is not None
     K = np.array([[-0.7]])
     linear = LinearLaw(A=np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=K)
-    own = dynamic_loop(a, b, c, sc, ca, linear).system
+    loop, gains = dynamic_loop(a, b, c, sc, ca, linear)
+    own = loop.system(gains)
     table = certify_loop(a, b, c, sc, ca, np.broadcast_to(K, (2, 1, 1, 1)), "constant").mean_square_radius
     from design.jump_linear.certificate import certify_system
 
