@@ -4,7 +4,7 @@ A cell is [h_r, h_{r+1}) of one mode, the last one [h_R, inf). Within it every r
 inequality that is affine in the rates holds if it holds at all 2^(N-1) corners of the box.
 
 Products of two functions that are linear in h are quadratic; they are negative definite on the cell if their three
-Bernstein coefficients are (``along``).
+Bernstein coefficients are. Conditions on P are made by `along_cells`, conditions on X = P^-1 by `require_inverse`.
 
 References: thesis (2.13), (4.14), (4.26); ERRATA 1, 3 and 12.
 """
@@ -126,7 +126,7 @@ Change = Callable[..., Any]
 
 
 def along_cells(
-    change: Change | Sequence[Change],
+    changes: Sequence[Change],
     process: SemiMarkov,
     gain: ScheduledGain,
     nodes: Partition,
@@ -139,12 +139,12 @@ def along_cells(
 ) -> list[Inequality]:
     """What must be negative definite along every cell at every corner of the rates, and what links the cells of ``pwc``.
 
-        dP_i/dh + sum_j lambda_ij (P_j(0) - P_i) is handed to ``change`` beside P_i(h) and K(i, h),
+        dP_i/dh + sum_j lambda_ij (P_j(0) - P_i) is handed to each of ``changes`` beside P_i(h) and K(i, h),
 
     on P[i,r] and the names below, P linear between the nodes (``pwl``) or constant per section (``pwc``).
 
     Args:
-        change: the left side, affine in P and in K; or several that must hold, as of vertices.
+        changes: left sides, affine in P and in K, that must all hold, as at the vertices of an uncertainty.
         process: the rates.
         gain: K(i, h).
         nodes: nodes or sections of P per mode.
@@ -168,7 +168,7 @@ def along_cells(
         for rates in cell.rates:
             targets = [j for j, rate in enumerate(rates) if rate > 0]
             on = (*own, *shared, *(f"P[{j},{cell.landing(len(nodes[j]), sound=sound)}]" for j in targets))
-            for pairs, one in itertools.product(bernstein(gains, 1 + pwl), [change] if callable(change) else change):
+            for pairs, one in itertools.product(bernstein(gains, 1 + pwl), changes):
                 function = partial(
                     _mean_of_ends, change=partial(one, cell), kinds=len(at_nodes), shared=len(shared), lift=lift, pairs=pairs,
                     width=lift(cell.stop) - lift(cell.start) if pwl else None, rates=[lift(rates[j]) for j in targets],
