@@ -64,8 +64,6 @@ def delayed_inequalities(
     """Every inequality on P[i,r], Q and, where gamma is not known, g2 = (scale gamma)^2; z scaled by ``scale``."""
     change = partial(_bounded_real, system=system, eta=fastest_exit(process, nodes), scale=scale, lift=lift)
     out = along_cells([change], process, gain, nodes, method, shared=("Q", "g2"), lift=lift)
-    for name in (f"P[{i},{r}]" for i, row in enumerate(nodes) for r in range(len(row))):
-        out.append(Inequality(name=f"{name} > 0", function=lambda p: -p, on=(name,)))
     return out if gamma is None else [item.fixing({"g2": lift([[(scale * gamma) ** 2]])}) for item in out]
 
 

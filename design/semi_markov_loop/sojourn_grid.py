@@ -134,6 +134,7 @@ def along_cells(
     *,
     at_nodes: Sequence[str] = ("P",),
     shared: Sequence[str] = (),
+    least: Array | None = None,
     sound: bool = True,
     lift: Lift = as_float,
 ) -> list[Inequality]:
@@ -151,6 +152,7 @@ def along_cells(
         method: ``pwl`` or ``pwc``.
         at_nodes: "P", and other matrices that lie at the same nodes.
         shared: matrices of all cells.
+        least: every P is at least this; None: positive definite.
         sound: as it holds; else as Chapter 2 prints it: two corners of the rates, jumps that land in the section that they left,
             and sections that are not linked, which proves nothing.
         lift: into floats or fractions.
@@ -158,7 +160,7 @@ def along_cells(
     Raises:
         ValueError: as ``cells``; a gain that varies within a section of ``pwc``.
     """
-    out = []
+    out, floor = [], 0 if least is None else least
     for cell in cells(process, nodes, sound=sound):
         i, here = cell.mode, cell.index
         gains, pwl = gain_on(gain, cell, lift), method == "pwl" and not cell.last
@@ -178,6 +180,8 @@ def along_cells(
         if method == "pwc" and sound and not cell.last:
             both = (f"P[{i},{here + 1}]", f"P[{i},{here}]")
             out.append(Inequality(name="{} <= {}".format(*both), function=lambda a, b: a - b, on=both))
+        name = f"P[{i},{here}] {'> 0' if least is None else 'normalised'}"
+        out.append(Inequality(name=name, function=lambda p: floor - p, on=(f"P[{i},{here}]",), strict=least is None))
     return out
 
 

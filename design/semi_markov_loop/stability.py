@@ -57,11 +57,9 @@ def stability_inequalities(
     bounded = isinstance(system.uncertainty, NormBounded)
     changes = [partial(_decrease, system=system, vertex=vertex, decay=decay, lift=lift) for vertex in system.vertices]
     at_nodes = ("P", "eps") if bounded else ("P",)
-    out = along_cells(changes, process, gain, nodes, method, at_nodes=at_nodes, sound=sound, lift=lift)
-    identity = lift(np.eye(system.states))
-    for name in (f"P[{i},{r}]" for i, row in enumerate(nodes) for r in range(len(row))):
-        out.append(Inequality(name=f"{name} >= I", function=lambda p: identity - p, on=(name,), strict=False))
-    return out
+    return along_cells(
+        changes, process, gain, nodes, method, at_nodes=at_nodes, least=lift(np.eye(system.states)), sound=sound, lift=lift
+    )
 
 
 def _decrease(
