@@ -155,7 +155,7 @@ class Historical:
             if nodes.turns is None or len(set(nodes.delays)) != 1 or None in nodes.delays:
                 raise FieldError("uses", "the last packets need nodes that take turns and have one constant delay")
             return K, nodes, self.uses, window_of(nodes.turns, len(K))
-        phases = phase_count(nodes.turns)
+        phases = 1 if nodes.turns is None else nodes.turns.phases
         if len(K) != phases:
             raise FieldError("gains", f"{len(K)} phases, but the schedule has {phases}")
         alone = nodes.turns is not None and not nodes.turns.received  # one packet in a slot
@@ -164,11 +164,6 @@ class Historical:
         if nodes.turns is not None and nodes.turns.transition and self.uses == "history":
             raise FieldError("uses", "over random turns only the current packet has gains of its own: uses = 'current-packet'")
         return K, nodes, self.uses, None
-
-
-def phase_count(turns: Turns | None) -> int:
-    """Return the number of phases of a schedule: slots of a cycle, nodes of random turns, 1 where all send in every slot."""
-    return 1 if turns is None else turns.phases
 
 
 class HistoricalRun:

@@ -273,7 +273,7 @@ class LocalDesigned:
     It is what a networked design is compared with; python-control solves it.
 
     Args:
-        method: ``lqr``, ``lqg`` or ``hinf``, see `design.local`.
+        method: ``lqr``, ``lqg`` or ``hinf``, see `design.requests.local_design`.
         input_weight: rho of z = [C x; rho u], output units per input unit.
         noise: standard deviation of a sample per unit of the input disturbance's (``lqg`` and ``hinf``).
     """
@@ -292,7 +292,7 @@ class LocalDesigned:
             FieldError: names the field.
             DesignError: a Riccati equation has no stabilising solution.
         """
-        from design.local import local_design
+        from design.requests.local_design import local_design
 
         return local_design(model.A, model.B, model.C, self.method, input_weight=self.input_weight, noise=self.noise)
 

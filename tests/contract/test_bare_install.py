@@ -12,7 +12,7 @@ import pytest
 
 import plants
 from design.errors import DesignError
-from design.local import local_design
+from design.requests.local_design import local_design
 from plants import PlantError, StateSpace
 from transport import TransportError, open_link
 

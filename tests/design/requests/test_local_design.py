@@ -9,10 +9,10 @@ import pytest
 from design.controllers import LinearFeedback, LinearLaw, LoopModel, OutputFeedback, RowsLaw
 from design.errors import FieldError
 from design.jump_linear.certificate import certify_system
-from design.local import game_feedback, local_design, lqr_feedback
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
+from design.requests.local_design import game_feedback, local_design, lqr_feedback
 from design.requests.tracking import DesignTask, LocalDesigned
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
 
