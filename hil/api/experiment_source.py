@@ -43,6 +43,9 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
     """
     faults, changes, kinds = [], dict[str, Any](), dict(experiment.kinds)
     for path, made in objects.items():
+        if isinstance(made, type):
+            faults.append(f"{path}: the class {made.__name__}, expected an object of it: {path}={made.__name__}()")
+            continue
         group, cls = group_of(path), type(made)
         installed = kind_of_class(group, cls)
         fault = own_fault(group, made) if installed is None else None

@@ -16,8 +16,9 @@ from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
 from hil.api.arguments import checked_arguments
 from hil.api.experiment_source import Source, checked_experiment
-from hil.design_questions.design_problem import TrackingTarget, problem_for, tracking_target, verdict_on
+from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of, tracking_target, verdict_on
 from hil.errors import HilError
+from hil.experiment.tables import Experiment
 from hil.files import check_output, write_output
 from hil.log.write.provenance import package_versions
 from hil.measure.measure import Named
@@ -97,11 +98,13 @@ def _known(value: float, scale: float) -> float | None:
 
 
 @checked_arguments
-def design(source: str, *, period: float | None = None, sojourns: int = 1, row_sojourns: int = 1, **options: Any) -> DesignResult:
+def design(
+    source: Source, *, period: float | None = None, sojourns: int = 1, row_sojourns: int = 1, **options: Any
+) -> DesignResult:
     """Design gains for a plant over the network (7.34), or for the plant and network of an experiment.
 
     Args:
-        source: name of a plant plug-in or of an experiment.
+        source: name of a plant plug-in, or an experiment as in `run`; ``load_experiment("dc-motor-hinf", plant=Cart())`` is one.
         period: sample period in s; the thesis's, or the experiment's, by default.
         sojourns: slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.
         row_sojourns: the same of d: a row for each d and so many slots that it has lasted, with ``information="applied"``.
@@ -122,7 +125,11 @@ def design(source: str, *, period: float | None = None, sojourns: int = 1, row_s
         check_row_sojourns(row_sojourns, options.get("information", "applied"), "information")
     except ValueError as error:
         raise HilError(f"design: {error}") from None
-    target = tracking_target(source, None if period is None else float(period), sojourns, row_sojourns)
+    sampled = None if period is None else float(period)
+    if isinstance(source, Experiment):
+        target = target_of(source, source.name, sampled, sojourns, row_sojourns)
+    else:
+        target = tracking_target(str(source), sampled, sojourns, row_sojourns)
     begun = monotonic_ns()
     try:
         found = solve_tracking(problem_for(target, **options))

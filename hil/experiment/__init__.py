@@ -70,6 +70,8 @@ def load_experiment(
         raise HilError(f"no experiment {name!r}: neither a file{where} nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so
         pass
+    if path.suffix == ".mcap":
+        raise HilError(f"{name}: is a log, expected an experiment; `hil report` makes a page of a log, or of a folder of logs")
     data = read_regular(path, MAX_BYTES, "an experiment file")
     try:
         text = data.decode()

@@ -305,7 +305,8 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
             what = f"rows() returned {rows!r:.80}, expected {shape}"
             numbers = asked(what, lambda rows=rows: [[float(u) for u in row] for row in rows])
             assert len(numbers) == expected, f"{len(numbers)} rows, expected {expected} for {running.selection!r}"
-            assert all(len(row) == m for row in numbers), f"a row has not {m} inputs"
+            other = [len(row) for row in numbers if len(row) != m]
+            assert not other, f"a row of rows() has {other[0]} numbers, expected {m}, one of each input"
             assert np.isfinite(numbers).all(), "a row is not finite"
             out.append(numbers)
         return out

@@ -99,7 +99,7 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
     tried += [_candidate(f"loss: {f.kind}", "losses", f, n) for f in losses]
     packet = {"kind": "packet", "latency": chosen.spec} | ({"loss": losses[0].spec()} if losses[0].kind != "none" else {})
     found = LawFit(
-        law_class="none", spec=packet | _bounded(record, chosen, period, deadline), latencies=chosen,
+        law_class="none", spec=_readable(packet | _bounded(record, chosen, period, deadline)), latencies=chosen,
         losses=losses[0], ages=None, candidates=tuple(tried), tested=tested, in_slots=in_slots, record=record, period_s=period,
         deadline_s=deadline,
     )  # fmt: skip
@@ -118,7 +118,16 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
     best = chains[0]
     sound = checked[0].independent
     kind: LawClass = "none" if not sound else "markov" if best.kind == "markov" else "semi-markov"
-    return replace(found, law_class=kind, spec=best.spec, ages=best, candidates=tuple(tried))
+    return replace(found, law_class=kind, spec=_readable(best.spec), ages=best, candidates=tuple(tried))
+
+
+def _readable(value: Any) -> Any:
+    """The same with numbers of 12 digits at most, as a person would write them: 0.717 and not 0.7170000000000001."""
+    if isinstance(value, float):
+        return float(f"{value:.12g}")
+    if isinstance(value, dict):
+        return {key: _readable(each) for key, each in value.items()}
+    return [_readable(each) for each in value] if isinstance(value, list) else value
 
 
 def _own_numbers() -> np.random.Generator:

@@ -215,7 +215,8 @@ def start_of(content: Content) -> int:
 def _schema(content: Content, channel: Channel) -> Schema:
     found = content.schemas.get(channel.schema_id)
     if found is None or found.encoding != "ros2msg" or channel.message_encoding != "cdr":
-        raise HilError(f"topic {channel.topic}: expected a ros2msg schema and CDR messages")
+        other = "" if "hilrig" in content.metadata else "is an MCAP file, but not a log of hilrig: "
+        raise HilError(f"{other}topic {channel.topic}: expected a ros2msg schema and CDR messages")
     try:
         return Schema.from_text(found.name, found.data.decode())
     except ValueError as error:

@@ -48,7 +48,8 @@ def draw_bars(bars: Bars) -> str:
                 x, (low, high) = left + width / 2, (y_of(max(end, 0.0)) for end in group.whiskers[i])
                 caps = f"M{x - 4:.1f} {high:.1f}h8M{x - 4:.1f} {low:.1f}h8"
                 parts.append(f'<path class="whisker" d="M{x:.1f} {low:.1f}V{high:.1f}{caps}"/>')
-    return _svg(parts, bars.title)
+    few = len(bars.categories) <= 4 and all(len(str(each)) <= 6 for each in bars.categories)
+    return _svg(parts, bars.title, style=f' class="{"few" if few else "many"}"')  # few: whole on a telephone, in larger letters
 
 
 def draw_histogram(histogram: Histogram) -> str:

@@ -175,6 +175,18 @@ class Pushed(LinearPlant):
         return LinearRun(self.model(), (1.0,))
 
 
+def test_a_class_in_place_of_its_object_is_called_so() -> None:
+    with pytest.raises(hil.HilError, match=r"plant: the class Pushed, expected an object of it: plant=Pushed\(\)"):
+        hil.run("dc-motor-hinf", plant=Pushed)
+
+
+def test_gains_are_designed_for_an_object_in_an_experiment() -> None:
+    motor = hil.load_experiment("dc-motor-hinf", plant=plants.DCMotor(gain=100.0))
+    found = hil.design(motor, information="constant", starts=1)
+    same = hil.design("dc-motor-hinf", information="constant", starts=1)
+    assert found.certificate.stable and not np.array_equal(found.problem.B, same.problem.B)
+
+
 def test_a_subclass_of_a_shipped_plant_runs_by_its_own_methods() -> None:
     changes = {"limits.state": {}, "allow_uncertified": True, "controller": 0.0}
     fields: dict[str, Any] = {"A": ((-1.0,),), "B": ((1.0,),), "C": ((1.0,),)}

@@ -34,6 +34,13 @@ def law(text: str) -> str:
     return changed(MARKOV, f"sc.law = {text}")
 
 
+def test_a_log_in_place_of_an_experiment_is_called_so(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n" + bytes(2_000_000))
+    with pytest.raises(HilError, match=r"run\.mcap: is a log, expected an experiment; `hil report`"):
+        load_experiment(str(log))
+
+
 FAULTS: list[tuple[str, str, str]] = [
     # id, text, what the message must hold
     ("wrong type of period", changed('period = "50 ms"', "period = [1]"), "period: "),

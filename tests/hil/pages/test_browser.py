@@ -157,11 +157,38 @@ def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_des
     with chromium.Page(width=390, height=900) as page:
         page.open(file)
         assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        assert page.evaluate("Math.min(...[...document.querySelectorAll('svg')].map(s => 11 * s.clientWidth / 560))") > 9.0
+        letters = "[...document.querySelectorAll('svg text')].map(t => parseFloat(getComputedStyle(t).fontSize)"
+        assert page.evaluate(f"Math.min(...{letters} * t.ownerSVGElement.clientWidth / 560))") > 9.0
         assert page.evaluate("document.querySelector('.prose-last td:last-child').clientWidth") >= 200
     with chromium.Page(width=1400, height=900) as page:
         page.open(file)
         assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
+
+
+def test_few_bars_are_whole_on_a_telephone(tmp_path: Path) -> None:
+    def ages(n: int) -> Bars:
+        return Bars(title=f"{n}", categories=[str(i) for i in range(n)], groups=(BarGroup(label="share", values=[0.1] * n),))
+
+    file = tmp_path / "page.html"
+    file.write_text(Page("Bars", [Section(title="x", blocks=(ages(3), ages(20)))]).html(), encoding="utf-8")
+    with chromium.Page(width=390, height=800) as page:
+        page.open(file)
+        hidden = "[...document.querySelectorAll('.scroll')].map(s => s.scrollWidth - s.clientWidth > 1)"
+        assert page.evaluate(hidden) == [False, True]
+
+
+def test_numbers_of_an_axis_leave_its_label_free(tmp_path: Path) -> None:
+    t = np.arange(0.0, 10.0, 0.1)
+    small = Figure(title="Small", y_label="angle", series=(Series(label="angle", x=t, y=-1e-5 - 1e-9 * np.sin(t)),))
+    file = tmp_path / "page.html"
+    file.write_text(Page("Small", [Section(title="x", blocks=(small,))]).html(), encoding="utf-8")
+    with chromium.Page(width=390, height=800) as page:
+        page.open(file)
+        shown = page.evaluate("hilPlots()[0].axes[1]._values.filter(v => v)")
+        assert "−1.0001e−5" in shown and "−1e−5" in shown and len(set(shown)) == len(shown)
+        room = "(u => { u.ctx.font = '11px ' + getComputedStyle(document.body).fontFamily; return u.axes[1]._size - 10 - 19 - "
+        room += "Math.max(...u.axes[1]._values.map(v => u.ctx.measureText(v || '').width)); })(hilPlots()[0])"
+        assert page.evaluate(room) >= 0
 
 
 STILLS = (  # boxes, numbers and words of each

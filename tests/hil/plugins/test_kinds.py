@@ -62,7 +62,7 @@ class Answers:
         ((0.5,), r"rows\(\) returned \(0.5,\), expected 1 row of 1 input in a tuple of tuples"),
         (None, r"rows\(\) returned None, expected 1 row of 1 input"),
         (((0.5,), (0.5,)), "2 rows, expected 1 for 'constant'"),
-        (((0.5, 0.5),), "a row has not 1 inputs"),
+        (((0.5, 0.5),), r"a row of rows\(\) has 2 numbers, expected 1"),
         (((float("nan"),),), "a row is not finite"),
     ],
 )

@@ -6,6 +6,8 @@ records for each of its tests.
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -31,6 +33,13 @@ def test_class_is_found(number: int) -> None:
     assert fit.law_class == expected
     for kind, best in (("latencies", fit.latencies.name), ("losses", f"loss: {fit.losses.kind}")):
         assert next(each for each in fit.candidates if each.fitted_to == kind).name == best
+
+
+@pytest.mark.parametrize("number", [0, 6, 13])
+def test_numbers_of_a_law_are_written_as_a_person_would(number: int) -> None:
+    written = str(fit_law(record_of(LAWS[number][1], 2000, [number, 1]), T, DEADLINE).spec)
+    digits = [each.replace(".", "").lstrip("0") for each in re.findall(r"\d+\.\d+", written)]
+    assert digits and max(map(len, digits)) <= 12
 
 
 @pytest.mark.slow

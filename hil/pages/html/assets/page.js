@@ -126,13 +126,26 @@
     return s;
   }
 
+  // A tick is a round number: all of its digits tell it from its neighbours, and no nought is added, 1.5e−7.
+  const tick = (value) => {
+    const round = +value.toPrecision(12), size = Math.abs(round);
+    return (size !== 0 && (size < 1e-4 || size >= 1e7) ? round.toExponential() : String(round)).replace(/-/g, "−");
+  };
+
+  // As wide as its numbers need beside the label, and no narrower than the plots above and below.
+  const fits = (least) => (u, values) => {
+    if (values == null) return least;
+    u.ctx.font = font(11 * uPlot.pxRatio);
+    return Math.max(least, Math.ceil(33 + Math.max(...values.map((v) => u.ctx.measureText(v || "").width)) / uPlot.pxRatio));
+  };
+
   function axis(label, size, extra) {
     return {
       label, labelSize: 19, labelGap: 0, size, gap: 5, labelFont: font(11.5), font: font(11),
       stroke: () => css("--muted"),
       grid: { stroke: () => css("--line-soft"), width: 1 },
       ticks: { stroke: () => css("--line"), width: 1, size: 5 },
-      values: (u, splits) => splits.map((v) => (v == null ? null : format(+v.toPrecision(12)).replace("–", ""))),
+      values: (u, splits) => splits.map((v) => (v == null ? null : tick(v))),
       ...extra,
     };
   }
@@ -190,7 +203,7 @@
       },
       axes: [
         axis(figure.xLabel, 27, figure.xTicks ? { splits: () => figure.xTicks } : figure.xAsinh ? { splits: signed } : figure.xLog ? {} : { incrs: ROUND }),
-        axis(figure.yLabel, 62, figure.yAsinh ? { splits: signed } : figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
+        axis(figure.yLabel, fits(62), figure.yAsinh ? { splits: signed } : figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
       ],
       series: [{ label: figure.xLabel, value: (u, v) => format(v) }, ...curves.map(curve)],
       bands,

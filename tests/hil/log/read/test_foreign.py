@@ -2,12 +2,14 @@
 
 import math
 from copy import deepcopy
+from pathlib import Path
 from typing import Any
 
 import pytest
+from mcap.writer import Writer
 
 from hil.errors import HilError
-from hil.log.read.run import check_events, check_topics, check_words
+from hil.log.read.run import check_events, check_topics, check_words, read_run
 from hil.log.records import Field, Schema
 from tests.hil.log.recording import TABLE
 
@@ -47,6 +49,18 @@ def test_a_field_of_another_name_or_type_is_named_and_a_topic_may_lack(topic: st
 def test_an_event_of_another_kind_is_named(change: dict[str, Any]) -> None:
     with pytest.raises(HilError, match=f"event 1: {next(iter(change))}: "):
         check_events([EVENT, {**EVENT, **change}])
+
+
+def test_a_log_of_another_program_is_called_so(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        channel = writer.register_channel("/x", "json", writer.register_schema("x", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    with pytest.raises(HilError, match="an MCAP file, but not a log of hilrig: topic /x"):
+        read_run(path)
 
 
 @pytest.mark.parametrize("seed", ["", "x", "-1", "1e3", "1" * 25, "७"])
