@@ -24,6 +24,8 @@ from design.jump_linear.long_computations import gmres
 Index = npt.NDArray[np.intp]
 Levels = tuple[tuple[int, int], ...]
 
+BORDERED_TOLERANCE = 1e-10
+"""Of GMRES on a bordered equation: Newton's method on the fold corrects what it leaves."""
 LIMIT = 6000
 """Unknowns from which on elimination pays: the vectors of GMRES get shorter, its products take no less time."""
 
@@ -226,13 +228,12 @@ def solve_bordered(
     functional: Array,
     level: tuple[float, float],
     *,
-    tolerance: float = 1e-13,
     near: Array | None = None,
 ) -> tuple[Array, float] | None:
     """Return Y (N, n, n) and t with Y = W (M Y M') + G_0 + t G_1 and <H, Y> = c_0 + t c_1, or None where none were found.
 
     Args:
-        M, factors, tolerance, near: as in `solve_coupled`.
+        M, factors, near: as in `solve_coupled`.
         G: (G_0, G_1), each (N, n, n) symmetric.
         functional: H (N, n, n) symmetric.
         level: (c_0, c_1).
@@ -253,7 +254,7 @@ def solve_bordered(
         fixed = states.expand(np.zeros(states.shape), G0)
         known, offset = known + states.moved(fixed), offset + float(np.vdot(H, fixed))
     start = None if near is None else np.append(states.pack(states.arranged(near)[:, :f]), 0.0)
-    found = gmres(product, np.append(states.pack(known), offset), tolerance=tolerance, start=start)
+    found = gmres(product, np.append(states.pack(known), offset), tolerance=BORDERED_TOLERANCE, start=start)
     if found is None:
         return None
     t = float(found[-1])

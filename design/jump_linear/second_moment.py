@@ -30,7 +30,6 @@ EIG_DENSE_AFTER = 3500  # unknowns up to which they are where ARPACK does not fi
 ARPACK_RESTARTS = 60  # a spectrum that is not found by then is crowded: no number of restarts that pays finds it
 ARPACK_NUMBERS, ARPACK_LEAST = 3_000_000, 5  # unknowns times restarts, at most; with fewer restarts none is begun
 CLUSTER_LIMIT = 20_000  # unknowns up to which four eigenvalues are found, in case several lie on the spectral circle
-BORDERED_TOLERANCE = 1e-10  # of GMRES: Newton's method on the fold corrects what it leaves
 
 
 def to_vector(matrices: Array) -> Array:
@@ -216,14 +215,12 @@ class Bordered:
         A, last = self.A, float(rhs[-1])
         turned = np.ascontiguousarray(A.transpose(0, 2, 1))
         if transposed:
-            found = solve_bordered(
-                A, transposed_factors(self.chains), (-inner, right), left, (last, 0.0), tolerance=BORDERED_TOLERANCE, near=guess
-            )
+            found = solve_bordered(A, transposed_factors(self.chains), (-inner, right), left, (last, 0.0), near=guess)
         else:
             chains, constant = self.chains, (last + float(np.vdot(right, inner)), -float(np.vdot(right, left)))
             found = solve_bordered(
                 turned, chains, (mean(chains, -inner), mean(chains, left)), A @ right @ turned, constant,
-                tolerance=BORDERED_TOLERANCE, near=None if guess is None else mean(chains, guess),
+                near=None if guess is None else mean(chains, guess),
             )  # fmt: skip
             if found is not None:
                 found = turned @ found[0] @ A + found[1] * left - inner, found[1]
