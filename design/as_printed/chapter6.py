@@ -69,9 +69,7 @@ def least_real_part(device: HeldDevice, delay: int) -> float:
     return float(value.real.min())
 
 
-def printed_distortion(
-    materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float
-) -> MJLS:
+def printed_distortion(materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float) -> MJLS:
     """Return (6.14) as printed, for a strictly proper weight: nothing drives the weight's state, so that z stays 0.
 
     The last rows of the printed A and B lack B_w. (6.15) to (6.17) speak of this system, whose norm is 0 (ERRATA 26).
@@ -134,9 +132,7 @@ def meets_printed_attenuation(
     for i, name in enumerate(names):
         program.symmetric(name, n)
         program.require(f"{name} > 0", lambda p: -p, name)
-        program.require(
-            f"(6.17) {i}", partial(_left_side, mode=i, data=modes[i], row=chain[i], gamma=gamma), "Q", *names
-        )
+        program.require(f"(6.17) {i}", partial(_left_side, mode=i, data=modes[i], row=chain[i], gamma=gamma), "Q", *names)
     return decide(program, verify_with="nothing").holds
 
 

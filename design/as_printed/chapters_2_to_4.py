@@ -280,9 +280,7 @@ class PrintedRequest:
 
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve (2.21). Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
-        program = feedback_program(
-            system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, sound=False
-        )
+        program = feedback_program(system, self.process, self.starts, "pwc", self.gain_bound, decay, CONDITION, sound=False)
         found = decide(program, verify_with="nothing" if quick else "cvxpy")
         if not found.holds:
             raise Infeasible(f"printed Corollary 2.2, gain norm <= {self.gain_bound:g}: {found.explain()}", value=found.margin)

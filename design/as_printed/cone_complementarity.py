@@ -188,4 +188,3 @@ class _Programme:
             return None
         E = expect(self.structure.transition, np.stack([np.asarray(p.value) for p in self.P]))
         return list(E), [np.asarray(x.value) for x in self.X], np.asarray(self.free.value)
-

@@ -110,10 +110,7 @@ def chapter3_process() -> SemiMarkov:
     knots = np.stack([lower[0], upper[0], upper[1]])
     times = (0.0, CHAPTER3_BOUNDARY_S, 2 * CHAPTER3_BOUNDARY_S)
     rows = [
-        tuple(
-            None if i == j else PiecewiseLinearRate(times_s=times, values=tuple(knots[:, i, j].tolist()))
-            for j in range(3)
-        )
+        tuple(None if i == j else PiecewiseLinearRate(times_s=times, values=tuple(knots[:, i, j].tolist())) for j in range(3))
         for i in range(3)
     ]
     return SemiMarkov(rates=tuple(rows))

@@ -195,9 +195,7 @@ class ShiftStates:
         return mean(self.factors, self.top @ Y @ self.turned)
 
 
-def solve_coupled(
-    M: Array, factors: Factors, G: Array, *, tolerance: float = 1e-13, near: Array | None = None
-) -> Array | None:
+def solve_coupled(M: Array, factors: Factors, G: Array, *, tolerance: float = 1e-13, near: Array | None = None) -> Array | None:
     """Return the solution (N, n, n), or None where none was found.
 
     Args:

@@ -40,9 +40,7 @@ def excluded(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int
     return max(0.0, float(-(b @ projected) / max(np.abs(q + a.T @ projected).sum(), 1e-300)))
 
 
-def clarabel(
-    q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]
-) -> tuple[FloatArray, FloatArray, str]:
+def clarabel(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]) -> tuple[FloatArray, FloatArray, str]:
     """Interior point: x, z and what the solver says of them."""
     package = solver("clarabel")
     settings = package.DefaultSettings()

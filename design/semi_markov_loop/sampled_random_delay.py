@@ -208,9 +208,7 @@ def random_delay_verdict(
     )  # fmt: skip
 
 
-def _modes(
-    modes: int, process: SemiMarkov | FaultDetection, gain: ScheduledGain
-) -> tuple[list[int], list[int], list[Box]]:
+def _modes(modes: int, process: SemiMarkov | FaultDetection, gain: ScheduledGain) -> tuple[list[int], list[int], list[Box]]:
     # per mode of the product: the matrices, the gain that the controller picks, and the rates by the mode that they lead to
     if isinstance(process, SemiMarkov):
         bounds = [process.bounds(i, 0.0, math.inf) for i in range(modes)]
