@@ -155,8 +155,13 @@ def in_chunks(
         first, runs, size: which runs, and how many a chunk has.
         workers: who computes.
         progress: called with how many runs are done.
+
+    Raises:
+        FieldError: no runs, or a number below 0.
     """
-    chunks, done = chunk_numbers(first, runs, size), 0
+    if runs < 1 or first < 0:
+        raise FieldError("runs", f"{runs} from number {first}, expected at least one from number 0 on")
+    chunks, done = range(first // size, (first + runs - 1) // size + 1), 0
     for chunk, result in zip(chunks, spread(task, chunks, workers)):
         inside = inside_chunk(chunk, first, runs, size)
         done += inside.stop - inside.start
@@ -236,13 +241,6 @@ def _client(workers: Workers) -> Any:
         return connect(workers.scheduler, timeout=workers.connect_timeout_s, set_as_default=False)
     except (OSError, ValueError) as error:
         raise DesignError(f"scheduler: no dask scheduler answers at {workers.scheduler} ({error})") from error
-
-
-def chunk_numbers(first: int, runs: int, size: int) -> range:
-    """Numbers of the chunks of ``size`` runs that hold the runs first, ..., first + runs - 1."""
-    if runs < 1 or first < 0:
-        raise FieldError("runs", f"{runs} from number {first}, expected at least one from number 0 on")
-    return range(first // size, (first + runs - 1) // size + 1)
 
 
 def inside_chunk(chunk: int, first: int, runs: int, size: int) -> slice:
