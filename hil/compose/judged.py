@@ -18,7 +18,7 @@ from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
+from hil.rig.delay_chains import STOPPED, Chains, gains_over, watchdog_chance, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
 from hil.rig.schedules import whole_from_s
@@ -59,6 +59,9 @@ def judge(
         watched = replace(watched, laws=drawn)
         assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
         assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
+        trips = watchdog_chance(chains, experiment, model.d_max)
+        if trips > STOPPED:
+            assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
         verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if external:
         return of_external(verdict, experiment.kinds.get("controller", "")), watched

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from design.controllers import GainTable, feedforward, integral_limit, integrates
 from hil.measure.signals import AFTER_S, signals_of, target_of
 from hil.measure.tracking import squared_unit
-from hil.rig.delay_chains import gains_over
+from hil.rig.delay_chains import STOPPED, gains_over, watchdog_chance
 from hil.rig.loop import Loop
 from hil.rig.spec import motion_of
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
@@ -156,8 +156,10 @@ def left_out(loop: Loop) -> tuple[str, ...]:
     beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
     damped = loop.experiment.limits.passivity is not None
     moved, any_noise = _chance(loop)
+    trips = watchdog_chance(loop.chains, loop.experiment, loop.model.d_max)
     found = (*beyond, *(("any load",) if beyond or moved else ()), *(("the plant's noise",) if any_noise else ()))
-    return (*found, *(("the passivity controller",) if damped else ()))
+    found += ("the passivity controller",) if damped else ()
+    return found + ((f"the watchdog, which stops {100.0 * trips:.2g} % of the runs",) if trips > STOPPED else ())
 
 
 def _chance(loop: Loop) -> tuple[bool, bool]:

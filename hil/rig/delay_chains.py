@@ -28,6 +28,7 @@ from transport.wire import MAX_ROWS
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
+    from hil.experiment import Experiment
 
 
 class Chains(Struct, frozen=True, kw_only=True):
@@ -66,6 +67,38 @@ def begun(ways: Sequence[Received]) -> NDArray[np.float64] | None:
 
     known = [way.states.initial for way in ways if way.states is not None]
     return kron_of(known) if len(known) == len(ways) else None
+
+
+STOPPED = 1e-3
+"""Share of the runs that the watchdog may stop without being named."""
+NEGLIGIBLE, MOST_SLOTS = 1e-12, 100_000
+
+
+def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float:
+    """Return the probability that a run ends because the actuator holds no packet that its rows cover for too many slots.
+
+    Args:
+        chains: of the rig.
+        experiment: with its watchdog and its number of slots.
+        d_max: largest delay that a packet has a row for; until that slot nothing is missing.
+    """
+    chain, initial, most = chains.ca, begun((chains.applied,)), experiment.limits.watchdog_slots
+    if chain is None or initial is None or not chain.holds.any() or most > experiment.slots:
+        return 0.0
+    waits, goes_on, alive = chain.holds, 1.0, np.array([initial])  # a row for every number of slots without one so far
+    for k in range(1, slots := min(experiment.slots, MOST_SLOTS)):
+        before, alive = alive, alive @ chain.matrix
+        if k > d_max:
+            alive = np.vstack([np.where(waits, 0.0, alive).sum(axis=0), np.where(waits, alive, 0.0)])[:most]
+            alive = alive[: int(np.flatnonzero(alive.sum(axis=1) > NEGLIGIBLE).max(initial=0)) + 1]
+        share = float(alive.sum())
+        goes_on, alive = goes_on * share, alive / max(share, NEGLIGIBLE)
+        if goes_on < STOPPED:
+            break
+        if k > d_max and alive.shape == before.shape and np.abs(alive - before).max() < NEGLIGIBLE:  # from here on alike
+            goes_on *= share ** (slots - 1 - k)
+            break
+    return max(0.0, 1.0 - goes_on)
 
 
 def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:

@@ -14,6 +14,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import PredictedSum, predict
+from hil.rig.delay_chains import watchdog_chance
 from hil.sweeps.seeds import run_seeds
 
 RUNS = 400
@@ -106,6 +107,20 @@ def test_what_is_left_out_is_named() -> None:
     friction, noisy = (found.left_out for found in said.values() if found is not None)
     assert "dry friction" in friction and "any load" in friction
     assert noisy == ("the plant's noise",)
+
+
+@pytest.mark.parametrize(("watchdog", "loss", "above"), [(2, "{p_gb=0.05, p_bg=0.4, loss_bad=0.7}", 0.1), (3, "0.15", 0.0)])
+def test_how_often_the_watchdog_stops_a_run_is_named(watchdog: int, loss: str, above: float) -> None:
+    """Nothing is predicted of a run that is stopped; 300 runs lie within 4 standard errors."""
+    law = f"{{kind='packet', latency={{dist='uniform', loc='10 ms', scale='60 ms'}}, loss={loss}}}"
+    changes = [f"network.ca={{law={law}, max_age=2}}", f"limits.watchdog_slots={watchdog}", "duration=2 s"]
+    constant = "controller={kind='send-all', gains=[[[[-0.08]]]], selection='constant'}"
+    loop = compose(load_experiment("dc-motor-hinf", [*changes, constant, "network.sc.law={kind='constant', age=0}"]))
+    chance, found = watchdog_chance(loop.chains, loop.experiment, loop.model.d_max), predict(loop, 40)
+    share = float(np.mean([bool(row["stopped"]) for row in run_seeds(loop, range(300))]))
+    assert abs(share - chance) <= 4.0 * np.sqrt(chance * (1.0 - chance) / 300.0) and chance > above
+    assert found is not None and any("the watchdog, which stops" in text for text in found.left_out)
+    assert loop.verdict is not None and any("the watchdog stops" in text for text in loop.verdict.assumptions)
 
 
 def test_viscous_friction_is_in_the_prediction() -> None:
