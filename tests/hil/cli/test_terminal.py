@@ -144,8 +144,14 @@ def test_a_log_is_its_users_alone_unless_asked_otherwise(cli: Hil, tmp_path: Pat
 
 @pytest.mark.parametrize(
     "asked",
-    ["can analyse dc-motor-busy-can --duration 1", "laws dc-motor-wifi", "problems", "licences", "sweep dc-motor-hinf --runs 2",
-     "list"],
+    [
+        "can analyse dc-motor-busy-can --duration 1",
+        "laws dc-motor-wifi",
+        "problems",
+        "licences",
+        "sweep dc-motor-hinf --runs 2",
+        "list",
+    ],
 )
 def test_what_is_printed_stays_within_80_columns(cli: Hil, asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
