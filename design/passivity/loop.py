@@ -24,6 +24,8 @@ from design.processes.delay_chain import DelayChain
 
 Array = npt.NDArray[np.float64]
 
+SWINGS: Final = 1e-6
+"""Share of its rates by which the first row of a device may miss x' = v by rounding."""
 LEAST_LEFT: Final = 1e-12
 """Of a speed at the end of a sample: of less, a model in double precision has too few digits to tell how it was lost."""
 
@@ -92,11 +94,17 @@ def continuous(A: Array, B: Array, period_s: float) -> Array:
         M in 1/s, shape (3, 3).
 
     Raises:
-        FieldError: the speed is gone within a sample, so that its damping has no value.
+        FieldError: the speed is gone within a sample, or the device swings faster than half the sample rate, so that its damping
+            has no value.
     """
     if not np.linalg.det(A) > LEAST_LEFT:
         raise FieldError("plant", f"its speed is gone within a sample of {period_s:g} s, so that its damping has no value")
-    return np.asarray(np.real(logm(np.block([[A, B], [np.zeros((1, 2)), np.ones((1, 1))]]))) / period_s)
+    found = np.asarray(np.real(logm(np.block([[A, B], [np.zeros((1, 2)), np.ones((1, 1))]]))) / period_s)
+    # x' = v holds of no other logarithm than the device's
+    if not np.abs(found[0] - (0.0, 1.0, 0.0)).max() <= SWINGS * max(1.0, np.abs(found).max()):
+        said = f"it swings faster than half the rate of samples of {period_s:g} s, so that its damping has no value"
+        raise FieldError("plant", said)
+    return found
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

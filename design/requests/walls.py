@@ -109,7 +109,10 @@ class DesignedWall:
             from design.passivity.certificate import lags
 
             delays = lags(*sides)
-        beta = damping_of(task) if asked.damping_n_s_per_m is None else asked.damping_n_s_per_m
+        beta = asked.damping_n_s_per_m
+        if beta is None:
+            check_device(task)
+            beta = 0.0 if asked.method == "taps" else damping_of(task)  # given taps count on none
         makers: dict[Method, Callable[[], Coupler]] = {
             "stiffest": lambda: self._stiffest(delays, model.period_s, beta),
             "wave": lambda: wave_coupler(model.period_s, beta, max(delays)),
@@ -138,6 +141,19 @@ class DesignedWall:
         ).coupler  # fmt: skip
 
 
+def check_device(task: DesignTask) -> None:
+    """Refuse a plant that is no device.
+
+    Args:
+        task: a plant of state (position, speed) under one force.
+
+    Raises:
+        FieldError: another kind of plant.
+    """
+    if task.model.A.shape != (2, 2) or task.model.B.shape != (2, 1):
+        raise FieldError("wall", "needs a device with a position, a speed and one force, such as an omni with a hand")
+
+
 def damping_of(task: DesignTask) -> float:
     """Return the damping b + b_h in N s/m of the device in a model: what its speed loses, by the matrix logarithm.
 
@@ -150,8 +166,7 @@ def damping_of(task: DesignTask) -> float:
     from design.passivity.loop import continuous
 
     model = task.model
-    if model.A.shape != (2, 2) or model.B.shape != (2, 1):
-        raise FieldError("wall", "needs a device with a position, a speed and one force, such as an omni with a hand")
+    check_device(task)
     rates = continuous(model.A, model.B, model.period_s)
     # an ulp less than it may be: taps made for less damping hold for more
     return float(-rates[1, 1] / rates[1, 2]) * (1.0 - 1e-9)

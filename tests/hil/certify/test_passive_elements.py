@@ -11,6 +11,7 @@ from design.controllers.wall import Material, Wall
 from design.passivity.certificate import cut_off
 from hil.api.experiment_source import load_experiment as experiment_of
 from hil.compose.loop import compose
+from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from plants import LinearRun, Signal, StateSpace
@@ -145,6 +146,15 @@ def test_a_device_of_ones_own_that_gives_energy_is_refused():
     assert honest.certified and any("takes what its damping takes" in text for text in honest.assumptions)
     assert lying.state == "refused" and "does not take energy as it says" in lying.reason
     assert pushed.certified and any("is not compared, for it has a hand" in text for text in pushed.assumptions)
+
+
+def test_the_damping_of_a_device_that_swings_faster_than_half_the_rate_is_not_read_from_its_samples():
+    """The principal logarithm of its samples has another frequency and a negative damping; given taps need none."""
+    fast = ["plant.inertia=0.02", "plant.hand.stiffness_n_per_m=900.0"]  # 212 rad/s at 20 Hz
+    with pytest.raises(ExperimentError, match=r"swings faster than half the rate of samples of 0\.05 s"):
+        verdict(*fast)
+    found = verdict(*fast, "controller.coupler={method='taps', taps_m_per_n=[0.5]}")
+    assert found.kind == "passivity" and found.details["damping_n_s_per_m"] == pytest.approx(1.9857)
 
 
 def test_ends_that_equalise_are_judged_at_the_delay_that_they_wait_for():
