@@ -64,6 +64,11 @@ def test_a_folder_without_logs_and_options_of_one_run_are_refused(tmp_path: Path
 @pytest.mark.chromium
 def test_rows_are_filtered_and_choose_curves(folder: Path) -> None:
     index, *_ = hil.report(folder, force=True)
+    with chromium.Page(width=390, height=900) as page:
+        page.open(index)
+        assert page.evaluate("document.querySelector('td:has(input)').clientWidth") < 50, "a tick takes no room of its log"
+        assert page.evaluate("document.querySelector('.search [role=status]').getClientRects().length") == 1, "on one line"
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     with chromium.Page(width=1280, height=900) as page:
         page.open(index)
         rows = "[...document.querySelectorAll('table[data-searched] tbody tr')]"

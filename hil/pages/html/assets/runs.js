@@ -6,6 +6,7 @@
     const search = Object.assign(document.createElement("input"), { type: "search", placeholder: "filter: words of a row" });
     search.setAttribute("aria-label", "filter the rows");
     const count = document.createElement("span");
+    count.setAttribute("role", "status");  // who does not see the table hears how many rows are left
     const bar = document.createElement("p");
     bar.className = "search";
     bar.append(search, " ", count);
