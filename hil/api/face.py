@@ -87,7 +87,8 @@ def run(
         force: replace a log that is there already.
         signals: where subscribers over zenoh read named signals while it runs, such as "zenoh:tcp/127.0.0.1:7448".
         external: an external controller answers on the link.
-        changes: path to value, as in `load_experiment`; of a loaded experiment plant and controller alone.
+        changes: path to value, as ``**{"plant.gain": 150}``; `load_experiment` says which take objects, as ``plant=Cart()``. Of
+            a loaded experiment plant and controller alone.
 
     Returns:
         the session: ``metrics``, ``arrays``, ``summary``, ``status``.
