@@ -52,7 +52,8 @@ def family(graph: grimp.ImportGraph, module: str) -> set[str]:
 def says(module: str) -> str:
     """Return the first line of a room's docstring."""
     path = ROOT / module.replace(".", "/")
-    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    file = path.with_suffix(".py")
+    file = file if file.exists() else path / "__init__.py"  # a folder that was a room may lie beside the file
     doc = (ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))) or "").partition("\n")[0]
     return doc.partition(". ")[0].replace("|", "/").replace("``", "`").rstrip(".")
 

@@ -103,7 +103,8 @@ def whole_from_s(e: Experiment) -> float | None:
         e: the experiment.
 
     >>> from hil.experiment import load_experiment
-    >>> whole_from_s(load_experiment("dc-motor-hinf", ["fault=[{at=3,for=0.5,kind='cut',link='sc'}]"]))
+    >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='sc'}]"
+    >>> whole_from_s(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]))
     3.5
     """
     over = 0
