@@ -62,7 +62,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         digest: SHA-256 of everything above, in the user's words; a verdict on this loop carries it.
         damped: whether a passivity controller at the rig may add to the command.
         faults: faults on the time line.
-        whole_from_s: when the last of them is over and the loop is again what it is without them, s; None: not known.
+        whole: when the last of them is over and the loop is again what it is without them, s; in words, why that is not known.
         input_limits: largest command per input that the run allows, None where it has no limit.
         state_limits: largest value of named states.
         selection: rule by which the controller that was started says that a row is picked; empty: not looked for.
@@ -87,7 +87,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     digest: str
     damped: bool = False
     faults: int = 0
-    whole_from_s: float | None = None
+    whole: float | str = 0.0
     input_limits: tuple[float, ...] | None = None
     state_limits: Mapping[str, float] = msgspec.field(default_factory=dict)
     selection: str = ""
@@ -184,15 +184,15 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     if not loop.faults:
         return verdict
     faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
-    ends = loop.whole_from_s is not None and not (loop.slack or loop.shares or isinstance(loop.plant, JumpPlant))
-    if verdict.certified and verdict.kind == "mean-square stability" and ends:
+    why = loop.whole if isinstance(loop.whole, str) else "no proof knows what it leaves behind"
+    linear = verdict.kind == "mean-square stability" and not (loop.slack or loop.shares or isinstance(loop.plant, JumpPlant))
+    if verdict.certified and linear and not isinstance(loop.whole, str):
         return msgspec.structs.replace(
-            verdict, reason=f"behind {faults} on the time line, from {loop.whole_from_s:g} s on: {verdict.reason}",
+            verdict, reason=f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}",
             assumptions=(*verdict.assumptions, "the watchdog does not trip while a fault lasts"),
         )  # fmt: skip
-    return _undecide(
-        verdict, f"{verdict.state} without what happens on the time line ({faults}); undecided with it: {verdict.reason}"
-    )
+    without = f"{verdict.state} without what happens on the time line ({faults})"
+    return _undecide(verdict, f"{without}; undecided with it, as {why}: {verdict.reason}")
 
 
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:

@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.rig.delay_chains import STOPPED, Chains, gains_over, watchdog_chance, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
-from hil.rig.schedules import whole_from_s
+from hil.rig.schedules import whole_again
 from hil.rig.spec import RigSpec
 from hil.rig.watched import JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
@@ -116,7 +116,7 @@ def _problem(
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
-        damped=rig.passivity, faults=len(e.fault), whole_from_s=whole_from_s(e) if e.fault else None,
+        damped=rig.passivity, faults=len(e.fault), whole=whole_again(e),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",

@@ -93,25 +93,28 @@ def beyond_the_end(e: Experiment) -> str:
     )
 
 
-def whole_from_s(e: Experiment) -> float | None:
-    """Return when the last fault of a checked experiment is over and nothing of it is left, s.
-
-    None where that is not known: a restart or a bus may take longer than the fault, a fault may last to the end of the run, and
-    behind one that lasts as long as the watchdog the rig is in its safe state.
+def whole_again(e: Experiment) -> float | str:
+    """Return when the last fault of a checked experiment is over and nothing of it is left, s; in words, why that is not known.
 
     Args:
         e: the experiment.
 
     >>> from hil.experiment import load_experiment
     >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='sc'}]"
-    >>> whole_from_s(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]))
+    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]))
     3.5
+    >>> whole_again(load_experiment("dc-motor-hinf", [cut]))
+    'fault[0] lasts 10 slots, and the watchdog trips after 3'
     """
     over = 0
-    for fault in e.fault:
+    for i, fault in enumerate(e.fault):
         first, end = fault.slots(float(e.period))
-        if fault.kind not in ("cut", "corrupt", "freeze") or end >= e.slots or end - first >= e.limits.watchdog_slots:
-            return None
+        if fault.kind not in ("cut", "corrupt", "freeze"):
+            return f"fault[{i}], the {fault_text(fault)}, may outlast its time"
+        if end >= e.slots:
+            return f"fault[{i}] lasts to the end of the run"
+        if end - first >= e.limits.watchdog_slots:
+            return f"fault[{i}] lasts {end - first} slots, and the watchdog trips after {e.limits.watchdog_slots}"
         over = max(over, end)
     return over * float(e.period)
 
