@@ -172,11 +172,13 @@ def test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(
     promised_s = run.resolved["limits"]["watchdog_slots"] * run.resolved["period"]
     timed, applied = run.arrays["/timing/tick"], run.arrays["/actuator/applied"]
     woken_s = timed["t_ns"] / 1e9 + timed["lateness_us"] / 1e6
-    taken, most = _to_safe_state_s(woken_s, applied["status"][: len(woken_s)])
+    taken, most, slots = _to_safe_state_s(woken_s, applied["status"][: len(woken_s)])
     record_property("ratio", round(taken / promised_s, 3))
     said = f"safe after {taken:.3f} s, {taken / promised_s:.2f} of the promise; a slot {most:.4f} s"
     print(f"{over}, {senders} senders to the {aim}, {kind}: {said}")
-    assert promised_s - 2 * run.resolved["period"] <= taken <= promised_s + 3 * most, (taken, promised_s, most)
+    # Not sooner by the slots or by the clock: one that began late is followed by shorter ones.
+    assert max(taken, slots * run.resolved["period"]) >= promised_s - 2 * run.resolved["period"], (taken, slots, promised_s)
+    assert taken <= promised_s + 3 * most, (taken, promised_s, most)
 
 
 @pytest.mark.timeout(300)
@@ -185,9 +187,9 @@ def test_a_flood_over_zenoh_does_not_keep_the_rig_from_its_end(tmp_path: Path, r
     test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(tmp_path, "zenoh", 1, "rig", "own frames, late", record_property)
 
 
-def _to_safe_state_s(woken_s: np.ndarray[Any, Any], status: np.ndarray[Any, Any]) -> tuple[float, float]:
-    """Return the time from the last slot with a command to the first in the safe state, and the longest slot between them, s."""
+def _to_safe_state_s(woken_s: np.ndarray[Any, Any], status: np.ndarray[Any, Any]) -> tuple[float, float, int]:
+    """Return the time from the last slot with a command to the first in the safe state and the longest slot, s, and the slots."""
     safe = int(np.argmax(status == STATUS.index("safe state")))
     assert status[safe] == STATUS.index("safe state")
     last = max([0, *np.flatnonzero(status[:safe] == STATUS.index("ok"))])  # the first slot where no answer was in time at all
-    return float(woken_s[safe] - woken_s[last]), float(np.diff(woken_s[last : safe + 1]).max())
+    return float(woken_s[safe] - woken_s[last]), float(np.diff(woken_s[last : safe + 1]).max()), safe - last
