@@ -51,7 +51,6 @@ REQUIREMENTS: Final = pytest.StashKey[dict[str, Requirement]]()
 RUNNER: Final = pytest.StashKey["Runner"]()
 """The runner of a test, also where another fixture asked for it and failed."""
 
-OURS: Final = tuple(Path(__file__).parents[2] / name for name in ("hil", "plants", "transport", "design"))
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -254,17 +253,14 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     if report.when == "teardown" or not report.failed or rig is None:
         return
     from hil.errors import is_message
+    from hil.plugins.user_modules import OUR_FOLDERS
 
     if call.excinfo is not None and is_message(call.excinfo.type):
         steps = call.excinfo.traceback
-        at = next((user for user, ours in pairwise(steps) if _is_ours(ours.path)), steps[-1])
+        at = next((user for user, ours in pairwise(steps) if str(ours.path).startswith(OUR_FOLDERS)), steps[-1])
         report.longrepr = "\n".join(f"{at.path}:{at.lineno + 1}: {line}" for line in str(call.excinfo.value).splitlines())
     for session, changes in zip(rig.sessions, rig.changes, strict=True):
         report.sections.append(("hil log", explained(session, changes)))
-
-
-def _is_ours(path: Path | str) -> bool:
-    return any(Path(path).is_relative_to(folder) for folder in OURS)
 
 
 def _changes(set: Sequence[str], **changes: Any) -> str:
