@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
@@ -163,6 +163,12 @@ def delayed_section(
         partial(attenuation, build, f"printed Corollary 3.2 ({reading}), section {m + 1}", gamma), method="printed", gain=gain,
         assumptions=("C'C and B'P may stand in X coordinates (false)", "sections need no link (false)"),
     )  # fmt: skip
+
+
+def free_gains(certificate: JumpCertificate, places: Iterable[str]) -> Array:
+    """K = U X^-1 of every place ("i", or "i,k"), (places, m, n), of a section whose gains were free."""
+    found = certificate.matrices
+    return np.array([found[f"U[{place}]"] @ np.linalg.inv(found[f"X[{place}]"]) for place in places])
 
 
 def inequality_at(

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapters_2_to_4 import delayed_section, inequality_at
+from design.as_printed.chapters_2_to_4 import delayed_section, free_gains, inequality_at
 from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -174,7 +173,7 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
         delayed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=BOUNDS[0], gamma=GAMMA)
         for m in (0, 1)
     ]
-    found = np.array([_gains(part.matrices) for part in parts if part.certified]).swapaxes(0, 1)
+    found = np.array([free_gains(part, "012") for part in parts if part.certified]).swapaxes(0, 1)
     levels: dict[str, list[float]] = {"delays": [], "slopes": []}
     for n, delay_s in enumerate(DELAYS_S):
         report_progress(f"delays up to {delay_s:g} s", n, len(DELAYS_S) + len(SLOPES))
@@ -194,10 +193,6 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
         "rise": {name: float(np.diff(each).min()) for name, each in levels.items()},
         "figures": (Plot(title="Longer delays", panels=(figure,), intro="Corrected condition, slopes h_i as printed."),),
     }  # fmt: skip
-
-
-def _gains(matrices: Mapping[str, Array]) -> list[Array]:
-    return [matrices[f"U[{i}]"] @ np.linalg.inv(matrices[f"X[{i}]"]) for i in range(3)]
 
 
 # fmt: off

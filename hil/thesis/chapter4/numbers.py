@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapters_2_to_4 import detection_section
+from design.as_printed.chapters_2_to_4 import detection_section, free_gains
 from design.as_printed.examples import (
     CHAPTER4_DETECTION_BOUNDARY_S,
     CHAPTER4_FAILURE_BOUNDARY_S,
@@ -110,7 +110,7 @@ def recomputed(report_progress: ReportProgress) -> dict[str, Any]:
         values["parts"].append(parts)
         values["off"].append([_largest(gains[0][:, :, 0] - chapter4_gain()), _largest(gains[1] - chapter4_partitioned_gain())])
         least = _sections(bound, None)
-        values["levels"].append([number_of(least[0].gamma), max(number_of(part.gamma) for part in least[1])])
+        values["levels"].append([number_of(least[0].gamma), float(np.max([number_of(part.gamma) for part in least[1]]))])
         values["share"].append(values["levels"][-1][0] / values["levels"][-1][1])
         ratios = [simulate(known_fault(gain)).ratio for gain in gains]
         less = ratios[1] / ratios[0] - 1.0
@@ -127,9 +127,8 @@ def _sections(bound: float, gamma: float | None) -> tuple[JumpCertificate, list[
 
 def _stacked(sections: list[JumpCertificate]) -> Array:
     """K_ik,m, (2, 2, sections, 2, 4)."""
-    pairs = [f"[{i},{k}]" for i in (0, 1) for k in (0, 1)]
-    gains = [[s.matrices[f"R{at}"] @ np.linalg.inv(s.matrices[f"X{at}"]) for s in sections] for at in pairs]
-    return np.array(gains).reshape(2, 2, len(sections), 2, 4)
+    gains = np.stack([free_gains(section, ("0,0", "0,1", "1,0", "1,1")) for section in sections], axis=1)
+    return np.asarray(gains.reshape(2, 2, len(sections), 2, 4))
 
 
 def _largest(difference: Array) -> float:

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from design.as_printed.chapters_2_to_4 import detection_section
+from design.as_printed.chapters_2_to_4 import detection_section, free_gains
 from design.as_printed.examples import (
     chapter4_gain,
     chapter4_partitioned_gain,
@@ -104,6 +104,10 @@ def test_printed_levels_are_loose_and_speak_against_the_partition() -> None:
 def test_printed_conditions_carry_their_flag_in_synthesis() -> None:
     made = detection_section(SYSTEM, PROCESS, ONE, ONE, 0, None, gain_bound=5.0)
     assert made.gamma == pytest.approx(0.52, abs=0.02) and not made.sound
+    gains = free_gains(made, ("0,0", "0,1", "1,0", "1,1")).reshape(2, 2, 2, 4)
+    assert np.linalg.norm(gains, 2, axis=(2, 3)).max() < 5.0 * (1.0 + 1e-6)
+    again = detection_section(SYSTEM, PROCESS, ONE, ONE, 0, gains)
+    assert again.gamma is not None and again.gamma <= made.gamma * (1.0 + 1e-3)
 
 
 def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:

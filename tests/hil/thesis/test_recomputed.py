@@ -12,7 +12,7 @@ from hil.thesis.chapter2.in_the_loop import MARKOV, markov, markov_approximation
 from hil.thesis.chapter3.partitions import FURTHER
 from hil.thesis.chapter3.partitions import further as delays
 from hil.thesis.chapter4.further import OTHER_FAULTS, other_faults
-from hil.thesis.chapter4.numbers import RECOMPUTED, recomputed
+from hil.thesis.chapter4.numbers import GAMMA, RECOMPUTED, recomputed
 from hil.thesis.chapter7.further import INTEGRAL, integral_action
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
@@ -59,6 +59,15 @@ def test_a_comparison_under_bounds_that_are_not_printed_is_decided_where_all_say
         assert [row.verdict for row in gains] == ["not reproduced"] * 2
     same = judge(RECOMPUTED, values | {"less": [0.0] * n, "off": [[1e-5, 4e-5]] * n})
     assert [row.verdict for row in same[:2]] == ["reproduced"] * 2
+
+
+def test_gains_of_the_corollaries_are_those_of_their_sections(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Under one bound, in the place of all three."""
+    monkeypatch.setattr("hil.thesis.chapter4.numbers.BOUNDS", (50.0,))
+    found = recomputed(_quiet)
+    rows = judge(RECOMPUTED, {name: numbers if name == "size" else 3 * numbers for name, numbers in found.items()})
+    assert [row.verdict for row in rows] == ["not reproduced", "not reproduced", "reproduced", "not reproduced"]
+    assert found["ratios"][0] == pytest.approx([0.029, 0.029], rel=0.1) and found["levels"][0][0] < GAMMA
 
 
 @pytest.mark.slow
