@@ -12,60 +12,44 @@ from __future__ import annotations
 
 import argparse
 import math
+import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
 
 from tests.changed import before, changed
 from tests.mutations.copies import copy_of_the_checkout, environment
-from tests.mutations.faults import Fault, faults
+from tests.mutations.faults import faults
+from tests.mutations.judge import Judge, at_once
 from tests.mutations.random_run import random_run
 from tests.mutations.reach import product_files
 
-LIMIT_S = 600.0
 
-
-def passes(folder: Path, tests: tuple[str, ...]) -> bool:
-    """Whether the tests pass in the copy, whose packages come before the installed ones."""
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests],
-        cwd=folder, env=environment(folder),
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=LIMIT_S, text=True,
-    )  # fmt: skip
-    if done.returncode not in (0, 1):
-        raise SystemExit(f"pytest ended with status {done.returncode}:\n{done.stdout}")
-    return done.returncode == 0
-
-
-def survives(folder: Path, fault: Fault) -> bool:
-    """Whether the tests of a fault pass though it is in."""
-    file = folder / fault.file
-    sound = file.read_text()
-    file.write_text(fault.put_into(sound))
-    try:
-        return passes(folder, fault.tests)
-    finally:
-        file.write_text(sound)
-
-
-def known_faults(words: list[str]) -> int:
+def known_faults(words: list[str], workers: int) -> int:
     """Try the faults of the table and print one line each; return 1 if one survives."""
     chosen = [f for f in faults() if not words or any(word in f.name for word in words)]
     if not chosen:
         raise SystemExit(f"no fault is called like {' or '.join(words)}")
+    sound_ones_pass({test: None for fault in chosen for test in fault.tests}, workers)
+    alive = []
+    for n, (fault, seen) in enumerate(at_once(chosen, Judge.sees, workers), start=1):
+        print(f"{n}/{len(chosen)} {'killed  ' if seen else 'SURVIVED'} {fault.name}", flush=True)
+        alive += [fault.name] * (not seen)
+    print("\n".join([f"{len(chosen) - len(alive)} of {len(chosen)} faults killed", *alive]))
+    return 1 if alive else 0
+
+
+def sound_ones_pass(tests: Iterable[str], workers: int) -> None:
+    """Run tests without any fault: what fails anyway shows nothing."""
     with tempfile.TemporaryDirectory() as name:
         folder = copy_of_the_checkout(Path(name, "checkout"))
-        sound = tuple(dict.fromkeys(test for fault in chosen for test in fault.tests))
-        if not passes(folder, sound):
-            raise SystemExit("the tests fail without any fault: mend them first")
-        alive = []
-        for n, fault in enumerate(chosen, start=1):
-            lives = survives(folder, fault)
-            print(f"{n}/{len(chosen)} {'SURVIVED' if lives else 'killed  '} {fault.name}", flush=True)
-            alive += [fault.name] * lives
-    print(f"{len(chosen) - len(alive)} of {len(chosen)} faults killed")
-    return 1 if alive else 0
+        words = ["-q", "-n", str(workers), "--dist", "worksteal", "-p", "no:cacheprovider", *tests]
+        done = subprocess.run([sys.executable, "-m", "pytest", *words], cwd=folder, env=environment(folder), capture_output=True,
+                              text=True)  # fmt: skip
+    if done.returncode:
+        raise SystemExit(f"the tests fail without any fault: mend them first\n{done.stdout}")
 
 
 def main(words: list[str]) -> int:
@@ -78,10 +62,10 @@ def main(words: list[str]) -> int:
     parser.add_argument("--since", metavar="REVISION", help="where the change began; else where it left main")
     parser.add_argument("--seconds", type=float, default=math.inf, help="after which random faults are ended")
     parser.add_argument("--fresh", action="store_true", help="measure again what each test reaches")
-    parser.add_argument("-n", type=int, default=0, metavar="WORKERS", help="processes that do it")
+    parser.add_argument("-n", type=int, default=os.cpu_count(), metavar="WORKERS", help="processes that do it")
     given = parser.parse_args(words)
     if given.random is None:
-        return known_faults(given.words)
+        return known_faults(given.words, given.n)
     return random_run(given.random, given.seed, given.words, own=of_the_change(given.since) if given.changed else None,
                       limit_s=given.seconds, fresh=given.fresh, workers=given.n)  # fmt: skip
 

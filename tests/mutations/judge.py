@@ -10,17 +10,24 @@ import re
 import resource
 import signal
 import time
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
 from types import TracebackType
+from typing import TypeVar
 
 from tests.changed import chosen_for
-from tests.mutations.copies import environment
-from tests.mutations.faults import ROOT
+from tests.mutations.copies import copy_of_the_checkout, environment
+from tests.mutations.faults import ROOT, Fault
 from tests.mutations.probe import LIMIT, NAMES, ORDER, SPENT, rank
 from tests.mutations.random_faults import Place
 from tests.mutations.reach import Reach
 from tests.mutations.warm import Warm
+
+Item, Answer = TypeVar("Item"), TypeVar("Answer")
 
 BUDGET_S = 30.0
 """Of the tests of one fault, by the time that they took without it."""
@@ -116,17 +123,25 @@ class Judge:
         self._warm.close()
 
     @contextlib.contextmanager
-    def _with(self, place: Place) -> Iterator[None]:
-        file = self._folder / place.file
+    def _with(self, fault: Place | Fault) -> Iterator[None]:
+        file = self._folder / fault.file
         sound, was = file.read_text(), file.stat().st_mtime_ns
         self._faults += 1
         try:
-            file.write_text(place.put_into(sound))
+            file.write_text(fault.put_into(sound))
             os.utime(file, ns=(was, was + self._faults * 10**9))  # bytecode is distinguished by whole seconds and size
             yield
         finally:
             file.write_text(sound)
             os.utime(file, ns=(was, was))
+
+    def sees(self, fault: Fault) -> bool:
+        """Return whether a known fault's tests fail with it."""
+        with self._with(fault):
+            ended = self._run(fault.tests, {}, {}, WALL_S)
+        if ended is not None and ended[0] not in (0, 1):
+            raise SystemExit(f"{fault.name}: pytest ends with {ended[0]}:\n{ended[1]}")
+        return ended is None or ended[0] == 1
 
     def killer(self, place: Place, tests: Sequence[str], end: float = math.inf) -> str | None:
         """Return the first test that fails with the fault, and passes without it if time may have failed it; None if none.
@@ -166,19 +181,10 @@ class Judge:
             order = self._folder.parent / "order"
             order.write_text("\n".join(tests))
             env, choose, files = {ORDER: str(order)}, [], sorted(files)
-        words = ["-x", *choose, "-p", "tests.mutations.probe", "-p", "no:cacheprovider", "-o", f"timeout={TEST_S}",
-                 "--tb=no", "-rfE", *files]  # fmt: skip
+        words = [*choose, "-p", "tests.mutations.probe", "-o", f"timeout={TEST_S}", *files]
         left_s = self._end - time.monotonic()
-        if left_s <= 0.0:
-            self._spent = True
-            return None
-        self._warm.start(words, env, LIMITS)
-        try:
-            ended = self._warm.end(min(WALL_S, left_s))
-        finally:
-            self._end_all()
+        ended = self._run(words, env, LIMITS, min(WALL_S, left_s)) if left_s > 0.0 else None
         if ended is None:
-            self._warm.end()  # it is killed now
             self._spent = True
             return None
         status, out = ended
@@ -189,6 +195,19 @@ class Judge:
         said = [line.split(" - ")[0].split(" ", 1)[1] for line in out.splitlines() if line.startswith(("FAILED ", "ERROR "))]
         return said[0].strip() if said else f"pytest ends with {status}"
 
+    def _run(
+        self, words: Sequence[str], env: Mapping[str, str], limits: Mapping[int, int], wall_s: float
+    ) -> tuple[int, str] | None:  # fmt: skip
+        """Return status and output of pytest, None where it has not ended after so many s; nothing of it runs any more then."""
+        self._warm.start(["-x", "-p", "no:cacheprovider", "--tb=no", "-rfE", *words], env, limits)
+        try:
+            ended = self._warm.end(wall_s)
+        finally:
+            self._end_all()
+        if ended is None:
+            self._warm.end()  # it is killed now
+        return ended
+
     def _end_all(self) -> None:
         """Kill the run and what its tests started and left behind, which has the copy in its environment."""
         mark = f"PYTHONPATH={self._folder}\0".encode()
@@ -196,3 +215,34 @@ class Judge:
             with contextlib.suppress(OSError):
                 if int(proc.name) != self._warm.pid and mark in (proc / "environ").read_bytes():
                     os.kill(int(proc.name), signal.SIGKILL)
+
+
+def at_once(
+    items: Sequence[Item], ask: Callable[[Judge, Item], Answer], workers: int, doubtful: Collection[str] = ()
+) -> Iterator[tuple[Item, Answer]]:  # fmt: skip
+    """Yield each item with its answer as soon as it has one; several are asked at once, each in a copy of its own.
+
+    Args:
+        items: what is asked about, such as faults.
+        ask: asks a judge that is free.
+        workers: how many judges there are.
+        doubtful: tests that may fail because the machine is busy.
+    """
+    free: SimpleQueue[Judge] = SimpleQueue()
+
+    def answer(item: Item) -> Answer:
+        judge = free.get()
+        try:
+            return ask(judge, item)
+        finally:
+            free.put(judge)
+
+    with TemporaryDirectory() as name, ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
+        for n in range(workers):
+            free.put(stack.enter_context(Judge(copy_of_the_checkout(Path(name, str(n), "checkout")), doubtful)))
+        running = {pool.submit(answer, item): item for item in items}
+        try:
+            for future in as_completed(running):
+                yield running[future], future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)

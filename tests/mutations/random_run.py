@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import math
-import queue
-import tempfile
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import ExitStack
 from functools import partial
-from pathlib import Path
 from typing import Final, Literal, get_args
 
-from tests.mutations.copies import copy_of_the_checkout
-from tests.mutations.judge import Judge, UndecidedError, asked_for, own_tests
+from tests.mutations.judge import Judge, UndecidedError, asked_for, at_once, own_tests
 from tests.mutations.random_faults import Place, drawn, equivalent
 from tests.mutations.reach import kept, product_files
 
@@ -66,14 +60,10 @@ def random_run(
 def _tried(
     places: Sequence[Place], tests_of: Callable[[Place], Sequence[str]], doubtful: set[str], end: float, workers: int
 ) -> list[Tried]:  # fmt: skip
-    """Try faults, several at once, each in a copy of the checkout of its own."""
-    free: queue.SimpleQueue[Judge] = queue.SimpleQueue()
-    stopped = False
-
-    def outcome(place: Place) -> tuple[Outcome, str, float]:
-        judge, begin = free.get(), time.monotonic()
+    def outcome(judge: Judge, place: Place) -> tuple[Outcome, str, float]:
+        begin = time.monotonic()
         try:
-            if stopped or begin > end:
+            if begin > end:
                 raise UndecidedError("not begun")
             tests = tests_of(place)
             killer = judge.killer(place, tests, end)
@@ -81,23 +71,13 @@ def _tried(
             return ("killed", f"by {killer}", seconds) if killer else ("survived", f"{len(tests)} asked", seconds)
         except UndecidedError as error:
             return "undecided", str(error), time.monotonic() - begin
-        finally:
-            free.put(judge)
 
     done: dict[Place, Outcome] = dict.fromkeys(places, "undecided")
-    with tempfile.TemporaryDirectory() as name, ExitStack() as stack, ThreadPoolExecutor(workers) as pool:
-        for n in range(workers):
-            free.put(stack.enter_context(Judge(copy_of_the_checkout(Path(name, str(n), "checkout")), doubtful)))
-        running = {pool.submit(outcome, place): place for place in places}
-        try:
-            for n, future in enumerate(as_completed(running), start=1):
-                place = running[future]
-                done[place], how, seconds = future.result()
-                print(f"{n}/{len(places)} {done[place]:9} {seconds:5.1f} s  {place}\n{'':12}{how}", flush=True)
-        except KeyboardInterrupt:
-            stopped = True
-            pool.shutdown(cancel_futures=True)
-            print("stopped")
+    try:
+        for n, (place, (done[place], how, seconds)) in enumerate(at_once(places, outcome, workers, doubtful), start=1):
+            print(f"{n}/{len(places)} {done[place]:9} {seconds:5.1f} s  {place}\n{'':12}{how}", flush=True)
+    except KeyboardInterrupt:
+        print("stopped")
     return [*done.items()]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutations import judge
 from tests.mutations import random_run as run
 from tests.mutations.judge import Judge, UndecidedError
 from tests.mutations.random_faults import Place
@@ -80,8 +81,8 @@ def test_several_faults_are_tried_at_once_and_what_is_not_begun_in_time_is_undec
     limit_s: float, status: int, counts: dict[str, int], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     chosen = [place for place in PLACES if 5 <= place.line < 16]
-    monkeypatch.setattr(run, "Judge", Fake)
-    monkeypatch.setattr(run, "copy_of_the_checkout", lambda folder: folder)
+    monkeypatch.setattr(judge, "Judge", Fake)
+    monkeypatch.setattr(judge, "copy_of_the_checkout", lambda folder: folder)
     monkeypatch.setattr(run, "drawn", lambda files, number, seed: chosen)
     monkeypatch.setattr(run, "own_tests", lambda place: ["tests/test_m.py"])
     monkeypatch.setattr(run, "asked_for", lambda place, reach: ["tests/test_m.py::test_it"])
