@@ -64,7 +64,8 @@ def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> No
     """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc, ASAM .mf4) or as tables (.csv, .npz).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
-    OUTPUT.topic.csv.
+    OUTPUT.topic.csv. A run with an emulated CAN bus gives the frames of that bus: the log knows their times and lengths, their
+    bytes are 00; --topic /link/sensor and --topic /link/control give those of the link.
     """
     from hil.files import check_output
     from hil.log.read.export import export

@@ -12,41 +12,31 @@
 
 Frames of a CAN log stand at the instants that were measured, counted from the moment at which the session began; a run in
 virtual time begins at 2000-01-01 UTC, since can-utils take a time below 1 s for "not begun yet". Tables have session times.
+A run with an emulated CAN bus gives the frames of that bus, see `hil.log.read.can_log`.
 """
 
 from __future__ import annotations
 
 import csv
-import heapq
 import json
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, suppress
-from datetime import datetime
-from functools import partial
+from contextlib import ExitStack
 from importlib.util import find_spec
-from operator import attrgetter
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, Final, Literal
+from typing import IO, Any, Final
 from zipfile import ZIP_DEFLATED, ZipFile
 
 import numpy as np
 from numpy.lib import format as npy
 
 from hil.errors import HilError, nearest
-from hil.experiment import experiment_from_resolved
 from hil.files import written_whole
 from hil.log.append_column import pieces
-from hil.log.read.measured_frames import measured_frames
+from hil.log.read.can_log import can_messages, can_topics, has_errors, has_fd
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.run import StructuredArray
-from hil.log.topics import FRAME_TOPICS, SENSOR
-from hil.rig.normal_form import rig_of
-from hil.rig.session_link import no_link
-
-if TYPE_CHECKING:
-    from transport.links.can_identifiers import Identifiers
 
 
 def _add_array(
@@ -67,7 +57,7 @@ def _head(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None
         npy.write_array_header_2_0(file, about)
 
 
-VIRTUAL_BEGIN: Final = "2000-01-01T00:00:00Z"
+PARQUET: Final = "; pandas writes a topic as Parquet: pandas.DataFrame(hil.read_run(LOG).arrays[TOPIC]).to_parquet(FILE)"
 ROWS: Final = 4096  # that are made Python numbers at a time
 
 
@@ -78,7 +68,8 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
         run: what to write.
         target: ``.log``, ``.blf``, ``.asc``, ``.trc``, ``.mf4``, ``.csv`` or ``.npz``. Tables of more than one topic make files
             ``name.topic.csv``.
-        topics: only these; all by default. CAN logs hold ``/link/sensor`` and ``/link/control``.
+        topics: only these; all by default. CAN logs hold ``/link/bus`` where there is one, else ``/link/sensor`` and
+            ``/link/control``.
         replace: replace files that are there, each when it is whole. Otherwise none is touched where one is in the way.
 
     Returns:
@@ -92,7 +83,8 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
     writers = dict.fromkeys((".log", ".blf", ".asc", ".trc", ".mf4"), _can_log) | {".csv": _tables, ".npz": _npz}
     writer = writers.get(target.suffix)
     if writer is None:
-        raise HilError(f"{target}: the ending {target.suffix!r} names no format, expected {', '.join(writers)}")
+        said = PARQUET if target.suffix == ".parquet" else ""
+        raise HilError(f"{target}: the ending {target.suffix!r} names no format, expected {', '.join(writers)}{said}")
     known = (*run.arrays, EVENTS_TOPIC) if target.suffix == ".csv" else (*run.arrays,)
     for topic in topics:
         if topic not in known:
@@ -104,7 +96,7 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
     for path in paths:
         if not replace and os.path.lexists(path):  # now, and not after half of the files
             raise HilError(f"{path}: exists already; choose another -o, or add --force")
-    writer(run, paths, wanted, replace)
+    writer(run, paths, topics if writer is _can_log else wanted, replace)
     return paths
 
 
@@ -165,86 +157,19 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
     from transport.links.python_can import can, with_mf4
 
     target = paths[0]
-
-    wanted = [topic for topic in FRAME_TOPICS if topic in topics]
-    if not any(len(run.numbers(topic)) for topic in wanted):
-        raise HilError(f"{target}: no frames to write; a CAN log needs the records of {' and '.join(FRAME_TOPICS)}")
-    if target.suffix == ".trc" and _framing(run)[0]:
-        raise HilError(f"{target}: python-can writes classic frames only as .trc, and this link has CAN FD; export .asc instead")
+    try:
+        wanted = can_topics(run, topics)
+    except HilError as error:
+        raise HilError(f"{target}: {error}") from None
+    lacks = "CAN FD" if has_fd(run, wanted) else "frames that were destroyed" if has_errors(run, wanted) else ""
+    if target.suffix == ".trc" and lacks:
+        raise HilError(f"{target}: python-can writes classic frames only as .trc, and this log has {lacks}; export .asc instead")
     if target.suffix == ".mf4" and find_spec("asammdf") is None:
         raise HilError(f"{target}: .mf4 needs asammdf: pip install 'hilrig[mf4]'")
     make = with_mf4() if target.suffix == ".mf4" else can.Logger  # which picks the writer by the ending
     with written_whole(target, replace=replace) as part, make(part) as writer:
-        for message in _can_messages(run, wanted):
+        for message in can_messages(run, wanted):
             writer.on_message_received(message)
-
-
-def _can_messages(run: Run, topics: Sequence[str]) -> Iterator[Any]:
-    """The run's frames as they stood on a CAN bus, in the order of time.
-
-    The framing is that of ``transport.links.can_link``, with the ``fd`` and ``base`` of the session's own link if that was CAN.
-    """
-    return heapq.merge(*(_of_topic(run, topic) for topic in topics), key=attrgetter("timestamp"))
-
-
-def _of_topic(run: Run, topic: str) -> Iterator[Any]:
-    from transport.links.can_link import CanLink
-
-    uri = run.metadata.get("link", "")
-    fd, identifiers = _framing(run)
-    bus = _BusOfPaper(fd)
-    begin_s = run.start_ns / 1e9 or datetime.fromisoformat(run.session.get("started", VIRTUAL_BEGIN)).timestamp()
-    role: Literal["rig", "controller"] = "rig" if topic == SENSOR.name else "controller"
-    link = CanLink(uri, role, lambda: bus, identifiers=identifiers, fd=fd)
-    for t_ns, packet in measured_frames(run, topic):
-        bus.t_s = begin_s + t_ns / 1e9
-        link.send(packet)
-        if link.counters.dropped:
-            raise HilError(f"{topic} at {t_ns / 1e9:g} s: {len(packet)} bytes do not fit on CAN; export .csv instead")
-        yield from bus.messages
-        bus.messages.clear()
-
-
-def _framing(run: Run) -> tuple[bool, Identifiers]:
-    """Whether a run's frames are CAN FD, and its identifiers; the default ones of its nodes for what is no CAN link."""
-    from transport.links import TransportError
-    from transport.links.can_identifiers import derived
-    from transport.links.traits import identifiers_on, traits_of
-
-    uri = run.metadata.get("link", "")
-    with suppress(TransportError, ValueError):  # no session could have run over it
-        framing = traits_of(uri).can
-        if framing is not None:
-            return framing.fd, identifiers_on(uri)
-    if not run.resolved.get("network", {}).get("nodes"):
-        return True, derived()
-    own = no_link(rig_of(experiment_from_resolved(run.resolved, run.experiment_text, "the log"))).identifiers
-    if own is None:
-        raise HilError("the log: a CAN link has no identifiers for so many nodes; export .csv instead")
-    return True, own
-
-
-class _BusOfPaper:
-    """A bus as a link uses it, that keeps what is said on it as messages of python-can, with the time of the log."""
-
-    lost = turned_away = filtered = 0
-
-    def __init__(self, fd: bool) -> None:
-        from transport.links.python_can import can
-
-        self.messages: list[Any] = []
-        self.t_s = 0.0
-        self._message = partial(can.Message, is_extended_id=False, is_fd=fd, bitrate_switch=fd, channel=0)
-
-    def send_frame(self, identifier: int, data: bytes) -> bool:
-        self.messages.append(self._message(arbitration_id=identifier, data=data, timestamp=self.t_s))
-        return True
-
-    def recv_frame(self, timeout: float) -> None:
-        """No other is on it."""
-
-    def shutdown(self) -> None:
-        """Nothing is open."""
 
 
 def _plain_name(topic: str) -> str:

@@ -16,12 +16,14 @@ from mcap.reader import make_reader
 from msgspec.structs import replace
 
 from hil.cli.log_files import export as command
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.export import export
 from hil.log.read.run import Run, read_run
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from tests.hil.log.recording import record_chunks
 
@@ -190,10 +192,50 @@ def test_a_can_log_without_frames_is_refused(run: Run, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture(scope="module")
+def bus_run() -> Run:
+    """0.3 s on a CAN bus with time, its bits disturbed for a while."""
+    fault = '[{at = "0.1 s", for = "50 ms", kind = "bit-errors", rate = 5e-3}]'
+    experiment = load_experiment("dc-motor-busy-can", ["duration=0.3", f"fault={fault}"])
+    return simulate(compose(experiment, certify=False), 0)
+
+
+@pytest.mark.parametrize("ending", [".log", ".blf", ".asc"])
+def test_a_can_log_of_a_run_with_a_can_bus_holds_the_frames_of_that_bus(bus_run: Run, tmp_path: Path, ending: str) -> None:
+    export(bus_run, tmp_path / f"bus{ending}")
+    with can.LogReader(tmp_path / f"bus{ending}") as reader:
+        messages = list(reader)
+    frames = bus_run.arrays["/link/bus"]
+    whole = frames["operation"] == 0
+    assert [m.is_error_frame for m in messages] == (~whole).tolist() and not whole.all()
+    got = [(m.arbitration_id, len(m.data), m.is_fd, m.is_extended_id) for m in messages if not m.is_error_frame]
+    assert got == [(can_id, length, False, False) for can_id, length in frames[["can_id", "length"]][whole].tolist()]
+    seconds = (frames["end_ns"] / 1e9).tolist()
+    began = messages[0].timestamp - seconds[0] if ending == ".asc" else datetime(2000, 1, 1, tzinfo=UTC).timestamp()
+    assert [m.timestamp - began for m in messages] == pytest.approx(seconds, abs=2e-6)
+
+
+def test_a_can_log_holds_one_bus_and_peaks_format_no_destroyed_frame(bus_run: Run, tmp_path: Path) -> None:
+    export(bus_run, tmp_path / "link.log", ["/link/sensor"])
+    with can.LogReader(tmp_path / "link.log") as reader:
+        assert len(list(reader)) == len(bus_run.arrays["/link/sensor"])
+    with pytest.raises(HilError, match=r"x\.log: --topic /link/bus: is another bus than the link's"):
+        export(bus_run, tmp_path / "x.log", ["/link/sensor", "/link/bus"])
+    with pytest.raises(HilError, match=r"this log has frames that were destroyed; export \.asc"):
+        export(bus_run, tmp_path / "x.trc")
+    frames = bus_run.arrays["/link/bus"].copy()
+    frames["length"][0] = 9
+    with pytest.raises(HilError, match=r"/link/bus at 0\.0\d+ s: .*; export \.csv instead"):
+        export(replace(bus_run, arrays={**bus_run.arrays, "/link/bus": frames}), tmp_path / "x.log")
+    assert [path.name for path in tmp_path.iterdir()] == ["link.log"]
+
+
 def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
     endings = r"\.log, \.blf, \.asc, \.trc, \.mf4, \.csv, \.npz"
     with pytest.raises(HilError, match=rf"the ending '\.xls' names no format, expected {endings}"):
         export(run, tmp_path / "run.xls")
+    with pytest.raises(HilError, match=rf"expected {endings}; pandas writes a topic as Parquet: pandas\.DataFrame"):
+        export(run, tmp_path / "run.parquet")
     with pytest.raises(HilError, match=r"topic '/plant/stat': not in the log, expected one of /plant/state, "):
         export(run, tmp_path / "run.csv", ["/plant/stat"])
     assert not list(tmp_path.iterdir())
