@@ -45,6 +45,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
     const go = () => apply("reference", wanted);
     slide.addEventListener("change", go);
     box.addEventListener("change", () => { slide.max = Math.max(slide.max, 1.5 * Math.abs(box.value)); slide.min = -slide.max; set(box.value); go(); });
+    box.addEventListener("keydown", (event) => event.key === "Enter" && event.stopPropagation()); // it makes a change event of it
     return row(text("label", `${s.name}, ${s.unit}`), slide, box);
   }));
 
@@ -136,8 +137,11 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   const table = text("table", "", { className: "measured" });
   const link = text("a", "the script of this run", { href: "script", download: "changes.jsonl" });
   field("Changed", table, row(link));
+  let back = null; // the button that asked by keyboard: the focus goes to Apply, and comes back
+  const done = () => { drafts.pending = null; back?.focus(); back = null; };
   const self = {
-    apply() { if (drafts.pending) { apply(drafts.pending.path, drafts.pending.value); drafts.pending = null; } },
+    apply() { if (drafts.pending) { apply(drafts.pending.path, drafts.pending.value); done(); } },
+    drop() { if (drafts.pending) { done(); draft.replaceChildren(text("p", "dropped")); } },
     show(now, all) {
       about.outputs.forEach((s, i) => follow[i](all[0].scopes.curves.find((c) => c.topic === "/reference" && c.field === s.name)?.last));
       const key = JSON.stringify([now, all[0].now.changes]);
@@ -153,7 +157,11 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
         line.append(at, text("span", ` ${now.claims.length > 1 ? `${claim.run || ""}: ` : ""}${claim.reason || ""}`));
         draft.append(line);
       }
-      if (now.state === "ready" && drafts.pending) draft.append(row(button("Apply (enter)", self.apply, { className: "go", id: "apply" }), button("Drop", () => { drafts.pending = null; draft.replaceChildren(text("p", "dropped")); })));
+      if (now.state === "ready" && drafts.pending) {
+        const yes = button("Apply (enter)", self.apply, { className: "go", id: "apply" }), on = document.activeElement;
+        draft.append(row(yes, button("Drop (esc)", self.drop)));
+        if (place.contains(on) && on.matches("button:focus-visible")) { back ??= on; yes.focus(); }
+      }
       changes(all[0]);
     },
   };

@@ -6,7 +6,7 @@ export function drawDevice(canvas, about, states, given) {
   const ctx = canvas.getContext("2d"), size = canvas.width;
   ctx.clearRect(0, 0, size, size);
   ctx.lineCap = "round";
-  if (!Object.keys(states).length) return;
+  if (!Object.keys(states).length) return canvas.setAttribute("aria-label", "Device: no state yet");
   const draw = about.wall && "position" in states ? wall : "angle" in states ? dial : bars;
   canvas.setAttribute("aria-label", draw(ctx, size, states, about, canvas, given));
 }

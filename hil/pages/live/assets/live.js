@@ -199,10 +199,13 @@ const KEYS = {
   t: () => table.arm(), ArrowLeft: () => view.put((view.end ?? view.latest) - view.length() / 4),
   ArrowRight: () => view.put((view.end ?? view.latest) + view.length() / 4), "+": () => { view.span = view.length() / 2; },
   "-": () => { view.span = view.length() * 2; }, Enter: () => act?.apply(),
+  Escape: () => act?.drop(),
 };
+const pressed = /^( |Enter)$/; // what a button takes for itself
 addEventListener("keydown", (event) => {
-  const inside = event.target.closest?.("input, select, button, textarea");
-  if (!KEYS[event.key] || event.ctrlKey || event.metaKey || event.altKey || (inside && !(event.key === "Enter" && inside.tagName === "INPUT"))) return;
+  const inside = event.target.closest?.("input, select, button, summary, a")?.tagName, key = event.key;
+  const ours = !inside || key === "Escape" || (inside === "INPUT" || inside === "SELECT" ? key === "Enter" : !pressed.test(key));
+  if (!KEYS[key] || !ours || event.ctrlKey || event.metaKey || event.altKey) return;
   event.preventDefault();
   KEYS[event.key]();
 });

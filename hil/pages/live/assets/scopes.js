@@ -76,6 +76,8 @@ function makeScope(place, title, traces, view) {
       draw: [(u) => marks(u, view)],
     },
   }, [[0], ...traces.map(() => [null])], at);
+  scope.plot.ctx.canvas.setAttribute("role", "img");
+  scope.plot.ctx.canvas.setAttribute("aria-label", `${title} over time: ${traces.map((trace) => trace.label).join(", ")}`);
   at.addEventListener("dblclick", () => { view.follow(); });
   new ResizeObserver(() => { if (at.clientWidth && at.clientWidth !== scope.plot.width) scope.plot.setSize({ width: at.clientWidth, height: 150 }); }).observe(at);
   return scope;
