@@ -116,6 +116,8 @@ SEED = 1
 BASIS = "rate 2h, F of (2.25), sigma and rho constant per run and uniform in [-1, 1], 10,000 runs"
 TABLE_2_1 = ("0.87", "1.75", "3.03")
 PRINTED = {"ours": ("(2.27)", "3.5741", "0.8849"), "other": ("[1, 2]", "9.9100", "2.1895")}
+RUN_S = 2.95
+"""In which one run with (2.27) converges."""
 SHARES = (0.6827, 0.9545, 0.9973)
 """Shares of a normal law within 1, 2, 3 standard deviations."""
 SAMPLES = f"{RUNS} runs and {RUNS} printed ones"
@@ -182,7 +184,7 @@ def times_in_numbers(times: dict[str, FloatArray]) -> dict[str, Any]:
         },
         "away": away, "away_error": {name: quantile_errors(times[name]) for name in away},
         "both": {name: both * quantile_errors(times[name]) for name in away}, "median": np.median(ours),
-        "low": np.quantile(ours, 0.005), "high": np.quantile(ours, 0.995), "late": float(np.mean(other > 10.0)),
+        "low": np.quantile(ours, 0.005), "high": np.quantile(ours, 0.995), "late": float(np.mean(other[ours <= RUN_S] > 10.0)),
         "ahead": float(ahead.mean()) - 4.0 * float(ahead.std()) / math.sqrt(ahead.size),
     }  # fmt: skip
 
@@ -218,12 +220,12 @@ SETTLING = (
     ),
     Statement(
         "Figure 2.2a: one run with (2.27) converges in 2.95 s", "2.95 s",
-        (run(f"share of {RUNS} runs below 2.95 s", "times[ours]", "2.95"),),
+        (run(f"share of {RUNS} runs below {RUN_S} s", "times[ours]", f"{RUN_S}"),),
         computed="median {median:.2f} s, 99 % of the runs in [{low:.2f}, {high:.2f}] s", basis=f"converged as in (2.28); {BASIS}",
     ),
     Statement(
         "Figure 2.2a: the same run with [1, 2] takes more than 10 s", "> 10 s",
-        (above(f"share of {RUNS} runs that take more than 10 s", "late", TAIL),),
+        (above(f"share that takes more than 10 s, of the runs that (2.27) ends by {RUN_S} s", "late", TAIL),),
         basis=f"one run in {1 / TAIL:.0f} would do; {BASIS}",
     ),
     Statement(

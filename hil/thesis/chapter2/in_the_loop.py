@@ -143,17 +143,14 @@ def markov(report_progress: ReportProgress) -> dict[str, Any]:
             gain = fastest_feedback(nominal, FeedbackRequest(process=rates, gain_bound=bound, sections=sections)).gain
             assert gain is not None
             decay[name].append(second_moment_decay(nominal, gain, process))
-    return decay | {
-        "ratio": [ours / theirs for ours, theirs in zip(decay["semi"], decay["markov"], strict=True)],
-        "stay": mean_sojourns(process)[0],
-    }  # fmt: skip
+    return decay | {"stay": mean_sojourns(process)[0]}
 
 
 MARKOV = (
     Statement(
         "8.1: control improves on that by a Markov approximation", "improved",
         tuple(
-            above(f"decay rate of E|x|^2 over that with gains of the approximation, gain norm <= {bound:g}", f"ratio[{n}]", 1.0)
+            above(f"decay rate of E|x|^2 (1/s), gain norm <= {bound:g}", f"semi[{n}]", f"markov[{n}]")
             for n, bound in enumerate(BOUNDS)
         ),
         computed="{semi[0]:.3f}/s and {markov[0]:.3f}/s; {semi[1]:.3f}/s and {markov[1]:.3f}/s; {semi[2]:.3f}/s and "

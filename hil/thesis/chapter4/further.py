@@ -52,9 +52,9 @@ def sensor_fault(report_progress: ReportProgress) -> dict[str, Any]:
     verdict = compose(load_experiment(EXPERIMENT, ["allow_uncertified=true"])).verdict
     growth = worst_growth(system, ours.gain, process)
     return {
-        "A": float(np.abs(system.a[1] - system.a[0]).max()), "B": float(np.abs(system.b[1] - system.b[0]).max()),
+        "A": _change(system.a), "B": _change(system.b), "E": _change(system.e),
         "lost": float(np.abs(system.shown(1) - system.shown(0)).max()), "ours": ours,
-        "unaware": unaware.gamma if unaware.gamma is not None else math.inf, "unaware_word": unaware.verdict,
+        "unaware": math.inf if unaware.verdict == "refused" else unaware.gamma, "unaware_word": unaware.verdict,
         "loop": "none" if verdict is None else verdict.state, "growth": growth and growth[0],
     }  # fmt: skip
 
@@ -65,7 +65,7 @@ SENSOR_FAULT = (
         "can accommodate different types of fault scenarios",
         (
             exactly("largest change of A", "A", 0.0, 1e-12), exactly("largest change of B", "B", 0.0, 1e-12),
-            above("largest change of what is measured", "lost", 0),
+            exactly("largest change of E", "E", 0.0, 1e-12), above("largest change of what is measured", "lost", 0),
             says("(4.14), (4.23) with K_k S_i", "ours.verdict", "certified"),
             below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
             says(f"{EXPERIMENT} at T = 1 ms", "loop", "certified"),
@@ -97,7 +97,7 @@ def other_faults(report_progress: ReportProgress) -> dict[str, Any]:
     over = analyse_fault_tolerant(system, by_markov, process)
     known = fault_tolerant_feedback(system, process, gain_bound=GAIN_BOUND)
     return {
-        "same": max(_change(rough.a), _change(rough.b), _change(rough.c)), "E": _change(rough.e), "rough": ours,
+        "same": float(np.max([_change(rough.a), _change(rough.b), _change(rough.c)])), "E": _change(rough.e), "rough": ours,
         "calm": calm, "growth": growth and growth[0], "over": over, "known": known,
     }  # fmt: skip
 

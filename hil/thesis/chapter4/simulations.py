@@ -167,8 +167,9 @@ def simulations(report_progress: ReportProgress) -> dict[str, Any]:
     return {
         "figures": (single_runs(runs), averages(runs), ratios(runs)),
         "ratio": [[single.ratio, other[0]], [parts.ratio, other[1]]],
-        "largest": [r.ratio.max() for r in (single, parts)], "less": less.mean(), "error": error,
-        "surely": float(less.mean()) + 4.0 * error, "quotient": single.ratio.mean() / parts.ratio.mean(),
+        "largest": [np.maximum(r.ratio, late).max() for r, late in zip((single, parts), other)],
+        "less": less.mean(), "error": error, "surely": float(less.mean()) + 4.0 * error,
+        "quotient": single.ratio.mean() / parts.ratio.mean(),
         "words": [
             "; ".join(f"{r.mean():.3f} +- {r.std():.3f} per run, largest {r.max():.3f}, noise held {t:g} s" for r, t in pair)
             for pair in (((kind.ratio, NOISE_S), (late, OTHER_NOISE_S)) for kind, late in zip((single, parts), other))

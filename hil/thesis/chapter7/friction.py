@@ -168,7 +168,7 @@ def experiment(
 EXPERIMENT_ROWS = (
     *(
         Statement(
-            f"Table 7.2, experiment, {NAMES[name]}", " / ".join(printed),
+            f"Table 7.2, experiment, {NAMES[name]}, by a motor fitted to it", " / ".join(printed),
             tuple(run(f"share of {{seeds}} runs below {p}", f"{name}[runs][{k}]", p) for k, p in enumerate(printed)),
             computed=f"{{{name}[mean][0]:.2f}} ({{{name}[sd][0]:.2f}}) / {{{name}[mean][1]:.4f}} ({{{name}[sd][1]:.4f}})",
             basis="T = 0.05 s, fitted motor ({motor}; misfit {misfit:.1f} over eight numbers); {seeds} runs that the fit has not "
@@ -178,7 +178,7 @@ EXPERIMENT_ROWS = (
     ),
     *(
         Statement(
-            f"Remark 7.7: steady-state error, {NAMES[name]}", f"{printed} rad",
+            f"Remark 7.7: steady-state error, {NAMES[name]}, by a motor fitted to it", f"{printed} rad",
             (run(f"share of {{seeds}} runs below {printed} rad", f"{name}[runs][2]", printed),),
             computed=f"95 % of the runs in [{{{name}[ends][0]:.4f}}, {{{name}[ends][1]:.4f}}] rad",
             basis="stiction, dead zone and the encoder leave an error of either sign; integral action removes it",

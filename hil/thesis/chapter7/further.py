@@ -74,12 +74,13 @@ def _guaranteed(design: Design, plants: PlantSet) -> float:
     try:
         return robust_h2(design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2)[0]
     except DesignError:
-        return math.inf
+        return math.nan
 
 
 UNCERTAIN = (
     Statement(
-        f"(7.41), Remark 7.6: gains for norm-bounded plants bear what the nominal ones do not, gain +-{WIDE} %", "can be solved",
+        f"(7.41), Remark 7.6: gains for norm-bounded plants are proved for what the nominal ones are not, gain +-{WIDE} %",
+        "can be solved",
         (
             says("verdict on our gains", "wide[verdict][ours]", "certified"),
             below("share of it that the small-gain theorem proves for the nominal gains", "wide[margin][nominal]", 1),
@@ -154,7 +155,7 @@ def stays(report_progress: ReportProgress) -> dict[str, Any]:
     return {
         "plain": norms[0], "informed": norms[1], "again": again.h2_norm, "share": norms[1] / norms[0],
         "radius": found[1].certificate.mean_square_radius, "ran": (loops[1].certificate or {})["h2_norm"],
-        "sse_plain": errors[0][0], "sse_informed": errors[1][0], "off": max(off for _, off in errors),
+        "sse_plain": errors[0][0], "sse_informed": errors[1][0], "off": float(np.max([off for _, off in errors])),
     }  # fmt: skip
 
 
@@ -201,7 +202,7 @@ def trade_off(report_progress: ReportProgress) -> dict[str, Any]:
     )  # fmt: skip
     return {
         "beta": beta, "gamma": gamma, "ends": [gamma[0], gamma[-1], beta[0], beta[-1]],
-        "over": float(max(gamma[:-1] / [level for _, level in asked])) - 1.0,
+        "over": float((gamma[:-1] / [level for _, level in asked]).max()) - 1.0,
         "rise": float((beta[1:] / beta[:-1]).max()) - 1.0, "paid": float(beta[0] / beta[-1]) - 1.0,
         "gained": 1.0 - float(gamma[0] / gamma[-1]), "chain": _over_chains(), "packets": _packet_by_packet(),
         "figures": (Plot(title="Trade-off of the two norms", panels=(figure,)),),

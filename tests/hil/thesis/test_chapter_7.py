@@ -169,7 +169,8 @@ def test_whole_chapter_with_its_page():
     assert found["motor: the published gains have the norm gamma_min"] == "not reproduced"  # 17.4049: 17.4085 is a level above it
     for name in ("H-infinity", "H2", "local"):
         assert found[f"Table 7.2, simulation, {name}"] == "not reproduced"
-    assert all(f"Table 7.2, experiment, {name}" in found for name in ("H-infinity", "H2", "local"))  # as good as the fit is
+    fitted = [f"Table 7.2, experiment, {name}, by a motor fitted to it" for name in ("H-infinity", "H2", "local")]
+    assert set(fitted) <= set(found)  # as good as the fit is
     assert found["motor: time for the two designs"] == found["Table 7.1, local H2"] == "undecided"
     rule = "the row for d at generation is more effective than the one before [53]"
     assert found[f"motor, H2: {rule}"] == "reproduced" and found[f"VTOL, H2: {rule}"] == "claim false"
