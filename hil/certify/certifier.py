@@ -77,6 +77,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         shares: the same as a share of the output's own size, by relative triggers; empty: nowhere.
         steps: slot and value of every step of the reference.
         pulses: slot, length in slots and value of every disturbance at the inputs.
+        taken_over: the plant's nominal model, where the controller was started over another plant and knows that one.
     """
 
     plant: Plant
@@ -102,11 +103,17 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     shares: tuple[float, ...] = ()
     steps: tuple[tuple[int, tuple[float, ...]], ...] = ()
     pulses: tuple[tuple[int, int, tuple[float, ...]], ...] = ()
+    taken_over: LoopModel | None = None
 
     @property
     def motion(self) -> LoopModel:
         """The model with the matrices by which the plant moves: what is judged, beside what the controller knows."""
-        return motion_of(self.plant, self.model)
+        return motion_of(self.plant, self.nominal)
+
+    @property
+    def nominal(self) -> LoopModel:
+        """The plant's own model, which is what the controller knows unless another plant has taken over."""
+        return self.model if self.taken_over is None else self.taken_over
 
     def no_chain(self) -> str:
         """Return why nothing is known of a loop without chains of ages, as a reason."""

@@ -116,7 +116,7 @@ def plant_check(loop: CertificationProblem) -> Check:
         return jump_check(loop)
     name = "your plant does not move as its model() says"
     again, moves = plant.model().discretise(model.period_s), loop.motion
-    for which, a, b in (("model", again, loop.model), ("motion", moves, model)):
+    for which, a, b in (("model", again, loop.nominal), ("motion", moves, model)):
         if not all(np.array_equal(*pair) for pair in zip((a.A, a.B, a.C), (b.A, b.B, b.C))):
             return "refused", f"{name}: {which}() returns other matrices at every call"
     n, m = model.B.shape

@@ -96,7 +96,8 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
             entries = sorted([*kept, *getattr(experiment, table)], key=lambda entry: entry.at)
             verdict = None if loop.verdict is None else _in_the_run(loop.verdict)
             return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}), verdict=verdict)
-        after = compose(experiment, certify=certify, in_phase=False)
+        knows = None if table == "controller" else loop.model
+        after = compose(experiment, certify=certify, in_phase=False, knows=knows)
     except ExperimentError:
         raise
     except (HilError, TypeError, KeyError, ValueError) as error:
@@ -147,7 +148,7 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
         if verdict is not None:  # the claim is on the same equations
             verdict = replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
         return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
-    after = compose(experiment, certify=certify, in_phase=False)
+    after = compose(experiment, certify=certify, in_phase=False, knows=loop.model)
     _fits(loop, after, path)
     return _assuming(after, PLANT_NOT_COMPARED, anywhere=_some_modes(plant) or _some_modes(experiment.plant))
 
@@ -195,6 +196,7 @@ def _fits(before: Loop, after: Loop, path: str) -> None:
         "signals of the plant": lambda loop: [s.name for s in (*loop.rig.states, *loop.rig.inputs, *loop.rig.outputs)],
         "longest delay to the controller": lambda loop: loop.model.tau_max,
         "longest delay to the actuator": lambda loop: loop.model.d_max,
+        "lengths of stay with a row each": lambda loop: loop.rig.row_sojourns,
     }
     faults = [
         f"{path}: {what}: {of(after)}, and the run has {of(before)}; begin anew with --set {path}=..."

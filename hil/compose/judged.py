@@ -40,18 +40,19 @@ DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, wh
 
 def judge(
     experiment: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, *,
-    external: bool, in_phase: bool = True,
+    external: bool, in_phase: bool = True, taken_over: LoopModel | None = None,
 ) -> tuple[Verdict, Watched | None]:  # fmt: skip
     """Return the verdict on a loop, and what its run is compared with; None where no claim rests on it.
 
     Args:
         in_phase: whether both directions begin together; else any of their phases may meet, and a loop that is not stable in all
             pairs of phases is undecided.
+        taken_over: the plant's nominal model, where the controller knows another one.
 
     Raises:
         ExperimentError: the loop has no certificate, and ``allow_uncertified`` is not set.
     """
-    problem = _problem(experiment, rig, chains, controller, model, selection, in_phase)
+    problem = replace(_problem(experiment, rig, chains, controller, model, selection, in_phase), taken_over=taken_over)
     verdict = certify(problem)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:

@@ -50,8 +50,9 @@ if TYPE_CHECKING:
 
 
 def compose(
-    experiment: Experiment, *, certify: bool = True, external: bool = False, rig: RigSpec | None = None, in_phase: bool = True
-) -> Loop:
+    experiment: Experiment, *, certify: bool = True, external: bool = False, rig: RigSpec | None = None, in_phase: bool = True,
+    knows: LoopModel | None = None,
+) -> Loop:  # fmt: skip
     """Make the loop of an experiment: check what belongs together, solve the design, certify the closed loop.
 
     Args:
@@ -60,6 +61,7 @@ def compose(
         rig: of the experiment, where it is known already.
         external: an external controller answers on the link: of its loop nothing is known.
         in_phase: whether both directions of the network begin together, and not one of them in the run.
+        knows: the model that the controller was started with, where another plant took over since.
 
     Raises:
         ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
@@ -67,7 +69,7 @@ def compose(
     """
     with in_words_of_parts(experiment), _small_matrices():
         try:
-            return _compose(experiment, certify, external, rig, in_phase)
+            return _compose(experiment, certify, external, rig, in_phase, knows)
         except ForeignVerdict as error:
             raise changed_meanwhile(experiment) from error
 
@@ -135,8 +137,11 @@ def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Exp
     return replace(experiment, controller=solved, kinds={**experiment.kinds, "controller": solved.kind}), gains, chains
 
 
-def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSpec | None, in_phase: bool) -> Loop:
-    asked, rig, model = _modelled(experiment, known)
+def _compose(
+    experiment: Experiment, certify: bool, external: bool, known: RigSpec | None, in_phase: bool, knows: LoopModel | None
+) -> Loop:
+    asked, rig, nominal = _modelled(experiment, known)
+    model = nominal if knows is None else replace(nominal, A=knows.A, B=knows.B, C=knows.C)
     try:
         experiment, gains, chains = _solved(asked, rig, model)
         controller: Controller = experiment.controller  # type: ignore[assignment]  # no design is left
@@ -165,7 +170,8 @@ def _compose(experiment: Experiment, certify: bool, external: bool, known: RigSp
     verdict, watched = None, None
     if certify:
         verdict, watched = judge(
-            experiment, rig, chains, controller, model, running.selection, external=external, in_phase=in_phase
+            experiment, rig, chains, controller, model, running.selection, external=external, in_phase=in_phase,
+            taken_over=None if knows is None else nominal,
         )  # fmt: skip
     return Loop(
         experiment=experiment,

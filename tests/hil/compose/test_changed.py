@@ -78,6 +78,24 @@ def test_what_the_nodes_of_the_run_cannot_take_is_refused() -> None:
         changed(loop, 10, "network.ca.max_age", 3)
 
 
+def test_rows_that_the_actuator_would_refuse_are_refused_before() -> None:
+    """Two rows come where the rig takes eight: the watchdog would end a run that is certified."""
+    loop = compose(load_experiment("dc-motor-ours-stays"))
+    with pytest.raises(ExperimentError, match="lengths of stay with a row each: 1, and the run has 4"):
+        changed(loop, 10, "controller", {"kind": "smith", "gain": [[-0.03]]})
+
+
+def test_a_controller_goes_on_with_the_model_that_it_was_started_with() -> None:
+    """A Smith predictor of a motor a quarter as strong: the loop grows, and with the new motor's model it would not."""
+    loop = compose(load_experiment("dc-motor-smith-fast", ["controller.gain=[[-0.3]]"]))
+    stronger = changed(loop, 10, "plant.gain", 600.0)
+    assert stronger.verdict is not None and stronger.verdict.state == "refused"
+    late = changed(stronger, 20, "network.sc.law.matrix", [[0.6, 0.4, 0.0], [0.7, 0.2, 0.1], [0.8, 0.1, 0.1]])
+    assert late.verdict is not None and late.verdict.number == stronger.verdict.number
+    again = changed(late, 30, "controller.gain", [[-0.3]])
+    assert again.verdict is not None and again.verdict.certified, "one that begins anew knows the motor that runs"
+
+
 def test_certificate_is_that_of_the_loop_that_would_run(motor: Loop) -> None:
     """The numbers are those of an experiment that says so from the beginning."""
     assert motor.verdict is not None and motor.verdict.certified
