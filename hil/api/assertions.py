@@ -192,7 +192,7 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
     found = sides[side]
     p_value = found["p_value"]
     if p_value is None:
-        raise HilError(f"assert_law: {side}: the law {found['law']!r} has no test, or the run is too short for it")
+        raise HilError(f"assert_law: {side}: the law {found['law']!r} has no test, was changed, or the run is too short for it")
     if p_value < alpha:
         counts = f"modes {found['mode_counts']}, transitions {found['transition_counts']}"
         raise AssertionError(f"{side}: not the law {found['law']!r}: p = {p_value:.3g} < {alpha:g}; {counts}")

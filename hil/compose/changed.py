@@ -24,13 +24,11 @@ from hil.experiment import experiment_from_resolved, set_field
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE
 from hil.rig.normal_form import rig_of
+from hil.rig.schedules import SCHEDULES
 from plants.parts.protocols import GoesOn, JumpPlant, Plant
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
 """Tables to which a change adds an entry that begins in its slot."""
-
-SCHEDULES: Final = ("reference", "disturbance")
-"""Those of them that are no part of what is certified, but from where it begins."""
 
 PLANT: Final = "plant."
 """What begins so is a field of the plant, where that says that it may change."""

@@ -18,6 +18,8 @@ import numpy as np
 from hil.errors import HilError
 from hil.log.records import CDR_HEADER
 
+CHANGE: Final = "change"
+"""Kind of the event that logs a change of a run; its data make the change again."""
 WITHDRAWN: Final = "certificate withdrawn"
 """Kind of the event that says that a plant or a controller was not, in the run, what its certificate rests on."""
 DEPARTED: Final = "part departed"

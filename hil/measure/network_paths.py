@@ -9,11 +9,13 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
+from msgspec.structs import replace
 
 from hil.experiment.nodes import Medium
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.run import Run
 from hil.log.topics import CA, SC
+from hil.measure.changed_runs import law_was_changed
 from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
@@ -111,6 +113,7 @@ class NetworkPath(Struct, frozen=True, kw_only=True):
         law: its network law, None where the experiment cannot be made again here.
         kind: name of the law's plug-in.
         medium: what its packets take before, in words; empty where they share nothing.
+        changed: whether another law took over in the run: what was drawn is then compared with none.
         draws: what the law decided, None where the run keeps no records of it.
     """
 
@@ -120,12 +123,13 @@ class NetworkPath(Struct, frozen=True, kw_only=True):
     kind: str
     medium: str
     draws: Draws | None
+    changed: bool = False
 
     @property
     def through(self) -> str:
         """Medium and network law in words; a law of age 0 behind a medium adds nothing, and is not named."""
         ages = self.law.mode_ages if isinstance(self.law, ChainLaw) else ()
-        law = f"{self.kind} law" + (f", age {ages[0]}" if len(ages) == 1 else "")
+        law = f"{self.kind} law" + (", changed in the run" if self.changed else f", age {ages[0]}" if len(ages) == 1 else "")
         if not self.medium:
             return law
         return self.medium if tuple(ages) == (0,) else f"{self.medium}, then {law}"
@@ -133,6 +137,11 @@ class NetworkPath(Struct, frozen=True, kw_only=True):
 
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
+    run, paths = view.run, _stated_paths(view)
+    return tuple(replace(path, law=None, changed=True) if law_was_changed(run, path.side, path.node) else path for path in paths)
+
+
+def _stated_paths(view: RunView) -> tuple[NetworkPath, ...]:
     rig, arrays = view.rig, view.run.arrays
     sc, ca = arrays.get(SC.name), arrays.get(CA.name)
     if rig is None:

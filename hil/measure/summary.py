@@ -17,6 +17,7 @@ from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
+from hil.measure.changed_runs import claimed_to_the_end
 from hil.measure.measure import measured, quantities_of, run_measures
 from hil.measure.network_paths import law_kinds, loads, network_metrics, network_paths
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
@@ -136,10 +137,13 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
 
 
 def certificate_of(run: Run) -> dict[str, Any] | None:
-    """Return the certificate of a run, None without one: undecided where the run itself showed what it rests on to be untrue."""
+    """Return the certificate of a run, None without one.
+
+    Undecided where the run itself showed what it rests on to be untrue. Of a run that was changed it is that of all that ran.
+    """
     if not run.certificate:
         return None
-    reason, found = withdrawal(run), dict(run.certificate)
+    reason, found = withdrawal(run), claimed_to_the_end(run)
     return found if reason is None else {
         **found, "state": "undecided", "reason": reason, "stable": False, "stated": found["reason"],
     }  # fmt: skip

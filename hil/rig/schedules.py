@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import lcm
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
@@ -18,6 +18,10 @@ from transport.medium.scheduled import Arbitration
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault
+
+
+SCHEDULES: Final = ("reference", "disturbance")
+"""Tables of a time line that are no part of what is certified, but from where it begins."""
 
 
 class FaultSchedule(Struct, frozen=True, kw_only=True):

@@ -7,13 +7,12 @@ from typing import Any, Final, Literal
 
 from msgspec import Struct
 
+from hil.log.events import CHANGE
 from hil.log.write.sinks import Sink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 
-CHANGE: Final = "change"
-"""Kind of the event that logs a change; its data make the change again."""
 LATE: Final = "change late"
 """Kind of the event that logs one that came behind its slot, in real time."""
 

@@ -10,14 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.log.events import decode_event
+from hil.log.events import CHANGE, decode_event
 from hil.log.records import EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
 from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
 from hil.log.write.sinks import PayloadWriter
 from hil.pages.live.scopes import Records, Tail, Trace, traces_of
 from hil.rig.loop import Loop
-from hil.runtime.changes import CHANGE, END, LATE, Change, Changes
+from hil.runtime.changes import END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock
 from hil.session.replay.recorded import Asked
 from transport.draws import REASONS

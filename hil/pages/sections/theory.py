@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.compose.judged import caution
+from hil.measure.changed_runs import changed_fields
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of
@@ -29,9 +30,11 @@ MOST_MOMENTS = 4_000_000
 def section(view: RunView) -> Section | None:
     """Return the panels of predicted mean and spread, with the run and a Monte Carlo band over them.
 
-    None where there is no prediction, see `hil.measure.prediction.predict`, or where the log's experiment cannot be made again.
+    None where there is no prediction, see `hil.measure.prediction.predict`, or where the log's experiment cannot be made
+    again or was changed in the run.
     """
-    loop = None if controller_of(view.run) == "external" else view.once(composed)
+    another = controller_of(view.run) == "external" or changed_fields(view.run)  # than the experiment's loop
+    loop = None if another else view.once(composed)
     if loop is None:
         return None
     slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
