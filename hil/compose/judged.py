@@ -28,6 +28,7 @@ from plants.parts.protocols import JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.jump_linear.higher_moments import FourthMoments
+    from design.processes.delay_chain import DelayChain
 
 
 BOUNDED = (
@@ -117,7 +118,8 @@ def _problem(
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
-        damped=rig.passivity, faults=len(e.fault), whole=whole_again(e),
+        damped=rig.passivity, whole=whole_again(e, _ages(ca, model.d_max)),
+        faults=sum(fault.slots(float(e.period))[0] < e.slots for fault in e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
@@ -125,6 +127,13 @@ def _problem(
         steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
         pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
     )  # fmt: skip
+
+
+def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:
+    """Return the smallest and the largest age of a command that the law draws and rows cover, and the largest that rows cover."""
+    if ca is None or ca.holds.any():
+        return 0, d_max, d_max
+    return int(ca.delay.min()), int(ca.delay.max()), d_max
 
 
 def _allow(e: Experiment, verdict: Verdict) -> None:

@@ -97,30 +97,63 @@ def beyond_the_end(e: Experiment) -> str:
     )
 
 
-def whole_again(e: Experiment) -> float | str:
+def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
     """Return when the last fault of a checked experiment is over and nothing of it is left, s; in words, why that is not known.
+
+    The watchdog looks at the way to the actuator alone, see `starves`: a controller that gets no sample answers all the same.
 
     Args:
         e: the experiment.
+        ages: smallest and largest age of a command that the network law draws, and the largest that a packet has rows for.
 
     >>> from hil.experiment import load_experiment
-    >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='sc'}]"
-    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]))
+    >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='ca'}]"
+    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]), (0, 1, 1))
     3.5
-    >>> whole_again(load_experiment("dc-motor-hinf", [cut]))
-    'fault[0] lasts 10 slots, and the watchdog trips after 3'
+    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=11"]), (0, 1, 1))
+    'network.ca may bring no command for 11 slots from slot 60 on, and the watchdog trips after 11'
     """
-    over = 0
+    over, cuts = 0, []
     for i, fault in enumerate(e.fault):
         first, end = fault.slots(float(e.period))
+        if first >= e.slots:
+            continue
         if fault.kind not in ("cut", "corrupt", "freeze"):
             return f"fault[{i}], the {fault_text(fault)}, may outlast its time"
         if end >= e.slots:
             return f"fault[{i}] lasts to the end of the run"
-        if end - first >= e.limits.watchdog_slots:
-            return f"fault[{i}] lasts {end - first} slots, and the watchdog trips after {e.limits.watchdog_slots}"
         over = max(over, end)
+        if fault.link == "ca" and fault.kind != "freeze":
+            cuts.append((first, end))
+    for first, slots in starves(cuts, *ages):
+        if slots >= e.limits.watchdog_slots:
+            said = f"network.ca may bring no command for {slots} slots from slot {first} on"
+            return f"{said}, and the watchdog trips after {e.limits.watchdog_slots}"
     return over * float(e.period)
+
+
+def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: int) -> list[tuple[int, int]]:
+    """Return from which slots on, and for how many, an actuator may have no command that its rows cover.
+
+    Before a cut it holds one of age `oldest` at most, until that is older than `d_max`. One that came in the cut is lost, and behind
+    its end the law may draw it again, until it is older than `oldest`.
+
+    Args:
+        cuts: first slot of each, and the one in which it is over; they may overlap.
+        youngest, oldest: ages that the law draws.
+        d_max: largest age that rows cover.
+
+    >>> starves([(60, 70)], 0, 1, 1), starves([(60, 70)], 0, 0, 1), starves([(60, 65), (66, 70)], 0, 1, 1)
+    ([(60, 11)], [(61, 9)], [(60, 11)])
+    """
+    whole: list[list[int]] = []
+    for first, end in sorted(cuts):
+        if whole and first <= whole[-1][1] + oldest - youngest:  # no command need have come between
+            whole[-1][1] = max(whole[-1][1], end)
+        else:
+            whole.append([first, end])
+    begins = [(max(first, oldest + 1) + d_max - oldest, end + oldest - youngest) for first, end in whole]
+    return [(first, end - first) for first, end in begins if end > first]
 
 
 def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
