@@ -135,8 +135,8 @@ def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
 def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: int) -> list[tuple[int, int]]:
     """Return from which slots on, and for how many, an actuator may have no command that its rows cover.
 
-    Before a cut it holds one of age `oldest` at most, until that is older than `d_max`. One that came in the cut is lost, and behind
-    its end the law may draw it again, until it is older than `oldest`.
+    Before a cut it holds one of age `oldest` at most, until that is older than `d_max`. One that came in the cut is lost, and the
+    law may draw it again behind the end of the cut, until it is older than `oldest`.
 
     Args:
         cuts: first slot of each, and the one in which it is over; they may overlap.
