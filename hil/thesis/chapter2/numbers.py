@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import product
 from typing import Any
 
@@ -41,7 +42,9 @@ def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
     back = constant_rate(3.0)
     three = _autonomous([[-0.05]], [[0.65]], [[-6.0]])
     box = SemiMarkov(rates=((None, wide, wide), (back, None, None), (back, None, None)))
-    worst = SemiMarkov(rates=((None, constant_rate(10), constant_rate(0.1)), (back, None, None), (back, None, None)))
+    low, high = box.bounds(0, 0.0, math.inf)
+    corner = (None, constant_rate(float(high[1])), constant_rate(float(low[2])))
+    worst = SemiMarkov(rates=(corner, (back, None, None), (back, None, None)))
     cases = ((first, process, ((0.0, 0.4967),) * 2), (second, chapter2_process(), uniform(chapter2_process(), 12)))
     accepted = [printed_stability(system, None, law, nodes=nodes) for system, law, nodes in cases]
     accepted.append(printed_stability(three, None, box, nodes=((0.0,),) * 3))

@@ -106,7 +106,7 @@ def _motor_sums(name: str, period_s: float, runs: int) -> Array:
 def vtol_table(report_progress: ReportProgress) -> dict[str, Any]:
     """Table 7.1: a unit step with an impulse on both inputs at step 300, whose size is not printed."""
     work = on_all_cores(vtol_numbers, [(name,) for name in TABLE_7_1], report_progress, list(TABLE_7_1))
-    return dict(zip(TABLE_7_1, work, strict=True))
+    return dict(zip(TABLE_7_1, work))
 
 
 def vtol_numbers(name: str) -> dict[str, Any]:

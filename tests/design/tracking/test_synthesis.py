@@ -263,6 +263,13 @@ def test_sum_output_with_large_gains_is_found_by_the_multistart():
     assert np.abs(design.gains).max() > 50  # what the sum buys it with
 
 
+def test_the_first_programme_of_the_ccl_route_asks_for_less_than_the_gains_that_it_starts_from():
+    from design.as_printed.cone_complementarity import STEP, solve_ccl
+
+    (_, begun), (_, reached) = solve_ccl(problem("motor", information="generated"), iterations=1).history
+    assert reached < (1.0 - STEP) * begun
+
+
 @pytest.mark.slow
 def test_ccl_route_falls_towards_the_direct_optimum_and_does_not_beat_it():
     from design.as_printed.cone_complementarity import design_by_ccl, solve_ccl

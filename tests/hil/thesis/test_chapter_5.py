@@ -90,6 +90,14 @@ def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
     assert set(turned) == claims and set(turned.values()) == {"reproduced"}
 
 
+def test_remark_5_2_uses_what_a_delay_has_not_brought_and_the_shifted_mask_does_not() -> None:
+    """The newest sample is used again at ages 1 and 2, in each of four phases, before a delay of one slot has brought it."""
+    prompt, late = mask_of(round_robin(4, buffer=3), 6), mask_of(round_robin(4, buffer=3, delay=1))
+    assert delay(prompt, late) == {"missing": 8, "shifted": 0}
+    assert delay(prompt, prompt) == {"missing": 0, "shifted": 8}
+    assert delay(prompt, np.roll(prompt, 1, axis=0))["shifted"] == 40
+
+
 @pytest.mark.slow
 def test_every_row_beyond_the_chapter_is_as_said() -> None:
     """A bound of J for any order of the sensors, least J at the published peak inputs, the tangent scheme's bound."""

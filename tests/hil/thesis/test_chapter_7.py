@@ -30,7 +30,9 @@ from hil.thesis.chapter7.tables import (
     motor_numbers,
     motor_prediction,
     motor_signals,
+    motor_table,
     vtol_numbers,
+    vtol_table,
 )
 from hil.thesis.judgement import rank
 from hil.thesis.pages import chapter_page
@@ -82,6 +84,18 @@ def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1(monkeypatch):
     wide = values["local H2"]["sums"][0]
     for printed in (0.02, 0.2051, 0.3319, 1000.0, 400_000.0):
         assert rank("", wide, printed).undecided
+
+
+def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypatch):
+    for name, value in (("VTOL_RUNS", 50), ("MOTOR_RUNS", 50), ("MORE_RUNS", 100), ("TABLE_7_2", {"local": ("12.11", "0.0693")})):
+        monkeypatch.setattr(f"hil.thesis.chapter7.tables.{name}", value)
+    monkeypatch.setattr("hil.thesis.chapter7.emulated.Workers", lambda **_: Workers())
+    vertical, angles = vtol_table(quietly), motor_table(quietly)
+    means = {name: [float(found.mean()) for found in each["sums"]] for name, each in vertical.items()}
+    assert means["H2"] == pytest.approx([0.0239, 0.0239], rel=0.2) and vertical["H2"]["text"].startswith("0.0239 (0.0084)")
+    assert vertical["H-infinity"]["text"].startswith("0.0252 (0.0095)") and means["local H2"] == means["local H-infinity"]
+    assert angles["local_0"]["radius"] == pytest.approx(1.054, abs=1e-3) and angles["local_0"]["sums"][0].min() > 20.0
+    assert angles["local_1"]["radius"] == pytest.approx(0.976, abs=1e-3) and angles["local_1"]["text"].startswith("13.93")
 
 
 def test_emulated_runs_have_the_predicted_mean_and_spread():
