@@ -19,7 +19,7 @@ from tests.hil.thesis.judging import assert_every_number_decides
 
 SMALL = 0.0
 JUDGED = None
-"""Of rounding too, in a unit that makes it large: its verdict says enough."""
+"""Of rounding too, in a unit that makes it large, or a solver's level: its verdict says enough."""
 Found = list[tuple[str, list[float | str | None]]]
 
 # fmt: off
@@ -37,6 +37,15 @@ ROWS: dict[tuple[str, str], Found] = {
         ("claim false", [0.2, 9.2, 0.2, 9.2]),
         ("reproduced", [0.99499, 0.99005]),
         ("not reproduced", [1.1732]),
+    ],
+    ("chapter4", "conditions"): [
+        ("reproduced", ["certified", JUDGED]),
+        ("reproduced", ["certified", "certified", JUDGED, JUDGED, "certified", JUDGED]),
+        ("claim false", ["refused", "refused", 20.9945, 10.9035]),
+        ("reproduced", ["certified", JUDGED]),
+        ("claim false", [0.20162, "certified", "certified", 0.20162]),
+        ("claim false", [0.67, 4.2603e-4]),
+        ("reproduced", [0.91006]),
     ],
     ("chapter4", "simulations"): [
         ("not reproduced", [1.0, 1.0]),
@@ -91,6 +100,22 @@ ROWS: dict[tuple[str, str], Found] = {
         ("reproduced", [0.00062594, 2.33]),
         ("reproduced", [1.3856]),
         ("reproduced", [0.013893]),
+    ],
+    ("chapter7", "designs without the network"): [
+        ("reproduced", [0.89773, 0.91654]),
+        ("not reproduced", [-0.28702]),
+        ("claim false", [1.05401, 1.05401, 0.97616]),
+        ("claim false", [1.22174, 1.22174]),
+        ("claim false", [0.31972, 0.31972]),
+        ("reproduced", [0.122, 0.33903]),
+    ],
+    ("chapter7", "models and statements"): [
+        ("claim false", [1.00023, 1.8844e-5, 0.34868, 0.38408, 1.00023]),
+        ("reproduced", [4.9757e-5]),
+        ("reproduced", [1.00276, 0.002583, 1.00276, -0.002583, 0.99768, SMALL, 0.97949, SMALL]),
+        ("claim false", [3.0, 3.0, 7.0, 1.0]),
+        ("claim false", [3.73682, 0.75314, 16.0524]),
+        ("reproduced", [20.0, 1.0]),
     ],
     ("chapter7", "Smith predictor"): [
         ("undecided", [-41.379, 1.701, 0.083881, -53.23, 1.3854, 0.099287,
