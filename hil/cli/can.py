@@ -142,7 +142,9 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
         raise HilError(f"{experiment.name}: recorded frames have no period, and no bound follows from them; hil run measures")
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
-    return analyse(experiment.name, analysed(loop.rig, bus, loop.rows), rates_of(bus.table), worst, seconds, errors)
+    disturbed = bus.table.bit_error_rate > 0.0 or any(fault.kind in ("bit-errors", "bus-off") for fault in experiment.fault)
+    messages = analysed(loop.rig, bus, loop.rows)
+    return analyse(experiment.name, messages, rates_of(bus.table), worst, seconds, errors, disturbed=disturbed)
 
 
 @click.command()

@@ -60,6 +60,8 @@ class BusAnalysis:
         load: the longest frames over their periods, a share of the bus.
         simulated_s: how long it was simulated.
         messages: by priority.
+        assumes: what the bounds hold under, in words.
+        disturbed: whether the bus that was simulated has disturbed bits or nodes off the bus that the bounds know nothing of.
     """
 
     name: str
@@ -68,11 +70,13 @@ class BusAnalysis:
     load: float
     simulated_s: float
     messages: tuple[AnalysedMessage, ...]
+    assumes: str
+    disturbed: bool
 
 
 def analyse(
     name: str, messages: Sequence[PeriodicMessage], rates: BitRates, measured_ms: Mapping[tuple[bool, int], float | None],
-    simulated_s: float, errors: ErrorBursts | None = None,
+    simulated_s: float, errors: ErrorBursts | None = None, *, disturbed: bool = False,
 ) -> BusAnalysis:  # fmt: skip
     """Put bounds beside what was measured.
 
@@ -83,25 +87,32 @@ def analyse(
         measured_ms: the worst response of each, by (extended, identifier).
         simulated_s: how long that took.
         errors: how many errors the bounds allow for.
+        disturbed: whether bits are disturbed, or nodes off the bus, in what was measured.
 
     Raises:
         ValueError: two messages have one identifier.
     """
-    found = []
+    found, assumes = [], "no bit is disturbed and no node is off the bus"
+    if errors is not None:
+        more = f"one more in every {errors.interval_ns / 1e9:g} s"
+        assumes = f"errors come {errors.burst} at once and {more} at most, and no node becomes error passive"
+    unknown = disturbed and errors is None
     for bound in response_times(messages, rates, errors):
-        own = bound.message
+        own, bounded = bound.message, bound.response_ns is not None and not unknown
         found.append(
             AnalysedMessage(
                 name=own.name, can_id=own.identifier, extended=own.extended, length=own.length, frame_ms=bound.frame_ns / 1e6,
                 period_ms=own.period_ns / 1e6, deadline_ms=own.due_in_ns / 1e6,
-                bound_ms=None if bound.response_ns is None else bound.response_ns / 1e6,
-                measured_ms=measured_ms.get((own.extended, own.identifier)), in_time=bound.in_time, delayed_by=bound.delayed_by,
+                bound_ms=(bound.response_ns or 0) / 1e6 if bounded else None,
+                measured_ms=measured_ms.get((own.extended, own.identifier)), in_time=bounded and bound.in_time,
+                delayed_by=bound.delayed_by,
             )
         )  # fmt: skip
     load = float(bus_load(messages, rates))
     return BusAnalysis(
-        name=name, bitrate=rates.bitrate, dbitrate=rates.dbitrate, load=load, simulated_s=simulated_s, messages=tuple(found)
-    )
+        name=name, bitrate=rates.bitrate, dbitrate=rates.dbitrate, load=load, simulated_s=simulated_s, messages=tuple(found),
+        assumes=assumes, disturbed=unknown,
+    )  # fmt: skip
 
 
 def analyse_traffic(

@@ -35,7 +35,9 @@ def bus_page(found: BusAnalysis) -> Page:
     """Return the page of an analysed CAN bus: every message with its bound, its deadline, and what delays it."""
     late = sum(not each.in_time for each in found.messages)
     verdict = Badge(label="every message meets its deadline", state="good")
-    if late:
+    if found.disturbed:
+        verdict = Badge(label="no bound: the experiment disturbs its bus, and --errors says by how much at most", state="warning")
+    elif late:
         verdict = Badge(label=f"{late} of {len(found.messages)} messages may miss their deadline", state="bad")
     names = [can_id_text(each.can_id, extended=each.extended) for each in found.messages]
     bars = Bars(
@@ -66,7 +68,7 @@ def bus_page(found: BusAnalysis) -> Page:
         [Section(title="Messages", blocks=(table, *((Text(text=full),) if found.load > 1 else ()), bars))],
         kicker="hilrig · CAN bus",
         subtitle="Worst-case response times after Davis, Burns, Bril and Lukkien 2007, for nodes that queue by priority, to the "
-        "end of EOF.",
+        f"end of EOF. They hold if {found.assumes}.",
         badges=[verdict],
         facts=[("rate", rate), ("load", f"{100 * found.load:.2f} %"), ("simulated", f"{found.simulated_s:g} s")],
     )

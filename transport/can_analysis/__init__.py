@@ -166,7 +166,8 @@ def response_times(
         R_m = \max_{0 \le q < Q_m} J_m + w_m(q) - q T_m + C_m,\qquad Q_m = \lceil (t_m + J_m) / T_m \rceil.
 
     Every instance of the busy period counts, not the first alone: the analysis of 1994 left out that a message may push its next
-    instance.
+    instance. That no node becomes error passive is assumed: one that is waits 8 bits longer behind a frame of its own, so that
+    frames of a lower priority block it again.
 
     Args:
         messages: all that is sent on the bus; each node queues by priority.

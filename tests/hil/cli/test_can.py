@@ -49,6 +49,17 @@ def test_an_experiment_is_run_and_analysed() -> None:
     assert own["motor"]["bound_ms"] == 39.656 and 0 < own["controller"]["measured_ms"] < own["controller"]["bound_ms"]
 
 
+def test_bounds_say_what_they_assume_of_errors() -> None:
+    """Random bit errors at any rate leave no bound; with --errors nodes must stay error active."""
+    words = ["dc-motor-busy-can", "--duration", "1", "--set", "network.media.bus.bit_error_rate=1e-4"]
+    found = json.loads(run(*words, "--json"))
+    assert found["disturbed"] and all(each["bound_ms"] is None and not each["in_time"] for each in found["messages"])
+    assert "no bound: the experiment disturbs its bus" in run(*words)
+    allowed = json.loads(run(*words, "--errors", "1", "--json"))
+    assert not allowed["disturbed"] and allowed["messages"][0]["bound_ms"] > 0
+    assert allowed["assumes"] == "errors come 1 at once and one more in every 1 s at most, and no node becomes error passive"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
