@@ -20,7 +20,7 @@ from hil.errors import HilError
 from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
 from hil.rig.packet_ages import Receiver, ages_of, delays_of
-from transport.law_fit.proportions import AgeRegion, confidence_region
+from transport.law_fit.proportions import AgeRegion, behind_late, confidence_region, seen_correlations
 from transport.laws import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
@@ -45,7 +45,16 @@ class Measured:
         """What a region of the chain rests on, and no interval covers."""
         if self.fit.law_class == "markov":
             return f"no age is above {self.at.max_age}, the largest in the record"
-        return "packets come independently of each other, which the record does not reject"
+        fit = self.fit
+        if fit.tested.independent:
+            seen = seen_correlations(len(fit.record.sent_s)).neighbours
+            said = f"which the record does not reject; a correlation of neighbours below {seen:.2g} is often missed"
+        else:
+            said = "in slots, which the record does not reject; it does reject that latencies do"
+        low, high = behind_late(fit)
+        behind = f"behind a late or lost one the next is, too, in {100.0 * low:.2g} to {100.0 * high:.2g} % (95 %)"
+        way = "network.ca" if self.at.holds_input else "network.sc"
+        return f"packets of {way} come independently of each other, {said}; {behind}"
 
     def chain(self) -> DelayChain:
         """Return the chain of the fitted law.

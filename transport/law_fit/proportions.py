@@ -70,6 +70,7 @@ CELLS = 40
 REJECT = 0.001
 """Probability, at most, with which a right law is rejected by a test."""
 TESTS = 5
+POWER = 0.9
 
 
 class Fitness(NamedTuple):
@@ -132,6 +133,43 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
         neighbours=min(1.0, 3.0 * neighbours), lags=min(1.0, 2.0 * lags), independence=min(1.0, TESTS * min(neighbours, lags)),
         largest=float(plain[largest]), largest_lag=largest + 1, shape=float(stats.chi2.sf(chi_square, freedom)),
     )  # fmt: skip
+
+
+class Seen(NamedTuple):
+    """Correlations of residuals that the tests of independence find in 9 of 10 records: of neighbours, and at one lag beyond."""
+
+    neighbours: float
+    apart: float
+
+
+def seen_correlations(n: int) -> Seen:
+    r"""Return the smallest correlations that are found with a power of 90 %; smaller ones are often missed.
+
+    .. math:: r_1 = (z_{1 - \alpha/2} + z_{0.9}) / \sqrt n, \qquad \Pr(\chi^2_{m, n r_k^2} > \chi^2_{m, 1 - \alpha}) = 0.9
+
+    with :math:`\alpha` a fifth of the level, and m lags.
+
+    Args:
+        n: residuals.
+
+    >>> [round(each, 3) for n in (1000, 10_000) for each in seen_correlations(n)]
+    [0.158, 0.222, 0.05, 0.07]
+    """
+    level, lags = REJECT / TESTS, max(1, min(LAGS, n // 50))
+    limit = stats.chi2.isf(level, lags)
+    more = special.chndtrinc(limit, lags, 1.0 - POWER)
+    return Seen(float((stats.norm.isf(level / 2.0) + stats.norm.ppf(POWER)) / n**0.5), float((more / n) ** 0.5))
+
+
+def behind_late(fit: LawFit) -> Interval:
+    """Return the 95 % interval of the probability that behind a packet that is late or lost the next one is, too.
+
+    Args:
+        fit: with the slots in which packets count.
+    """
+    late = delays_in_slots(fit.record, fit.period_s, fit.deadline_s) != 0
+    low, high = clopper_pearson(np.array([(late[1:] & late[:-1]).sum()]), np.array([late[:-1].sum()]), 1.0 - LEVEL)
+    return Interval(float(low[0]), float(high[0]))
 
 
 def _normal(u: Array) -> Array:

@@ -6,7 +6,7 @@ from typing import Any
 
 from hil.files.toml_text import toml_lines
 from transport.law_fit import LawFit
-from transport.law_fit.proportions import LAGS, REJECT, arrivals
+from transport.law_fit.proportions import LAGS, POWER, REJECT, arrivals, seen_correlations
 
 WORDS = {
     "constant": "a constant latency",
@@ -32,7 +32,9 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
         "source": source, "way": way, "class": fit.law_class, "packets": len(record.sent_s), "lost": int((~record.came).sum()),
         "period_s": fit.period_s, "deadline_s": fit.deadline_s, "distribution": fit.latencies.name,
         "p_independent": tested.independence, "p_neighbours": tested.neighbours, "p_lags": tested.lags,
-        "largest_correlation": tested.largest, "at_lag": tested.largest_lag, "p_slots": fit.in_slots, "p_shape": tested.shape,
+        "largest_correlation": tested.largest,
+        "at_lag": tested.largest_lag, "would_see": list(seen_correlations(len(record.sent_s))),
+        "p_slots": fit.in_slots, "p_shape": tested.shape,
         "notes": list(notes),
     }  # fmt: skip
     if fit.ages is not None:
@@ -45,13 +47,22 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
 
 
 def independence_said(fit: LawFit) -> tuple[str, ...]:
-    """Return what the test of independence says, in words: of latencies and losses, and of slots where it is rejected."""
+    """Return what the test of independence says, in words: of latencies and losses, and of slots where it is rejected.
+
+    Where it is not, its power is said: which correlations it would have found.
+    """
     tested = fit.tested
+    if tested.independent:
+        seen = seen_correlations(len(fit.record.sent_s))
+        power = f"; one of {seen.neighbours:.2g} of neighbours, or of {seen.apart:.2g} further apart, would be found in "
+        power += f"{100.0 * POWER:g} % of such records, and a smaller one is often missed"
+    else:
+        power = ""
     rejected = "not rejected" if tested.independent else "rejected"
     said = (
         f"independence of latencies and losses is {rejected}: p = {tested.independence:.2g}, level {REJECT:g} (neighbours "
         f"{tested.neighbours:.2g}, up to {LAGS} packets apart {tested.lags:.2g}; the largest correlation is "
-        f"{tested.largest:.2g}, {tested.largest_lag} apart)"
+        f"{tested.largest:.2g}, {tested.largest_lag} apart{power})"
     )
     if tested.independent or fit.law_class == "none" or fit.ages is not None:
         return (said,)

@@ -117,11 +117,12 @@ def _probe(path: Path, run: Run) -> Recording:
     found = run.arrays[PROBE.name]
     sent, there, back = (found[name] * 1e-9 for name in ("sent_ns", "answered_ns", "received_ns"))
     came = found["received_ns"] > 0
+    answered = np.flatnonzero(came)[np.argsort(there[came], kind="stable")]  # as they were sent back: some may have overtaken
     where = run.session.get("clocks", "2")
     return Recording(
         source=str(path), clocks=1 if where == "1" else 2,
         ways={THERE: Way(sent_s=sent, difference_s=np.where(came, there - sent, np.nan)),
-              BACK: Way(sent_s=there[came], difference_s=(back - there)[came])},
+              BACK: Way(sent_s=there[answered], difference_s=(back - there)[answered])},
         notes=(f"{path}: {int((~came).sum())} of {len(found)} round trips did not come back: on which way is not known, "
                "they are counted as lost on the way there",) if not came.all() else (),
     )  # fmt: skip
@@ -163,8 +164,13 @@ def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int)
     received = np.array([came[key].pop() if came.get(key) else np.nan for key, _ in there])
     if np.isnan(received).all():
         raise HilError(f"{sender} and {receiver}: no frame is in both; expected two logs of one bus at one time")
-    others = sum(map(len, came.values()))
+    others, both = sum(map(len, came.values())), np.flatnonzero(~np.isnan(received))
+    outside, inside = len(sent) - 1 - int(both[-1]) + int(both[0]), slice(int(both[0]), int(both[-1]) + 1)
+    sent, received = sent[inside], received[inside]
     notes = [f"{int(np.isnan(received).sum())} of {len(sent)} frames are in {sender} alone: lost"]
+    if outside:
+        notes.append(f"{outside} frames of {sender} come before the first or after the last that is in both: {receiver} may not "
+                     "have run yet, or no more; left out")  # fmt: skip
     if others:
         notes.append(f"{others} frames are in {receiver} alone: left out")
     return Recording(

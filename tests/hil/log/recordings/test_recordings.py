@@ -14,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 import hil
+from hil.bench.probe import Trip, write_probe_log
 from hil.errors import HilError
 from hil.log.recordings.read import read_recording, shipped_recordings
 from hil.log.recordings.recording import packet_records
@@ -84,6 +85,28 @@ def test_one_bus_seen_twice(tmp_path: Path, ending: str) -> None:
         np.testing.assert_allclose(only(paths, one_clock=True, can_id=0x101), np.where(LOST, np.nan, LATENCY), atol=2e-6)
     with pytest.raises(HilError, match="no frame of identifier 0x7"):
         read_recording(paths, can_id=7)
+
+
+def test_what_was_sent_while_the_other_log_did_not_run_is_not_lost(tmp_path: Path) -> None:
+    paths = [tmp_path / "sender.log", tmp_path / "receiver.log"]
+    for path, shift, kept in ((paths[0], 0.0, range(1000)), (paths[1], 1e-3, sorted({*range(200, 900)} - {300, 301}))):
+        with can.Logger(str(path)) as log:
+            for k in kept:
+                data = k.to_bytes(4, "little")
+                log(can.Message(timestamp=1e9 + 0.01 * k + shift, arbitration_id=0x101, data=data, is_extended_id=False))
+    recording = read_recording(paths, one_clock=True)
+    way = recording.ways["sc"]
+    assert len(way.sent_s) == 700 and int(np.isnan(way.difference_s).sum()) == 2
+    assert "2 of 700 frames" in recording.notes[0] and recording.notes[1].startswith("300 frames of")
+
+
+def test_probes_that_overtake_are_read_as_they_were_sent_back(tmp_path: Path) -> None:
+    sent, late = range(10**6, 10**9, 10**6), (5 * 10**6, 10**6) * 500
+    trips = [Trip(at, at + way, at + way + 10**6) for at, way in zip(sent, late)]
+    write_probe_log(tmp_path / "link.mcap", "can:hil:x", 1000.0, trips, one_clock=True)
+    records, _ = packet_records(read_recording([tmp_path / "link.mcap"]))
+    assert {*np.round(records["sc"].latency_s, 6).tolist()} == {0.001, 0.005}
+    np.testing.assert_allclose(records["ca"].latency_s, 0.001, atol=1e-9)
 
 
 def capture(path: Path, *, replies: bool = True, order: str = "<", magic: int = 0xA1B2C3D4) -> Path:
