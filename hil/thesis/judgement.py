@@ -17,7 +17,8 @@ There is one rule for each kind of number, and its kind stands beside it:
     not judged  a number that is shown and not judged, because what it depends on is not at hand (`NotJudged`)
 
 A check is undecided, and so decides nothing, where the data cannot tell: a statistic whose interval lies across the limit, an
-equality that a number 10 % off would fulfil, a run that would also be one of runs of half or twice the size.
+equality that a number 10 % off would fulfil, a run that would also be one of runs of half or twice the size, a certificate that
+is undecided itself.
 """
 
 from __future__ import annotations
@@ -129,8 +130,8 @@ class Equals:
     word: str
 
     def says(self, value: Value) -> bool | None:
-        """See `Rule`."""
-        return value == self.word
+        """See `Rule`; None where a proof or a search is undecided and another word was expected."""
+        return None if value == "undecided" != self.word else value == self.word
 
     def __str__(self) -> str:
         return f"is {self.word!r}"

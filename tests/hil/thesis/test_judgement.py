@@ -60,6 +60,8 @@ def test_the_other_rules_are_the_ones_stated() -> None:
     assert row(exactly("x", "x", "y", 1e-6), x=2.0, y=2.0 + 1e-7).verdict == "reproduced"
     assert row(within("x", "x", 0, 1), x=0.5).verdict == "reproduced"
     assert row(within("x", "x", 0, 1), x=1.0).verdict == "not reproduced"
+    for word, verdict in (("certified", "reproduced"), ("refused", "not reproduced"), ("undecided", "undecided")):
+        assert row(says("w", "w", "certified"), w=word).verdict == verdict
     for claim in (below("x", "x", 1), above("x", "x", 1), equal("x", "x", "1.00")):
         assert row(claim, x=float("nan")).verdict == "not reproduced"
     four = mean("mean", "x", "10.0", error="error", why="")

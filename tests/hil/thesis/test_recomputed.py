@@ -41,7 +41,7 @@ def test_integral_action_removes_the_steady_state_error() -> None:
     rows = judge(INTEGRAL, values)
     assert [row.verdict for row in rows] == ["reproduced"]
     assert_every_number_decides(rows)
-    for wrong in ({"surely": -1e-6}, {"verdict": "undecided"}, {"half": values["mean"]["dynamic"]}):
+    for wrong in ({"surely": -1e-6}, {"verdict": "refused"}, {"half": values["mean"]["dynamic"]}):
         assert judge(INTEGRAL, values | wrong)[0].verdict == "not reproduced"
 
 
