@@ -43,6 +43,8 @@ LASTS, MOST_SLOTS = 10.0, 5000
 SHORT = 60
 """Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
 
+NOISY = "noise acts on it, which scatters the motion around the one that is judged"
+
 Checks = Sequence[tuple[str, Callable[[CertificationProblem], Check]]]
 
 
@@ -219,7 +221,7 @@ def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Arra
     extra = {
         "none": (), "moves": (), "not compared": (),
         "constant": ("a constant load acts on it, which moves its point of rest",),
-        "noise": ("noise acts on it, which scatters the motion around the one that is judged",),
+        "noise": (NOISY,),
     }[own.kind]  # fmt: skip
     if stated:
         extra = (f"{', '.join(stated)}: bounded, whatever the plant does",)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from math import log
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,17 +14,18 @@ from design.errors import TooLarge
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
-from hil.certify.conformance import one_step
+from hil.certify.conformance import NOISY, one_step
 from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
+from hil.plugins.user_modules import is_ours
 from hil.rig.delay_chains import STOPPED, Chains, gains_over, watchdog_chance, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
 from hil.rig.schedules import whole_again
 from hil.rig.spec import RigSpec
-from hil.rig.watched import JumpStep, OneStep, Watched
+from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
 
 if TYPE_CHECKING:
@@ -60,6 +62,7 @@ def judge(
         drawn, assumed = own_laws(rig)
         watched = replace(watched, laws=drawn)
         assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
+        assumed += _run_again_in_part(problem, verdict, watched.plant, experiment.slots)
         assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
@@ -69,6 +72,23 @@ def judge(
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
     _allow(experiment, verdict)
     return verdict, watched
+
+
+def _run_again_in_part(
+    problem: CertificationProblem, verdict: Verdict, step: OneStep | JumpStep | None, slots: int
+) -> tuple[str, ...]:
+    """Return the assumption on a user's plant that has noise or loads for more slots than a second run is compared in.
+
+    Without commands the motion of an unstable plant grows, until the difference of both runs is lost in it.
+    """
+    if not isinstance(step, OneStep) or is_ours(problem.plant) or not (step.stated or NOISY in verdict.assumptions):
+        return ()
+    rate = float(np.abs(np.linalg.eigvals(problem.motion.A)).max())
+    compared = RUN_AGAIN if rate <= 1.0 + EQUAL else min(RUN_AGAIN, int(log(EQUAL / CANCELS) / log(rate)) + 1)
+    if slots <= compared:
+        return ()
+    seen = "nothing is" if step.stated or compared < RUN_AGAIN else "what is left over may not grow, no more is"
+    return (f"behind the first {compared} slots in which noise or a load moves the plant it keeps to its model: {seen} compared",)
 
 
 def _not_compared(plant: Plant) -> str:

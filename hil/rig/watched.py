@@ -25,6 +25,8 @@ EQUAL = 1e-6
 CANCELS = 1e-11
 """What the difference of two runs loses by rounding, as a share of their states."""
 LARGEST = 1e60
+RUN_AGAIN = 20_000
+"""Slots with loads or noise that are run once more beside a run's record: every one costs as much as the plant itself."""
 
 
 class OneStep(Struct, frozen=True, kw_only=True):

@@ -61,6 +61,7 @@ LIES["a load, and late noise"] = lambda run, v, a, b, f: f.__iadd__([0.0, 0.2] i
 LIES["noise, and a late load"] = lambda run, v, a, b, f: f.__iadd__(run.drawn[:2] + (0.2 if run.k > 2500 else 0.0))
 VERY_LATE = _unstable(lambda run, v: run.k >= 2500)
 LIES |= {"very late": VERY_LATE, "noise, and very late": _noisy(VERY_LATE)}
+LIES["noise, and a stronger input after slot 2500"] = _noisy(lambda run, v, a, b, f: b.__imul__(1.3 if run.k > 2500 else 1.0))
 for _name in ("an output that turns after slot 300", "noise, and an output that turns after slot 300"):
     OUTPUTS[_name] = lambda run, y: y if run.k < 300 else -5.0 * y
 

@@ -60,6 +60,19 @@ def test_a_plant_that_lies_behind_what_is_run_again_loses_its_certificate(lie: s
         assert why.split(" slot ")[1].split()[0] == "2501"
 
 
+def test_a_noisy_plant_that_lies_late_and_does_not_grow_loses_its_certificate() -> None:
+    """Its input acts by 30 % more from slot 2500 of 3000 on: as noise it is no larger than before."""
+    why = said(simulated_session(loop_of(Plant("noise, and a stronger input after slot 2500"), Table(), duration="150 s"), 3))
+    assert why.startswith("certificate withdrawn: the plant left its model at slot 250"), why
+
+
+@pytest.mark.parametrize(("lie", "duration", "named"), [("noise", 1000, False), ("noise", 1001, True), ("none", 1001, False)])
+def test_a_run_that_is_longer_than_what_is_compared_of_noise_says_so(lie: str, duration: float, named: bool) -> None:
+    verdict = loop_of(Plant(lie), Table(), duration=duration).verdict
+    assert verdict is not None
+    assert any(each.startswith("behind the first 20000 slots in which noise") for each in verdict.assumptions) == named
+
+
 @pytest.mark.parametrize("honest", ["a load, and late noise", "noise, and a late load"])
 def test_noise_and_loads_that_set_in_behind_what_is_run_again_are_no_lie(honest: str) -> None:
     assert not said(simulated_session(loop_of(Plant(honest), Table(), duration="150 s"), 3))

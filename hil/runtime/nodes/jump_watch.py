@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
-from hil.runtime.nodes.plant_watch import BLOCK, MOST_KEPT, RUN_AGAIN, Result, Steps, at_once
+from hil.runtime.nodes.plant_watch import ANOTHER, BLOCK, MOST_KEPT, Result, Steps, at_once
 from plants.parts.protocols import PlantRun
 from transport.draws import Draw
 from transport.law_tests import law_p_value
@@ -148,7 +148,7 @@ class JumpWatch:
         if not self._kept or not self._suspected():
             return None
         own, left = np.concatenate(self._kept), None
-        many = len(own) > RUN_AGAIN and not self._step.bands.any()  # what is uncertain is bounded for one slot only
+        many = len(own) > ANOTHER and not self._step.bands.any()  # what is uncertain is bounded for one slot only
         for stride in (STRIDE, 1) if many else (1,):
             left = self._beside(own, stride)
             if left is None:

@@ -17,7 +17,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.rig.watched import CANCELS, EQUAL, LARGEST, OneStep, kind_of
+from hil.rig.watched import CANCELS, EQUAL, LARGEST, RUN_AGAIN, OneStep, kind_of
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]
@@ -25,8 +25,8 @@ BLOCK: Final = 512
 """Slots that are compared at once."""
 MOST_KEPT: Final = 200_000
 """Slots with loads or noise in which what is left over may not grow; what comes behind them is not looked at."""
-RUN_AGAIN: Final = 2048
-"""Slots with loads or noise that are run once more: every one costs as much as the plant itself."""
+ANOTHER: Final = 2048
+"""Slots with loads or noise of a run with other random numbers, which says what kind of motion they are."""
 
 
 class PlantWatch:
@@ -110,9 +110,10 @@ class PlantWatch:
             return self._first + k, f"{_rounded(abs(same[k, i] - free[k, i]))} {unit} ({name})".replace(" 1 (", " (")
         if self._step.stated or len(free) < again:
             return None
-        other, _ = self._alone(1, again)
-        own = kind_of(left[:again], other, scale[:again], list(self._step.names))
-        if own.kind == "noise" and len(left) > again:  # what was not run again is judged by its growth alone
+        first = min(again, ANOTHER)
+        other, _ = self._alone(1, first)
+        own = kind_of(left[:first], other, scale[:first], list(self._step.names))
+        if own.kind == "noise" and len(left) > first:  # what was not run again is judged by its growth alone
             own = kind_of(left, other, scale, list(self._step.names))
         if own.kind != "moves":
             return None
