@@ -200,8 +200,8 @@ def smallest_gamma(build: Callable[[float], LmiProgram], what: str) -> Attenuati
         objective = build(scale).solve("g2").objective
         if not math.isfinite(objective):
             break
-        before, gamma = gamma, math.sqrt(max(objective, 1e-4)) / scale
-        if 0.8 < scale * gamma < 1.25 or abs(before / gamma - 1.0) < 1e-3:
+        gamma = math.sqrt(max(objective, 1e-4)) / scale
+        if 0.8 < scale * gamma < 1.25:
             break
         scale = 1.0 / gamma
     if math.isfinite(gamma):

@@ -230,4 +230,4 @@ def sparkline(values: list[float]) -> str:
     top = max((v for v in values if np.isfinite(v)), default=0.0)
     if top <= 0.0:
         return _BLOCKS[0] * len(values)
-    return "".join(_BLOCKS[min(int(v / top * 7), 7)] if np.isfinite(v) else "·" for v in values)
+    return "".join(_BLOCKS[int(v / top * 7)] if np.isfinite(v) else "·" for v in values)

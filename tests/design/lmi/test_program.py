@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 
+from design.lmi.conic_solver import excluded
 from design.lmi.decision import at_gamma, decide, smallest_gamma, with_gamma
 from design.lmi.exact import as_fraction, pivots, prove_inequalities, rounded
 from design.lmi.program import Inequality, LmiProgram, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
@@ -23,6 +25,14 @@ def lyapunov(a: np.ndarray, bound: float = 100.0) -> LmiProgram:
     program.require("P >= I", lambda p: np.eye(2) - p, "P", strict=False)
     program.require("bounded", lambda p: p - bound * np.eye(2), "P", strict=False)
     return program
+
+
+def test_dual_matrices_that_are_no_numbers_exclude_nothing() -> None:
+    """-x >= 1 and x >= 1 exclude each other; the dual matrices 1 and 1 say so, and no others."""
+    q, a, b = np.zeros(1), sparse.csc_matrix(np.array([[1.0], [-1.0]])), np.array([-1.0, -1.0])
+    assert excluded(q, a, b, [1, 1], np.array([1.0, 1.0])) > 1e100
+    for z in ([1.0, np.nan], [np.inf, 1.0], [-1.0, -1.0]):
+        assert excluded(q, a, b, [1, 1], np.array(z)) == 0.0
 
 
 def test_what_is_found_verifies() -> None:

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from design.as_printed.chapters_2_to_4 import PrintedRequest
 from design.as_printed.examples import chapter2_process, chapter2_system
-from design.errors import Infeasible
+from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty, robust_feedback
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.stability import analyse
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 
 PROCESS = chapter2_process()
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
@@ -129,3 +131,43 @@ def test_bad_request_gets_one_clear_message(changes: dict[str, object], message:
     request: dict[str, object] = {"gain_bound": 10.0, **changes}
     with pytest.raises(ValueError, match="^" + message):
         robust_feedback(chapter2_system(), PROCESS, **request)  # type: ignore[arg-type]
+
+
+class UpTo:
+    """Conditions that gains fulfil up to a size of the uncertainty or a decay rate; the gains there fail the proof near it."""
+
+    def __init__(self, limit: float, proved: float = 1.0) -> None:
+        self.limit, self.proved, self.asked = limit, proved, 0
+
+    @staticmethod
+    def size(system: JumpSystem, decay: float) -> float:
+        assert isinstance(system.uncertainty, VertexUncertainty)
+        return decay + float(np.abs(system.uncertainty.da).max()) / 0.7
+
+    def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> Any:
+        self.asked += 1
+        if self.size(system, decay) > self.limit:
+            raise Infeasible("beyond")
+        return self.size(system, decay)
+
+    def judge(self, system: JumpSystem, found: Any, decay: float) -> Any:
+        if found > self.proved * self.limit:
+            raise Infeasible("not proved")
+        return found
+
+
+@pytest.mark.parametrize("limit", [0.03, 0.7, 1.0, 5.3])
+def test_the_largest_uncertainty_and_the_fastest_decay_are_found_by_bisection(limit: float) -> None:
+    scale, found = largest_uncertainty(chapter2_system(), UpTo(limit), tolerance=1e-3)
+    assert scale == pytest.approx(found) == pytest.approx(limit, rel=3e-3) and scale <= limit
+    rate = fastest_feedback(chapter2_system().scaled(0.0), UpTo(limit), tolerance=1e-3)
+    assert rate == pytest.approx(limit, rel=3e-3)
+    back, found = largest_uncertainty(chapter2_system(), UpTo(limit, proved=0.99), tolerance=1e-3)
+    assert 0.98 * limit < back == pytest.approx(found) and back <= 0.99 * limit
+    with pytest.raises(Infeasible, match="not proved"):
+        largest_uncertainty(chapter2_system(), UpTo(limit, proved=0.9), tolerance=1e-3)
+
+
+def test_where_nothing_is_uncertain_nothing_is_scaled() -> None:
+    with pytest.raises(FieldError, match="there is none to scale"):
+        largest_uncertainty(chapter2_system("none"), UpTo(1.0))

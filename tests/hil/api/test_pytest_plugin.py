@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hil.api.pytest_plugin import has_vcan
 from hil.experiment import shipped
 from tests.warm_hil import hil_command
 
@@ -29,6 +30,10 @@ WARM = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 def pytest_of(pytester: pytest.Pytester, *words: str) -> pytest.RunResult:
     done = hil_command("-p", "no:cacheprovider", *WARM, *words, cwd=pytester.path, program="pytest")
     return pytest.RunResult(done.returncode, done.stdout.splitlines(), done.stderr.splitlines(), 0.0)
+
+
+def test_an_interface_that_no_machine_has_is_not_there() -> None:
+    assert has_vcan("no-interface") is False
 
 
 def test_fixture_runs_an_experiment_and_says_of_a_failure_why_and_how_to_see_more(pytester: pytest.Pytester) -> None:

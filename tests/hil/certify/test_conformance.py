@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -16,6 +17,8 @@ from design.controllers.historical import Historical, HistoricalRun
 from design.controllers.virtual_wall import VirtualWall
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
+from hil.certify.answers_test import over_nodes
+from hil.certify.stated_controller import wall_question
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from plants import SwitchedExample
@@ -187,3 +190,23 @@ def test_a_departure_is_told_by_numbers_that_differ() -> None:
     found = verdict_on(plant=Plant("a cubic spring"), controller=Table(), **{"limits.state": {}})
     told = re.search(r"by (\S+) m where the model has (\S+) m, first in slot", found.reason)
     assert told is not None and told[1] != told[2] and float(told[1]) == pytest.approx(float(told[2]), rel=1e-4)
+
+
+def test_a_wall_is_tested_by_a_device_that_is_in_it_for_half_of_the_time() -> None:
+    loop = compose(load_experiment("omni-push"), certify=False)
+    places = wall_question(loop.model, 1).samples
+    assert places.shape[1] == 3 and (np.abs(places) < 2.0).all()
+    assert all(0.3 < share < 0.7 for share in (places > 0.0).mean(axis=0))
+
+
+def test_nodes_whose_packets_are_never_lost_are_known_in_every_turn() -> None:
+    """`multisensor-published` sends what its schedule says; with losses a share of the turns is missing."""
+    model = compose(load_experiment("multisensor-published"), certify=False).model
+    turns = model.nodes.turns
+    assert turns is not None and turns.cycle and turns.loss == 0.0
+    sure = over_nodes(model, memory=3).received
+    nodes = msgspec.structs.replace(model.nodes, turns=msgspec.structs.replace(turns, loss=0.3))
+    lossy = over_nodes(msgspec.structs.replace(model, sensors=nodes), memory=3).received
+    newest = [max(slot for node, slot in known if node == 0) for known in sure[10:]]
+    assert max(k - s for k, s in enumerate(newest, start=10)) <= turns.phases + max(d or 0 for d in model.nodes.delays)
+    assert sum(map(len, lossy)) < sum(map(len, sure))

@@ -56,8 +56,9 @@ def test_a_layout_has_what_the_viewers_read_and_nothing_else(hil_log: Path, cli:
     assert set(layout) == LAYOUT
     for name, config in layout["configById"].items():
         assert set(config) == {"Plot": PLOT, "RawMessages": RAW_MESSAGES}[name.partition("!")[0]]
+        assert not name.startswith("Plot") or all(config[key] is True for key in PLOT if key.startswith(("show", "is")))
         for path in config.get("paths", []):
-            assert set(path) == PATH and path["timestampMethod"] in ("receiveTime", "headerStamp")
+            assert set(path) == PATH and path["enabled"] is True and path["timestampMethod"] in ("receiveTime", "headerStamp")
             assert MESSAGE_PATH.fullmatch(path["value"])
     assert layout["configById"]["RawMessages!events"]["topicPath"] == EVENTS_TOPIC
     root = ElementTree.fromstring(cli("layout", "plotjuggler", hil_log)[1])

@@ -109,7 +109,7 @@ def test_the_front_keeps_certified_points_that_none_beats() -> None:
         return TriggerPoint(Candidate(0.1, 0.0, np.zeros((1, 1)), 2.0), state, "", {}, one, two, stopped)
 
     points = [point(20, 1), point(9, 2), point(9, 3), point(8, 2.5), point(5, 1.5, "undecided"), point(4, 0.5, stopped=1)]
-    points.append(point(7, 4))
+    points += [point(7, 4), point(8.5, 2.5)]  # the last costs as much as one that sends less
     assert front(points) == [points[6], points[3], points[1], points[0]]
     assert points[0].bound == 2.0 and points[4].bound is None and points[5].to_json()["cost"] is None
 

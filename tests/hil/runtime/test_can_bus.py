@@ -14,7 +14,9 @@ from hil.experiment import load_experiment
 from hil.log.run import records_sha256
 from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
+from hil.pages.html.figures import Table
 from hil.pages.run_page import render_report
+from hil.pages.sections.traffic import can_bus
 from hil.runtime.virtual import simulate
 from hil.session import simulated_session
 from hil.sweeps.lockstep import supports_batch
@@ -60,6 +62,13 @@ def test_the_page_shows_the_bus_its_messages_and_a_time_line(session) -> None:  
     page = render_report(view_of(session.run, session.experiment))
     assert "CAN bus" in page and "Messages by priority" in page and "The bus around the longest wait" in page
     assert "SAE 17" in page and "motor waits" in page
+    view = view_of(session.run, session.experiment)
+    found, section = bus_of(view), can_bus(view)
+    assert found is not None and section is not None
+    messages = section.blocks[0]
+    assert isinstance(messages, Table)
+    load = [row[messages.columns.index("load, %")] for row in messages.rows]
+    assert sum(load) == pytest.approx(100.0 * found.load)  # type: ignore[arg-type]
 
 
 def test_the_page_has_the_load_of_nodes_that_send_several_messages() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -94,3 +95,12 @@ def test_the_page_begins_with_the_answer(both: hil.Comparison) -> None:
     page = compare_page(both)
     assert "dc-motor-smith is worse than dc-motor-ours-h2" in page
     assert page.index("is worse than") < page.index("share of runs at or below")
+
+
+def test_one_pair_of_numbers_and_a_measure_without_a_direction_decide_nothing(both: hil.Comparison) -> None:
+    kept = np.where(np.arange(30) == 7, 1.0, np.nan)
+    once = replace(both, values={name: dict(values) | {"sse": kept * values["sse"]} for name, values in both.values.items()})
+    said = "against dc-motor-ours-h2: undecided; squared tracking error is a number in 1 runs of both, 2 are needed"
+    assert once.verdict("dc-motor-smith") == f"dc-motor-smith {said}"
+    without = replace(both, quantities=tuple(msgspec.structs.replace(each, better="") for each in both.quantities))
+    assert without.verdict("dc-motor-smith").endswith("undecided; no measure states which value is better")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from transport.laws.decimal_powers import powers, whole_powers
-from transport.laws.sojourn import DiscreteWeibull, Geometric
+from transport.laws.sojourn import TAIL, DiscreteWeibull, Geometric
 from transport.laws.stochastic_matrix import stationary_row
 
 
@@ -48,6 +48,16 @@ def test_a_level_on_an_edge_of_the_law_draws_what_the_exact_law_says(law: Geomet
                 # the limit itself belongs to n, and to n + 1 in the geometric law, whose levels begin there
                 above = rest < tail or (geometric and rest == tail)
                 assert draw(u) == (n + 1 if above else n), (n, u)
+
+
+@pytest.mark.parametrize("beta", [0.5, 1.0, 1.3, 2.0])
+@pytest.mark.parametrize("q", [0.1, 0.01, 0.001, 0.3, 0.9])
+def test_a_support_ends_where_the_exact_law_falls_to_its_tail(q: float, beta: float) -> None:
+    """Also where logarithms in doubles divide to a whole number: 0.1 is more than a tenth, so 0.1^12 is above 1e-12."""
+    n = DiscreteWeibull(q=q, beta=beta).support
+    with localcontext(prec=60, Emin=-(10**6)):
+        before, at = (Decimal(q) ** (Decimal(k) ** Decimal(beta)) for k in (n - 1, n))
+    assert at <= Decimal(TAIL) < before
 
 
 def test_a_stationary_law_is_one_and_comes_of_plain_operations() -> None:

@@ -173,12 +173,19 @@ class FailingBus(can.BusABC):
     ids=lambda fault: f"{type(fault).__name__}-{getattr(fault, 'error_code', None)}",
 )
 def test_a_fault_of_the_bus_is_counted_and_survived(fault: Exception) -> None:
-    bus = FailingBus([fault] * 3)
-    with CanLink("can:failing", "rig", lambda: MessageFrames(bus, fd=True)) as link:
+    """Only a bus whose socket is closed is joined anew: what is full or down comes back by itself."""
+    bus, joined = FailingBus([fault] * 3), []
+
+    def join() -> MessageFrames:
+        joined.append(bus)
+        return MessageFrames(bus, fd=True)
+
+    with CanLink("can:failing", "rig", join) as link:
         link.send(sensor(1))
         assert link.receive(0.001) is None
         link.send(sensor(1))
         assert (link.counters.errors, link.counters.dropped, link.counters.sent) == (3, 2, 0)
+        assert (len(joined) > 1) is isinstance(fault, ValueError)
         bus._is_shutdown = False
         link.send(sensor(2))
         assert link.receive(0.01) == sensor(2)

@@ -60,6 +60,12 @@ def test_a_control_law_runs_before_the_session_and_may_fail_there(loop: Loop) ->
         assert law.asked[-1] == (7 if law._fails_in == 7 else warm_up.SLOTS - 1)
 
 
+def test_a_part_that_failed_is_not_asked_again_before_the_session(loop: Loop) -> None:
+    for law, last in ((Law(loop), warm_up.SLOTS - 1), (Law(loop, fails_in=7), 7)):
+        WarmUpRig(replace(loop, controller=law), VIRTUAL, local=True).warm_up()
+        assert law.asked[-1] == last
+
+
 def test_a_slow_control_law_does_not_hold_the_session(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
     law, clock = Law(loop), SimpleNamespace(t_ns=0)
 
