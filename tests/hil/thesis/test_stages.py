@@ -36,7 +36,7 @@ ROWS: dict[tuple[str, str], Found] = {
     ("chapter2", "rates and partition"): [
         ("claim false", [0.2, 9.2, 0.2, 9.2]),
         ("reproduced", [0.99499, 0.99005]),
-        ("not reproduced", [1.1732]),
+        ("not reproduced", [1.1732, 0.83255]),
     ],
     ("chapter4", "conditions"): [
         ("reproduced", ["certified", JUDGED]),
@@ -106,7 +106,7 @@ ROWS: dict[tuple[str, str], Found] = {
         ("not reproduced", [-0.28702]),
         ("claim false", [1.05401, 1.05401, 0.97616]),
         ("claim false", [1.22174, 1.22174]),
-        ("claim false", [0.31972, 0.31972]),
+        ("claim false", [0.31972, 0.31972, 0.5621]),
         ("reproduced", [0.122, 0.33903]),
     ],
     ("chapter7", "models and statements"): [
@@ -123,7 +123,7 @@ ROWS: dict[tuple[str, str], Found] = {
         ("claim false", [-0.96266, -0.023082, -0.48227, -4.2718, -0.0077711]),
     ],
 }
-"""Of a stage: each row's verdict, and the values of its checks and of its witness."""
+"""Of a stage: each row's verdict, and the values of its checks, of its witness and beside them."""
 
 DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
     ("chapter4", "simulations"): [
@@ -187,7 +187,7 @@ def test_a_stage_computes_what_it_did(chapter: str, title: str) -> None:
     steps: list[tuple[int, int]] = []
     values = stage.compute(lambda text, done=0, total=0, /: steps.append((done, total)))
     rows = judge(stage.statements, values)
-    found = [(row.verdict, [check.value for check in (*row.checks, *row.witness)]) for row in rows]
+    found = [(row.verdict, [check.value for check in (*row.checks, *row.witness, *row.beside)]) for row in rows]
     assert [verdict for verdict, _ in found] == [verdict for verdict, _ in ROWS.get((chapter, title), [])]
     for (_, values_of), (_, expected) in zip(found, ROWS.get((chapter, title), [])):
         for value, is_to_be in zip(values_of, expected, strict=True):
