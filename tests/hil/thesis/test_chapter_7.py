@@ -11,6 +11,7 @@ from design.monte_carlo.parallel_runs import Workers
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem
 from hil.thesis import reproduce
+from hil.thesis.chapter7.designs import published
 from hil.thesis.chapter7.emulated import errors, sums_of_squares
 from hil.thesis.chapter7.friction import (
     EXPERIMENT,
@@ -112,6 +113,19 @@ def test_the_printed_local_gain_of_the_vtol_is_no_optimum_under_either_label():
     assert printed == pytest.approx((0.1105, 0.1708), abs=1e-4)
     assert smaller_h2[0] < 0.77 * printed[0] and smaller_peak[1] < 0.65 * printed[1]
     assert peak(VTOL_LOCAL) == pytest.approx(printed[1], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("plant", "objective", "norm", "rounding", "size"),
+    [
+        ("motor", "h2", 3.73682, 8e-5, 0.198), ("motor", "hinf", 17.4049, 1.16e-5, 0.1576),
+        ("vtol", "h2", 0.122, 1.29e-7, 5.6465), ("vtol", "hinf", 0.33903, 2.4e-6, 8.7246),
+    ],
+)  # fmt: skip
+def test_published_gains_have_their_norm_to_the_rounding_of_their_digits(plant, objective, norm, rounding, size):
+    found = published(plant, objective)
+    assert found["norm"] == pytest.approx(norm, rel=1e-4) and found["size"] == size
+    assert found["rounding"] == pytest.approx(rounding, rel=0.1)
 
 
 def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_delays(monkeypatch):

@@ -22,7 +22,8 @@ def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
 
 
 def test_rows_on_the_estimate_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one start of each descent."""
+    """By one start of each descent, and by 4000 runs packet by packet."""
+    monkeypatch.setattr("hil.thesis.chapter7.estimate.packet_by_packet", partial(packet_by_packet, runs=4000))
     monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
     values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: None))
     rows = judge(ESTIMATED, values)
