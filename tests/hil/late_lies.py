@@ -49,8 +49,7 @@ CONDITIONS: dict[str, Callable[[Run, float], bool]] = {
 }
 LATE = {
     **{f"unstable {when}": _unstable(condition) for when, condition in CONDITIONS.items()},
-    **{f"turned {when}": _turned(condition) for when, condition in CONDITIONS.items()},
-    **{f"noise, and unstable {when}": _noisy(_unstable(condition)) for when, condition in CONDITIONS.items()},
+    "noise, and unstable after slot 300": _noisy(_unstable(CONDITIONS["after slot 300"])),
     **{f"noise, and turned {when}": _noisy(_turned(condition)) for when, condition in CONDITIONS.items()},
     "a hidden state that grows after slot 300": _grown,
     "an output that turns after slot 300": lambda *a: None,

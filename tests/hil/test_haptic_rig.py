@@ -14,7 +14,6 @@ from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from hil.session import run_session
-from tests.warm_hil import hil_command
 
 WAY = 'network.sc.law={kind="constant", age=5}', 'network.ca.law={kind="constant", age=5}'
 
@@ -33,9 +32,21 @@ def test_a_newton_ends_where_the_wall_and_the_coupler_say(material: int, depth: 
     assert x["given"].max() == 0.0
 
 
-def test_theorem_61_is_refused_with_the_number_and_nothing_is_written(tmp_path: Path) -> None:
-    done = hil_command("run", "omni-theorem61", cwd=tmp_path)
-    assert done.returncode == 2 and "spectral radius 1.1527" in done.stderr
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [
+        (["omni-theorem61"], "spectral radius 1.1527"),
+        (["omni-push", "--set", "controller.coupler.delays=[2]"], "spectral radius 1.0683"),  # for two samples, run over six
+        (["omni-push", "--set", "plant.inertia=-0.7943"], "-0.7943"),
+    ],
+)
+def test_what_is_refused_ends_with_status_2_and_the_number_and_writes_nothing(
+    words: list[str], number: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["run", *words])
+    assert end.value.code == 2 and number in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -51,16 +62,16 @@ def test_theorem_61_diverges_when_it_is_let_and_the_observer_stops_it_before_the
 
 def test_equalised_delays_are_one_delay_whatever_the_network_does() -> None:
     """Over ages of 1 to 5 in bursts the device moves exactly as over constant ages of 5."""
-    random, constant = (states("omni-wifi", *sets, duration="6 s") for sets in ((), WAY))
+    random, constant = (states("omni-wifi", *sets, duration="3 s") for sets in ((), WAY))
     for name in ("position", "speed", "y", "z"):
         assert np.array_equal(random[name], constant[name])
-    plain = states("omni-wifi", "controller.coupler.equalise=false", "allow_uncertified=true", duration="6 s")
+    plain = states("omni-wifi", "controller.coupler.equalise=false", "allow_uncertified=true", duration="3 s")
     assert not np.array_equal(plain["position"], constant["position"])
 
 
 @pytest.mark.parametrize("name", ["omni-push", "omni-slide", "omni-1khz", "omni-materials", "omni-paces", "omni-wifi"])
 def test_the_shipped_walls_are_certified_and_give_no_energy_away(name: str) -> None:
-    e = load_experiment(name, duration="1 s" if "khz" in name else "8 s")
+    e = load_experiment(name, duration={"omni-1khz": "1 s", "omni-materials": "2 s"}.get(name, "8 s"))
     loop = compose(e)
     assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "passivity"
     for seed in (0, 1):
@@ -70,8 +81,8 @@ def test_the_shipped_walls_are_certified_and_give_no_energy_away(name: str) -> N
 
 
 def test_the_arm_presses_45_mm_deep_while_it_slides() -> None:
-    """A long run: 45.0 +- 2.2 mm of 50 mm intended, with the coupler that counts on the bare device alone."""
-    x = states("omni-slide", "controller.coupler.damping_n_s_per_m=1.9857", duration="120 s")["position"][200:]
+    """45.0 +- 2.2 mm of 50 mm intended, with the coupler that counts on the bare device alone."""
+    x = states("omni-slide", "controller.coupler.damping_n_s_per_m=1.9857", duration="30 s")["position"][200:]
     assert x.mean() == pytest.approx(0.045, abs=1.5e-3)
     assert x.std() < 4e-3
 
@@ -116,32 +127,3 @@ def test_materials_may_follow_the_published_chain() -> None:
         visited.append(contact.contact.material)  # type: ignore[attr-defined]
     share = np.bincount(visited, minlength=3) / 4000
     assert share == pytest.approx([0.25, 0.25, 0.5], abs=0.05)  # 5 sd of a share at this memory
-
-
-def test_an_encoder_that_rounds_leaves_the_claim_undecided() -> None:
-    with pytest.raises(ExperimentError, match="an encoder that rounds"):
-        compose(load_experiment("omni-push", ["plant.encoder_step_m=1e-5"]))
-
-
-GAP = "controller.wall.pattern={width_m=0.04, height_m=0.04, patches=[{y_m=0, z_m=0, width_m=0.04, height_m=0.02, material=0}]}"
-
-
-@pytest.mark.parametrize(
-    ("sets", "number"),
-    [
-        (["controller.coupler.delays=[2]"], "spectral radius 1.0683"),  # certified for two samples, run over six
-        (["plant.hand.damping_n_s_per_m=-1"], "-1.0"),
-        (["controller.coupler.stiffness_n_per_m=12", "controller.coupler.delays=[6]"], "= 11.34"),
-        (["plant.inertia=-0.7943"], "-0.7943"),
-        ([GAP], "0.0008 m^2"),
-    ],
-    ids=["coupler for other delays", "hand damping below zero", "stiffness above the ceiling", "negative mass", "gap"],
-)
-def test_bad_input_ends_with_status_2_and_the_number_and_writes_nothing(
-    sets: list[str], number: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as end:
-        main(["run", "omni-push", *[word for change in sets for word in ("--set", change)]])
-    assert end.value.code == 2 and number in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

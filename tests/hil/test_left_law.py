@@ -61,10 +61,9 @@ LIES: dict[str, Callable[[Process], Any]] = {
 }
 
 
-@pytest.mark.parametrize("direction", ["sc", "ca"])
-@pytest.mark.parametrize("lie", LIES)
+@pytest.mark.parametrize(("lie", "direction"), [*((lie, "sc") for lie in LIES), ("none", "ca"), ("always late", "ca")])
 def test_a_law_that_lies_late_loses_the_certificate(lie: str, direction: str) -> None:
-    changes = {f"network.{direction}.law": Law(lie), f"network.{direction}.max_age": 2, "duration": "40 s"}
+    changes = {f"network.{direction}.law": Law(lie), f"network.{direction}.max_age": 2, "duration": "30 s"}
     loop = loop_of(Plant(), Table(), **changes)
     assert loop.verdict is not None
     assert any(f"network.{direction}.law draws as the chain that it states" in said for said in loop.verdict.assumptions)
@@ -80,8 +79,8 @@ def test_a_law_that_begins_elsewhere_than_it_says_is_found_in_slot_0() -> None:
 
 
 def test_a_right_law_loses_nothing() -> None:
-    """At 1e-9 a run, 40 runs of a right law have a false alarm with probability 4e-8."""
-    for seed in range(40):
+    """At 1e-9 a run, 20 runs of a right law have a false alarm with probability 2e-8."""
+    for seed in range(20):
         watch, draw = LawWatch(Law()), Process("none", np.random.default_rng(seed)).draw
         for k in range(800):
             mode, age = draw()
