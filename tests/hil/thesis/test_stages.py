@@ -7,6 +7,7 @@ it is seen. It holds to 1e-3 of its size; what is an error of rounding, or 0, is
 from __future__ import annotations
 
 import importlib
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,8 +20,10 @@ from tests.hil.thesis.judging import assert_every_number_decides
 
 SMALL = 0.0
 JUDGED = None
-"""Of rounding too, in a unit that makes it large, or a solver's level: its verdict says enough."""
-Found = list[tuple[str, list[float | str | None]]]
+"""Of rounding too, in a unit that makes it large: its verdict says enough."""
+level = partial(pytest.approx, rel=0.02)
+"""A solver's: to 2 %."""
+Found = list[tuple[str, list[Any]]]
 
 # fmt: off
 ROWS: dict[tuple[str, str], Found] = {
@@ -39,10 +42,10 @@ ROWS: dict[tuple[str, str], Found] = {
         ("not reproduced", [1.1732, 0.83255]),
     ],
     ("chapter4", "conditions"): [
-        ("reproduced", ["certified", JUDGED]),
-        ("reproduced", ["certified", "certified", JUDGED, JUDGED, "certified", JUDGED]),
+        ("reproduced", ["certified", level(0.0623)]),
+        ("reproduced", ["certified", "certified", level(0.02104), level(0.1469), "certified", level(0.01753)]),
         ("claim false", ["refused", "refused", 20.9945, 10.9035]),
-        ("reproduced", ["certified", JUDGED]),
+        ("reproduced", ["certified", level(0.01617)]),
         ("claim false", [0.20162, "certified", "certified", 0.20162]),
         ("claim false", [0.67, 4.2603e-4]),
         ("reproduced", [0.91006]),
@@ -192,7 +195,7 @@ def test_a_stage_computes_what_it_did(chapter: str, title: str) -> None:
     for (_, values_of), (_, expected) in zip(found, ROWS.get((chapter, title), [])):
         for value, is_to_be in zip(values_of, expected, strict=True):
             if is_to_be is not JUDGED:
-                assert value == (is_to_be if isinstance(is_to_be, str) else pytest.approx(is_to_be, rel=1e-3, abs=3e-8))
+                assert value == (pytest.approx(is_to_be, rel=1e-3, abs=3e-8) if isinstance(is_to_be, float) else is_to_be)
     assert_every_number_decides(rows)
     assert steps == sorted(steps) and all(done <= total for done, total in steps if total)
     if (chapter, title) in DRAWN:
