@@ -14,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import GainTable, feedforward, integral_limit, integrates
+from design.controllers import (
+    GainTable,
+    feedforward,
+    integral_limit,
+    integrates,
+    row_sojourns_distinguished,
+    sojourns_distinguished,
+)
 from hil.measure.signals import AFTER_S, signals_of, target_of
 from hil.measure.tracking import squared_unit
 from hil.rig.delay_chains import STOPPED, gains_over, watchdog_chance
@@ -82,8 +89,8 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
 
     That is: a controller that is no table of gains or clamps its integral, a network law without a chain, a packet law under
     which the controller may receive nothing of a node for longer than its chain distinguishes ages (then it answers zeros, not by
-    its gains), first packets whose rows are of a longer delay than the law has, a plant that jumps or has delayed states, faults
-    on the time line, or a reference that no input holds.
+    its gains), first packets whose rows are of a longer delay than the law has, gains by lengths of stay that the first slots do
+    not show, a plant that jumps or has delayed states, faults on the time line, or a reference that no input holds.
 
     Args:
         loop: the composed experiment.
@@ -142,12 +149,17 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
 def _first_rows_known(loop: Loop, rest: int) -> bool:
     """Return whether the rows of the first packets are predicted: they are those of the longest delay that a packet has rows for.
 
-    The theory takes the longest delay of the law; where that is shorter, it is right where nothing moves as long.
+    The theory takes the longest delay of the law; where that is shorter, it is right where nothing moves as long. Lengths of stay
+    are counted from slot 0 on, and the theory's stays have begun before it.
     """
-    ca, sc = loop.chains.ca, loop.chains.sc
-    if ca is None or sc is None or loop.selection in ("constant", "applied"):
+    ca, sc, stays = loop.chains.ca, loop.chains.sc, row_sojourns_distinguished(loop.controller)
+    if ca is None or sc is None:
         return True
-    return int(ca.label.max()) == loop.model.d_max or rest > sc.max_delay + ca.max_delay + 1
+    counted = max(stays, int(np.max(sojourns_distinguished(loop.controller), initial=1)))
+    if counted > 1 and rest <= counted + sc.max_delay + ca.max_delay + 1:
+        return False
+    as_known = loop.selection in ("constant", "applied") or int(ca.label.max()) == loop.model.d_max
+    return as_known or rest > sc.max_delay + ca.max_delay + 1
 
 
 def left_out(loop: Loop) -> tuple[str, ...]:

@@ -176,3 +176,11 @@ def test_first_rows_of_a_longer_delay_than_the_law_has_are_not_predicted(rule: s
     assert_predicted("dc-motor-h2", [*ways, table, late, "duration=3", "limits={}"], 100)
     moves = compose(load_experiment("dc-motor-h2", [*ways, table, late, at_once, "limits={}"]), certify=False)
     assert predict(moves, 20) is None
+
+
+@pytest.mark.parametrize("name", ["dc-motor-ours-stays", "dc-motor-ours-bursty"])
+def test_stays_that_began_before_the_run_are_not_predicted_where_the_gains_count_them(name: str) -> None:
+    """Of a step at slot 1 theory had half the squared error: its stays are as long as in the long run, and rows count from 0."""
+    late, at_once = (f"reference=[{{at={at}, value=[0.3]}}]" for at in (1.0, 0.05))
+    assert_predicted(name, [late, "disturbance=[]", "duration=4"], 100)
+    assert predict(compose(load_experiment(name, [at_once]), certify=False), 20) is None
