@@ -144,7 +144,7 @@ def parse_table(group: registry.Group, raw: dict[str, Any], path: str, folder: s
         HilError: with every fault found.
     """
     checker = Checker(folder)
-    checker.faults += infinite_faults(raw, "")
+    checker.faults += infinite_faults(raw, path)
     made = checker.plugin(group, _without_none(raw), path)
     if checker.faults:
         raise HilError("\n".join(checker.faults))

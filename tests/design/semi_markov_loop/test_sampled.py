@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from design.processes.delay_chain import DelayChain
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.requests.scheduled import scheduled_of
-from design.semi_markov_loop.period_moments import isometry, smat
+from design.semi_markov_loop.period_moments import STIFF, Box, TooLarge, isometry, period_moments, smat
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_matrix, renewal_radius
@@ -198,6 +199,15 @@ def test_what_the_theory_does_not_know_is_undecided():
     endless = SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=0.5)), (constant_rate(1.0), None)))
     assert sampled_verdict(system, endless, gain, period_s=0.005).state == "undecided"
     assert sampled_verdict(system, process, gain, period_s=0.005, tau=200).state == "undecided"
+
+
+def test_a_period_that_is_long_for_its_matrices_is_not_integrated():
+    """2 |A| T is bounded: beyond it so many nodes would be wrong, or as many as the caller asks for."""
+    boxes = [Box(low=np.zeros(1), high=np.zeros(1))]
+    for T, most in ((1.9, True), (2.1, False)):
+        system = JumpSystem(a=np.array([[[-STIFF / 4.0]]]), b=np.zeros((1, 1, 1)))
+        with nullcontext() if most else pytest.raises(TooLarge, match=r"2 \|A, B\| T = 16\.8, at most 16"):
+            period_moments(system, boxes, T, 0, upper=True)
 
 
 # -- Chapter 4 ------------------------------------------------------------------------------------------------------------------

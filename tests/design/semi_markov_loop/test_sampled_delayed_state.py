@@ -112,6 +112,16 @@ def test_every_section_of_the_gain_counts() -> None:
         assert sampled_verdict(system, process, table, period_s=0.05).state == state
 
 
+def test_a_section_is_left_at_the_rates_that_are_there_while_it_lasts() -> None:
+    """A mode grows until its next section acts, two periods after its start; it is left 8 times a second, from 1.2 s on never."""
+    step = PiecewiseLinearRate(times_s=(0.0, 1.2, 1.2), values=(8.0, 8.0, 0.0))
+    process, system = SemiMarkov(rates=((None, step), (constant_rate(1.0), None))), scalar([0.5, -2.0], [0.1, 0.1], [0.3, 0.3])
+    gain = np.array([[[[0.0]], [[-3.0]], [[-3.0]]], [[[0.0]]] * 3])
+    for start_s, state in ((1.09, "certified"), (1.11, "undecided")):
+        table = ScheduledGain(gain=gain, starts_s=np.array([[0.0, start_s, 5.0]] * 2))
+        assert sampled_verdict(system, process, table, period_s=0.05).state == state
+
+
 def test_the_helicopter_is_certified_at_its_period_by_a_margin_that_is_stated() -> None:
     system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
     found = sampled_verdict(system, process, gain, period_s=0.01)

@@ -14,7 +14,15 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
-from hil.experiment import Seconds, experiment_from_resolved, load_experiment, parse_experiment, parse_plugin, shipped
+from hil.experiment import (
+    Seconds,
+    experiment_from_resolved,
+    load_experiment,
+    parse_experiment,
+    parse_plugin,
+    parse_table,
+    shipped,
+)
 from hil.experiment.schema import experiment_schema
 from hil.rig.named_files import with_law_files
 from tests.warm_hil import hil_command
@@ -321,6 +329,15 @@ def test_durations_are_read_alike_wherever_they_stand() -> None:
     assert load_experiment("dc-motor-hinf", ["period=25ms"], duration="2min").period_ns == 25_000_000
     assert latency("12ms") == latency("12 ms") == latency(0.012)
     parse_plugin("hil.laws", "packet", ["latency=12ms"])
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [(float("inf"), "not a finite number"), (1e300, "is beyond"), (1e-300, "is below"), (1 << 70, "an integer of 71 bits")],
+)
+def test_a_table_alone_is_read_as_in_a_file_and_holds_no_number_that_none_holds(value: float, said: str) -> None:
+    with pytest.raises(HilError, match=rf"^plant\.gain: .*{said}"):
+        parse_table("hil.plants", {"kind": "dc-motor", "gain": value}, "plant")
 
 
 def test_a_field_with_a_wrong_value_is_not_also_missing() -> None:

@@ -85,6 +85,14 @@ def test_hostile_text_adds_no_element_and_no_attribute() -> None:
     assert [sorted(a) for _, a in hostile] == [sorted(a) for _, a in harmless]
 
 
+def test_no_text_ends_the_scripts_data_or_opens_a_comment_in_it() -> None:
+    """`</script` alone ends it, whatever follows; `<!--<script` would make its own end none."""
+    for text in (HOSTILE, "</script x", "<!--<script", "&lt;"):
+        data = re.search(r'<script[^>]*id="hil-data"[^>]*>(.*?)</script>', page_with_every_block(text), re.S)
+        assert data is not None and not set("<>&") & set(data[1])
+        assert json.loads(data[1])["figures"][0]["series"][0]["label"] == text
+
+
 def test_page_refers_to_nothing_outside_itself() -> None:
     page = page_with_every_block("a")
     for tag, attributes in elements(page):
