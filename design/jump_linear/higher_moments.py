@@ -188,16 +188,17 @@ def power(A: Array, degree: int) -> Any:
     """
     from scipy.sparse import csr_array  # where a command has no limits, it is not needed
 
-    R = csr_array(np.ones((1, 1)))
+    R: Any = csr_array(np.ones((1, 1)))
     for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
         before = R[rows.parent]
         shape = (len(rows.first), len(columns.first))
-        R = csr_array(shape)
-        for v in range(A.shape[1]):
-            values = before.data * np.repeat(A[rows.first, v], np.diff(before.indptr))
-            grown = csr_array((values, columns.times[v][before.indices], before.indptr.copy()), shape=shape)
-            grown.eliminate_zeros()
-            R = R + grown
+        row = np.repeat(np.arange(shape[0]), np.diff(before.indptr))
+        values = (A[rows.first[row]] * before.data[:, None]).T.ravel()  # by variable
+        place = (row * shape[1] + columns.times[:, before.indices]).ravel()
+        acts = values != 0.0
+        place, which = np.unique(place[acts], return_inverse=True)
+        row, column = np.divmod(place, shape[1])
+        R = csr_array((np.bincount(which, values[acts]), column, np.searchsorted(row, np.arange(shape[0] + 1))), shape=shape)
     return R
 
 

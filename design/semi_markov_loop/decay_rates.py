@@ -100,7 +100,8 @@ def worst_growth(
     if np.prod([len(option) for option in options]) > 4096:
         return None
     acting = [[gain.gain[gain_mode(gain.measured, process, i, k), 0] @ system.shown(i) for k in range(n_r)] for i in range(n_eta)]
-    loops = np.array([[system.a[i] + system.b[i] @ each for each in row] for i, row in enumerate(acting)])
+    loops = np.array([system.a[i] + system.b[i] @ each for i, row in enumerate(acting) for each in row])
+    alone = block_diag(*moment_operators(loops))
     worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
     for choice in itertools.product(*options):
         rates = dict(zip(keys, choice))
@@ -108,7 +109,7 @@ def worst_growth(
         for i, k in itertools.product(range(n_eta), range(n_r)):
             generator[i, k, :, k] += rates[(i,)]
             generator[i, k, i, :] += rates[i, k]
-        growth = mean_square_abscissa(loops.reshape(-1, *loops.shape[2:]), generator.reshape(n_eta * n_r, -1))
+        growth = _abscissa(alone, generator.reshape(n_eta * n_r, -1))
         if growth > worst[0]:
             worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rates[key] for key in keys}
     return worst
@@ -121,8 +122,14 @@ def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
         loops: shape (N, n, n).
         rates: jump rates, shape (N, N); the diagonal is ignored.
     """
-    rates, operators = rates * (1.0 - np.eye(len(rates))), moment_operators(loops)
-    out = np.kron(rates.T - np.diag(rates.sum(axis=1)), np.eye(operators.shape[-1])) + block_diag(*operators)
+    return _abscissa(block_diag(*moment_operators(loops)), rates)
+
+
+def _abscissa(alone: FloatArray, rates: FloatArray) -> float:
+    modes, size = len(rates), len(alone) // len(rates)
+    rates = rates * (1.0 - np.eye(modes))
+    out = alone.copy()
+    np.einsum("iaja->aij", out.reshape(modes, size, modes, size))[...] += rates.T - np.diag(rates.sum(axis=1))
     return float(np.linalg.eigvals(out).real.max())
 
 

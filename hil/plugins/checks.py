@@ -289,10 +289,11 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
         needs(running, "what start(model) returns", RUNNING)
         chosen = running.selection
         assert chosen in SELECTIONS, f"selection is {chosen!r:.60}, expected one of {', '.join(SELECTIONS)}"
+        several, stays = isinstance(running, MultiSampleController), row_sojourns_distinguished(controller)
         out = []
         for k in range(60):
             y = tuple(map(float, rng.normal(size=(seen,))))
-            if isinstance(running, MultiSampleController):
+            if several:
                 outputs = model.nodes.outputs
                 newest = [Sample(i, k - (k + i) % len(outputs), tuple(y[o] for o in own)) for i, own in enumerate(outputs)]
                 known = Known(tuple(s for s in newest if s.slot >= 0), (1.0,) * p)
@@ -300,7 +301,7 @@ def check_answers(controller: Controller, model: LoopModel) -> None:
             else:
                 tau = int(rng.integers(0, model.tau_max + 1))
                 rows = asked("rows(k, tau, y, r)", running.rows, k, tau, y, (1.0,) * p)
-            expected = row_count(running.selection, model.d_max, row_sojourns_distinguished(controller))
+            expected = row_count(running.selection, model.d_max, stays)
             shape = f"{expected} row{'s' * (expected > 1)} of {m} input{'s' * (m > 1)} in a tuple of tuples"
             what = f"rows() returned {rows!r:.80}, expected {shape}"
             numbers = asked(what, lambda rows=rows: [[float(u) for u in row] for row in rows])

@@ -1,16 +1,18 @@
-"""Motors whose supply saturates: where the region ends, beside runs from its edge and from beyond it."""
+"""Motors whose supply saturates: where the region ends, beside runs from its edge and from beyond it.
+
+By moments of few terms, which give a smaller region of the same kind; what the shipped motors have stands in
+`test_shipped_regions.py`.
+"""
 
 from __future__ import annotations
 
 import json
 from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-import hil
 from design.jump_linear.leaving import SLOTS
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
@@ -19,6 +21,9 @@ from hil.compose.loop import compose
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, Driver, LinearPlant
+from tests.hil.certify.many_runs import many_runs
+
+pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
 
 SUPPLY = 0.058
 ENCODER: dict[str, Any] = {"plant.encoder": {"step_rad": 0.0038}}
@@ -54,8 +59,7 @@ def edge_of(loop: Loop) -> dict[str, float]:
 
 
 def leaving_share(loop: Loop, runs: int) -> float:
-    asked = [simulate(loop, seed, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"] for seed in range(runs)]
-    return float(np.mean([np.abs(u).max() > SUPPLY for u in asked]))
+    return float((np.abs(many_runs(loop, runs)[1]).max(axis=0) > SUPPLY).mean())
 
 
 @pytest.mark.parametrize(("changes", "state"), [({}, "angle"), ({}, "speed"), (ENCODER, "angle"), (DYNAMIC, "angle")])
@@ -103,28 +107,6 @@ def test_an_edge_scales_with_the_supply_and_departures_make_it_smaller() -> None
     assert edge_of(composed(**counts))["angle"] < 0.95 * one["angle"]
 
 
-@pytest.mark.parametrize(
-    ("name", "changes"),
-    [
-        ("dc-motor-h2", {}), ("dc-motor-hinf", {}), ("dc-motor-h2", ENCODER), ("dc-motor-hinf-friction", None),
-        ("dc-motor-hinf-supply", None),
-    ],
-)
-def test_the_guide_says_these_numbers(name: str, changes: dict[str, Any] | None) -> None:
-    guide = (Path(hil.__file__).parent / "guide/designs-and-certificates.md").read_text(encoding="utf-8")
-    rows = [line for line in guide.splitlines() if line.startswith(f"| `{name}`")]
-    if changes is None:
-        region: Any = verdict_of(compose(load_experiment(name))).details["region"]
-        states = region["within"][0]["states"]
-        room = f"{states['angle']:.3g} rad, {states['speed']:.3g} rad/s"
-        room = room if states["angle"] else f"none below {region['limits_times']:.3g}"
-        said = f"{100 * region['pushed_share'][0]:.2g} % | {room}"
-    else:
-        edge = edge_of(composed(name, **changes))
-        said = f"{edge['angle']:.3g} rad, {edge['speed']:.3g} rad/s"
-    assert any(said in row for row in rows), said
-
-
 def test_for_the_realistic_motor_the_verdict_says_how_much_supply_its_friction_asks_for() -> None:
     shipped = verdict_of(compose(load_experiment("dc-motor-h2-friction")))
     region: Any = shipped.details["region"]
@@ -133,18 +115,6 @@ def test_for_the_realistic_motor_the_verdict_says_how_much_supply_its_friction_a
     enough = {"plant.driver.saturation_v": 1.05 * SUPPLY * region["limits_times"], "reference": [], "disturbance": []}
     larger = verdict_of(compose(load_experiment("dc-motor-h2-friction", **enough)))
     assert larger.kind == "stability in a region" and larger.certified and "ends, in the root mean square" in larger.reason
-
-
-def test_a_realistic_motor_whose_supply_suffices_is_certified_until_supply_or_friction_change() -> None:
-    verdict = verdict_of(composed_as_shipped())
-    assert verdict.certified and verdict.kind == "stability in a region" and "ends, in the root mean square" in verdict.reason
-    assert verdict.number is not None and 0.0 < verdict.number <= RISK
-    less: list[dict[str, Any]] = [
-        {"plant.driver.saturation_v": 0.7}, {"plant.friction.static_v": 0.05}, {"reference": [{"at": "1 s", "value": [5.0]}]},
-    ]  # fmt: skip
-    for change in less:
-        undecided = verdict_of(composed_as_shipped(**change))
-        assert undecided.kind == ANYWHERE and "not decided from where this run begins" in undecided.reason
 
 
 def composed_as_shipped(**changes: Any) -> Loop:
@@ -164,16 +134,12 @@ def test_realistic_runs_from_the_edge_stay_and_end_within_the_bound_and_from_fou
     edge = edge_of(composed_as_shipped(**calm))[state]
     inside = composed_as_shipped(**calm, **{start: 0.999 * edge})
     assert verdict_of(inside).certified
-    left, ended = 0, []
-    for seed in range(runs):
-        run = simulate(inside, seed, ["/actuator/applied", "/plant/state"]).arrays
-        left += bool(np.abs(run["/actuator/applied"]["voltage"]).max() > supply)
-        ended.append(run["/plant/state"]["angle"][-1])
+    states, asked = many_runs(inside, runs)
     bounds: Any = verdict_of(inside).details["ends_within"]
-    assert left < leaving and bounds["angle"] / 40.0 < np.sqrt(np.mean(np.square(ended))) <= bounds["angle"]
+    assert (np.abs(asked).max(axis=0) > supply).sum() < leaving
+    assert bounds["angle"] / 40.0 < np.sqrt(np.mean(states["angle"][-1] ** 2)) <= bounds["angle"]
     far = composed_as_shipped(**calm, **{start: 4.0 * edge, "limits.state": {}})
-    asked = [simulate(far, seed, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"] for seed in range(12)]
-    assert np.mean([np.abs(u).max() > supply for u in asked]) > 0.5
+    assert (np.abs(many_runs(far, 12)[1]).max(axis=0) > supply).mean() > 0.5
 
 
 def test_a_state_space_plant_with_limits_has_a_region_and_with_noise_none() -> None:
@@ -217,8 +183,7 @@ def test_a_disturbance_above_the_supply_acts_by_a_share_where_the_plant_says_so(
         motors = [kind(driver=Driver(saturation_v=0.0015), disturbance_through_driver=through) for kind in (DCMotor, Careful)]
         loops = [compose(load_experiment("dc-motor-h2", plant=motor, **gains, **pulse)) for motor in motors]
         assert [verdict_of(loop).state for loop in loops] == ["certified", "undecided"]
-        asked = [simulate(loops[0], seed, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"] for seed in range(8)]
-        assert max(np.abs(u).max() for u in asked) < 0.0015
+        assert np.abs(many_runs(loops[0], 8)[1]).max() < 0.0015
 
 
 class Boastful(DCMotor):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from design.controllers import SendAll
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
@@ -15,6 +17,7 @@ from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from plants import DCMotor
 from plants.dc_motor import Driver
+from tests.hil.certify.many_runs import many_runs
 
 pytestmark = pytest.mark.usefixtures("moments_of_low_degree")
 
@@ -93,11 +96,11 @@ def test_gains_that_lead_away_seldom_end_within_in_the_mean_and_often_are_undeci
 def test_the_root_mean_square_loop_from_far_away_is_within() -> None:
     loop = compose(load_experiment("dc-motor-hinf-friction", **CALM | {"duration": 30, "plant.initial_angle_rad": 15.0}))
     bounds: Any = verdict_of(loop).details["ends_from_anywhere_within"]
-    ended = [simulate(loop, seed, ["/plant/state"]).arrays["/plant/state"] for seed in range(6)]
+    states, _ = many_runs(loop, 6)
     for name, bound in bounds.items():
-        level = float(np.sqrt(np.mean([np.asarray(run[name][450:]) ** 2 for run in ended], axis=0)).max())
+        level = float(np.sqrt(np.mean(states[name][450:] ** 2, axis=1)).max())
         assert level < bound and (name == "speed" or level > bound / 1000), "friction holds it"
-    assert all(np.abs(run["angle"][:20]).max() > 2.0 * bounds["angle"] for run in ended)
+    assert (np.abs(states["angle"][:20]).max(axis=0) > 2.0 * bounds["angle"]).all()
 
 
 def test_later_networks_end_further() -> None:
@@ -181,13 +184,15 @@ def test_a_disturbance_that_may_bring_the_plant_back_leaves_it_undecided() -> No
 
 def test_a_design_with_integral_action_is_certified_where_its_sum_is_clamped() -> None:
     """What the clamped sum adds to the command is beside the friction; a sum of 400 rad slots would take the whole supply."""
-    name, clamp = "dc-motor-ours-integral", "controller.integral_limit"
-    small, large = (compose(load_experiment(name, **CALM | {clamp: [limit]})) for limit in (2.0, 400.0))
+    name = "dc-motor-ours-integral"
+    small = compose(load_experiment(name, **CALM))
+    assert isinstance(small.controller, SendAll)
+    large = compose(load_experiment(name, controller=replace(small.controller, integral_limit=(400.0,)), **CALM))
     assert verdict_of(small).certified and "ends_from_anywhere_within" in verdict_of(small).details
     assert verdict_of(large).state == "undecided"
     assert small.controller.integral_limit == (2.0,)
     with pytest.raises(ExperimentError, match=r"controller\.integral_limit: needs integral above 0"):
-        load_experiment("dc-motor-ours-h2", **{clamp: [2.0]})
+        load_experiment("dc-motor-ours-h2", **{"controller.integral_limit": [2.0]})
 
 
 @pytest.mark.parametrize("pushed", [False, True])

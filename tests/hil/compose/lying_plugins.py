@@ -19,15 +19,10 @@ C = np.array([[1.0, 0.0]])
 
 
 @lru_cache(maxsize=64)
-def _flow(a: bytes, b: bytes, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    A, B = (np.frombuffer(each).reshape(2, -1) for each in (a, b))
-    found = StateSpace(A=A, B=B, C=np.eye(2)).discretise(dt)
+def flow(a: bytes, b: bytes, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """exp(a dt) and the matrix of input and force over a slot of dt s; most slots of a run ask for the same ones."""
+    found = StateSpace(A=np.frombuffer(a).reshape(2, 2), B=np.column_stack([np.frombuffer(b), np.eye(2)]), C=C).discretise(dt)
     return found.A, found.B
-
-
-def flow(a: np.ndarray, b: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """exp(a dt) and the input matrix of a slot of dt s; most slots of a run ask for the same ones."""
-    return _flow(a.tobytes(), b.tobytes(), dt)
 
 
 @dataclass(frozen=True)
@@ -65,7 +60,7 @@ class Run:
         v = u[0] + (w[0] if w else 0.0)
         a, b, force = A.copy(), B.copy(), np.zeros(2)
         LIES[self.plant.lie](self, v, a, b, force)
-        F, G = flow(a, np.hstack([b, np.eye(2)]), dt_ns / 1e9)
+        F, G = flow(a.tobytes(), b.tobytes(), dt_ns / 1e9)
         self.x = F @ self.x + G @ np.array([v, *force])
         self.past = [v, *self.past[:-1]]
         self.energy += v * v * dt_ns / SLOT_NS
@@ -143,7 +138,8 @@ CHANGES: dict[str, Callable[[Any, Any, Any], None]] = {
 }
 LIES: dict[str, Callable[..., None]] = {
     "none": none,
-    **{f"{change}, {when}": _when(CONDITIONS[when], CHANGES[change]) for when in CONDITIONS for change in CHANGES},
+    **{f"{change}, {when}": _when(CONDITIONS[when], CHANGES[change]) for when in CONDITIONS for change in ("unstable", "turned")},
+    "coupled, always": _when(CONDITIONS["always"], CHANGES["coupled"]),
     "a hidden state that grows": _hidden(1.08, 0.0),
     "a hidden state that inputs feed": _hidden(1.08, 1e-3),
     "a late input": lambda run, v, a, b, f: f.__iadd__(0.05 * (run.past[1] - v)),

@@ -333,11 +333,16 @@ def test_a_script_counts_its_changes_while_it_composes_them(motor: Loop) -> None
     assert counter.seen == [(1, 3), (2, 3), (3, 3)]
 
 
+@pytest.fixture(scope="module")
+def regional() -> Loop:
+    return compose(load_experiment("dc-motor-hinf-supply"))
+
+
 @pytest.mark.parametrize(
     ("path", "value"), [("reference", [30.0]), ("disturbance", {"value": [1.0], "samples": 40}), ("plant.gain", 160.0)]
 )
-def test_a_region_is_of_where_a_run_begins_and_not_of_where_it_is_changed(path: str, value: object) -> None:
-    loop = compose(load_experiment("dc-motor-hinf-supply"))
+def test_a_region_is_of_where_a_run_begins_and_not_of_where_it_is_changed(regional: Loop, path: str, value: object) -> None:
+    loop = regional
     assert loop.verdict is not None and loop.verdict.certified and loop.verdict.kind == "stability in a region"
     assert loop.verdict.quantity == "bound of the probability of leaving the region in the first 1000 slots"
     verdict = changed(loop, 100, path, value).verdict
