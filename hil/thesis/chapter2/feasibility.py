@@ -62,6 +62,7 @@ def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
     """What Section 2.5 says of the conditions for the example."""
     process, printed = chapter2_process(), chapter2_system("printed")
     ours = robust_feedback(printed, process, gain_bound=30.0, sections=1, method="pwc")
+    assert ours.gain is not None
     proof = prove_certificate(ours)
     published = printed_stability(printed, chapter2_gain(), process)
     constant = analyse(printed, chapter2_gain(), process, method="pwc", condition=1e3)
@@ -78,8 +79,9 @@ def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
         "seconds": time.process_time() - begun, "gains": gains, "published": published, "linear": linear,
         **_beside_printed(gains),
         "single": _word(_gains_exist(printed, 1, "pwc")), "proved": proof.inequalities if proof.proved else 0,
-        "pivot": float(proof.smallest_pivot), "matched": _word(matched), "no_gains": matched.explain(),
-        "K": ", ".join(np.array2string(g[0, 0], precision=2) for g in ours.gain.gain) if ours.gain is not None else "",
+        "pivot": float(proof.smallest_pivot), "sections": ours.gain.starts_s.shape[1],
+        "matched": _word(matched), "no_gains": matched.explain(),
+        "K": ", ".join(np.array2string(g[0, 0], precision=2) for g in ours.gain.gain),
         "ours": robust_feedback(chapter2_system("vertices"), process, gain_bound=100.0, sections=8).verdict,
         "printed_form": verdict_of(published), "constant": verdict_of(constant),
         "forms": {name: [_word(each) for each in found] for name, found in forms.items()},
@@ -105,7 +107,10 @@ SCALED: tuple[tuple[str, Form, float], ...] = (
 FEASIBILITY = (
     Statement(
         "Theorem 2.4 (M = 1) for (2.25), rates in [0.1, 4.6]", "not feasible", (says("gains for M = 1", "single", "refused"),),
-        (above("inequalities proved without rounding", "proved", 0), above("smallest pivot of LDL'", "pivot", 0)),
+        (
+            above("inequalities proved without rounding", "proved", 0), above("smallest pivot of LDL'", "pivot", 0),
+            exactly("sections of the gains that are proved", "sections", 1),
+        ),
         computed="feasible, K1, K2 = {K}",
         basis="exact rational certificate: {proved} inequalities, LDL' pivots >= {pivot:.3g}",
     ),

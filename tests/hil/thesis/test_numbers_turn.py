@@ -43,8 +43,8 @@ def runs(printed: str, size: float = 1.0) -> np.ndarray:
 
 # fmt: off
 CHAPTER_2: Table = {
-    "Theorem 2.4 (M = 1)": (FALSE, {"single": "feasible", "proved": 1, "pivot": 0.5}, [
-        ({"single": "refused"}, OK), ({"proved": 0}, NOT), ({"pivot": -1.0}, NOT)]),
+    "Theorem 2.4 (M = 1)": (FALSE, {"single": "feasible", "proved": 1, "pivot": 0.5, "sections": 1}, [
+        ({"single": "refused"}, OK), ({"proved": 0}, NOT), ({"pivot": -1.0}, NOT), ({"sections": 2}, NOT)]),
     "the same with the F that": holds({"matched": "refused"}, {"matched": "feasible"}),
     "gains (2.27) fulfil": holds({"published.verdict": "certified"}, {"published.verdict": "refused"}),
     "gains (2.27) stabilise under": holds(
