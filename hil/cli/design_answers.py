@@ -144,6 +144,7 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
     from hil.design_questions.measured_network import measured
     from hil.log.recordings.read import read_recording
     from hil.log.recordings.recording import BACK, THERE, packet_records
+    from transport.errors import FieldError
     from transport.law_fit import fit_law
 
     records, notes = packet_records(read_recording([path]))
@@ -154,7 +155,7 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
     for way, record in records.items():
         try:
             found[way] = measured(fit_law(record, period_s, DEADLINE * period_s), holds_input=way == BACK)
-        except HilError as error:
+        except (HilError, FieldError) as error:
             raise HilError(f"--network {path}: {way}: {error}") from error
     return found[THERE], found[BACK], notes
 

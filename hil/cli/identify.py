@@ -69,6 +69,7 @@ def law(
     from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording
     from hil.log.recordings.recording import packet_records
+    from transport.errors import FieldError
     from transport.law_fit import fit_law
 
     with Working(f"packets of {files[0]}"):
@@ -83,7 +84,10 @@ def law(
             slot = record.period_s if period is None else period
             if not slot > 0.0:
                 raise HilError(f"{recording.source}: {way}: half of the packets or more have one time stamp; add --period")
-            fits[way] = fit_law(record, slot, deadline * slot)
+            try:
+                fits[way] = fit_law(record, slot, deadline * slot)
+            except FieldError as error:
+                raise HilError(f"{recording.source}: {way}: {error}") from error
     said = {way: fit_said(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():

@@ -21,6 +21,7 @@ from transport.law_fit.latency_families import LatencyFit, bic, fit_latencies
 from transport.law_fit.loss_models import LossFit, fit_loss
 from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots
 from transport.law_fit.proportions import LAGS, REJECT, Fitness, fitness
+from transport.laws.packet import OLDEST
 
 Array = NDArray[np.float64]
 LawClass = Literal["constant", "independent", "gilbert-elliott", "markov", "semi-markov", "none"]
@@ -80,13 +81,17 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
         deadline_s: when a slot closes; by default after 0.6 of it, as in an experiment.
 
     Raises:
-        FieldError: a period or deadline that is none.
+        FieldError: a period or deadline that is none, or latencies of more slots than a law covers.
     """
     period = record.period_s if period_s is None else period_s
     deadline = 0.6 * period if deadline_s is None else deadline_s
     if not 0.0 < period < np.inf or not 0.0 <= deadline < np.inf:
         raise FieldError("period", f"got {period:g} s with a deadline of {deadline:g} s, expected a positive period")
     came, until = record.came, record.censored_s
+    longest = float(record.latency_s[came].max())
+    if longest > OLDEST * period:
+        said = f"up to {longest:g} s, and slots of {period:g} s: a law covers {OLDEST} slots"
+        raise FieldError("latency_s", f"{said}; clocks that differ need both directions")
     overtaken = ~came & np.isfinite(until)
     latencies = fit_latencies(record.latency_s[came], until[overtaken])
     losses = fit_loss(~came & ~overtaken, whole=not overtaken.any())

@@ -42,7 +42,7 @@ class PacketRecord:
     def __post_init__(self) -> None:
         n = len(self.sent_s)
         if n < LEAST:
-            said = f"{n} packets, at least {LEAST}: of fewer, what happens to one in 100 is missed with more than 5 %"
+            said = f"{n} packets, expected at least {LEAST}: of fewer, what happens to one in 100 is missed with more than 5 %"
             raise FieldError("packets", said)
         if self.latency_s.shape != (n,) or (self.until_s is not None and self.until_s.shape != (n,)):
             raise FieldError("latency_s", f"{len(self.latency_s)} of them for {n} packets")

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import cycle, islice
 from os import PathLike
-from typing import ClassVar, Literal
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from msgspec import Struct
@@ -19,6 +19,9 @@ from transport.laws.draws import LATEST, PacketDraws
 from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, first_arrivals, packet_chain
 from transport.laws.stochastic_matrix import chain_ages, several_of_many, stationary_row
+
+OLDEST: Final = 1000
+"""Slots that a packet is late, at most, where a receiver discards what is later."""
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -93,8 +96,8 @@ class PacketLaw:
         if isinstance(self.queue, bool) or not 1 <= self.queue <= 1_000_000:
             raise FieldError("queue", f"got {self.queue!r}, expected 1 to 1000000 packets")
         if self.discard_older is not None:
-            if isinstance(self.discard_older, bool) or not 0 <= self.discard_older <= 1000:
-                raise FieldError("discard_older", f"got {self.discard_older!r}, expected 0 to 1000 slots")
+            if isinstance(self.discard_older, bool) or not 0 <= self.discard_older <= OLDEST:
+                raise FieldError("discard_older", f"got {self.discard_older!r}, expected 0 to {OLDEST} slots")
             if not self.reordering:
                 said = "needs reordering = true: in order, a packet that is discarded still holds up those behind it"
                 raise FieldError("discard_older", said)

@@ -167,6 +167,11 @@ def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int)
     others, both = sum(map(len, came.values())), np.flatnonzero(~np.isnan(received))
     outside, inside = len(sent) - 1 - int(both[-1]) + int(both[0]), slice(int(both[0]), int(both[-1]) + 1)
     sent, received = sent[inside], received[inside]
+    if ".asc" in (sender.suffix, receiver.suffix) and np.nanmin(received - sent) < 0.0:
+        raise HilError(
+            f"{sender} and {receiver}: a frame is there before it was sent: the times of an .asc count from the beginning of "
+            "its own file; expected two .log or two .blf"
+        )
     notes = [f"{int(np.isnan(received).sum())} of {len(sent)} frames are in {sender} alone: lost"]
     if outside:
         notes.append(f"{outside} frames of {sender} come before the first or after the last that is in both: {receiver} may not "

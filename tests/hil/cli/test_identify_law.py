@@ -88,7 +88,7 @@ def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp
     (tmp_path / "few.csv").write_text("\n".join(["latency_s", *["0.001"] * 20]))
     status, out, err = cli("identify", "law", "few.csv", "-o", "law.toml")
     assert status == 2 and not out
-    assert "20 packets, at least 299" in err
+    assert "20 packets, expected at least 299" in err
     assert not (tmp_path / "law.toml").exists()
 
 

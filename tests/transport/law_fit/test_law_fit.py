@@ -17,6 +17,7 @@ from transport.errors import FieldError
 from transport.law_fit import LawFit, fit_law
 from transport.law_fit.packet_record import LEAST, PacketRecord, ages_of
 from transport.law_fit.proportions import REJECT, behind_late, fitness, seen_correlations
+from transport.laws.packet import OLDEST
 
 N = 20_000
 
@@ -168,6 +169,8 @@ def test_what_is_no_record_is_refused() -> None:
     back[9] = 3.0
     assert "backwards" in refused("sent_s[9]", sent_s=back, latency_s=good).message
     refused("latency_s", sent_s=times, latency_s=np.full(400, np.nan))
+    with pytest.raises(FieldError, match=r"latency_s: up to 1000 s, and slots of 1 s: a law covers 1000 slots; clocks"):
+        fit_law(PacketRecord(sent_s=times, latency_s=good + OLDEST))
 
 
 def test_a_law_is_read_by_the_emulator_as_it_was_written() -> None:
