@@ -136,7 +136,13 @@ def plant_check(loop: CertificationProblem) -> Check:
     unit = np.ones(m) if loop.input_limits is None else np.array(loop.input_limits, dtype=float)
     of_unit = foretold(model, delayed, shape * unit)
     sizes, bounds = _extent(loop, of_unit)
-    found = [departure(plant, model, of_unit, free, shape, unit, size, bounds) for size in sizes]
+    found: list[Departure] = []
+    for size in sizes:
+        try:
+            found.append(departure(plant, model, of_unit, free, shape, unit, size, bounds))
+        except Exception:  # what it did at smaller inputs is seen already
+            if all(each.share <= EQUAL for each in found):
+                raise
     said = _departed(found, plant.inputs[0].unit, unit, name)
     if said is not None:
         return said

@@ -58,7 +58,10 @@ class Departure(Struct, frozen=True, kw_only=True):
     slots: int
 
 
-def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED, disturbances: Array | None = None) -> Track:
+def drive(
+    plant: Plant, period_ns: int, inputs: Array, seed: int = SEED, disturbances: Array | None = None,
+    raised: list[Exception] | None = None,
+) -> Track:  # fmt: skip
     """Return what a plant does, driven as a rig drives it; it ends where a number is not finite.
 
     Args:
@@ -67,12 +70,19 @@ def drive(plant: Plant, period_ns: int, inputs: Array, seed: int = SEED, disturb
         inputs: (k, m).
         seed: of the plant's random numbers.
         disturbances: what comes on top of the inputs, (k, m); by default nothing.
+        raised: takes what the plant raises in a slot, which then ends the track, too; by default it goes through.
     """
     run, beside = plant.start(np.random.default_rng(seed)), np.zeros(inputs.shape) if disturbances is None else disturbances
     states, outputs, applied = [run.state], [run.measure()], []
     for u, w in zip(inputs.tolist(), beside.tolist()):
-        run.advance(period_ns, tuple(u), tuple(w))
-        y, x = run.measure(), run.state
+        try:
+            run.advance(period_ns, tuple(u), tuple(w))
+            y, x = run.measure(), run.state
+        except Exception as error:
+            if raised is None:
+                raise
+            raised.append(error)
+            break
         states.append(x)
         outputs.append(y)
         applied.append(run.applied)
@@ -130,7 +140,8 @@ def departure(
         beyond = ~(np.abs(x) < np.minimum(LARGEST, bounds)).all(axis=1)
     kept = int(beyond.argmax()) if beyond.any() else len(x)
     inputs, x = inputs[: max(kept - 1, 1)], x[: max(kept, 2)]
-    driven = drive(plant, round(model.period_s * 1e9), inputs)
+    raised: list[Exception] = []
+    driven = drive(plant, round(model.period_s * 1e9), inputs, raised=raised)
     pairs = [(driven.outputs, free.outputs, x @ model.C.T, [tuple(s) for s in plant.outputs])]
     if driven.states.shape[1] == x.shape[1]:
         pairs.append((driven.states, free.states, x, [tuple(s) for s in plant.states]))
@@ -161,6 +172,8 @@ def departure(
                 size=size, share=float(apart[k, i]), slot=first, signal=(str(signals[j][0]), str(signals[j][1])),
                 found=float(moved[first, j] - rest[first, j]), foretold=float(expected[first, j]), slots=count - 1,
             )  # fmt: skip
+    if raised and worst.share <= EQUAL:
+        raise raised[0]
     return worst
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from plants import SwitchedExample
 from plants.switched_example import SwitchedExampleRun
-from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Table
+from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Run, Table
 
 
 def verdict_on(name: str = "dc-motor-h2", **changes: Any) -> Verdict:
@@ -67,6 +67,28 @@ def test_without_limits_a_plant_is_tested_up_to_a_million() -> None:
 def test_the_number_stands_in_the_refusal() -> None:
     with pytest.raises(ExperimentError, match=r"your plant does not move as its .* says: inputs up to 0.005 V move"):
         hil.run("dc-motor-h2", plant=Plant("turned, always"), controller=Table(), **{"limits.state": {}})
+
+
+class Fragile(Plant):
+    """It breaks in slot 40, if an input moves it."""
+
+    def start(self, rng: np.random.Generator) -> Run:
+        return FragileRun(self, rng)
+
+
+class FragileRun(Run):
+    def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
+        super().advance(dt_ns, u, w)
+        if self.k >= 40 and u[0]:
+            raise RuntimeError("it broke")
+
+
+def test_a_plant_that_departs_from_its_model_and_then_raises_is_refused_for_the_first() -> None:
+    found = on_own_plant(Fragile("turned, always"), Table())
+    assert found is not None and found.state == "refused" and "your plant does not move as its model() says" in found.reason
+    found = on_own_plant(Fragile(), Table())
+    assert found is not None and found.state == "undecided"
+    assert found.reason == "the plant could not be compared with what it says: RuntimeError: it broke"
 
 
 @pytest.mark.parametrize("lie", TABLE_LIES)
