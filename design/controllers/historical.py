@@ -148,7 +148,7 @@ class Historical:
         K, nodes = self.history(), model.nodes
         m, p = model.B.shape[1], model.C.shape[0]
         if K.shape[2:] != (m, p):
-            raise FieldError("gains", f"{K.shape[2]} x {K.shape[3]} matrices, but the plant has {m} inputs and {p} outputs")
+            raise FieldError("gains", f"{K.shape[2]} x {K.shape[3]} matrices, expected {m} x {p}: inputs and outputs")
         if nodes.mixed:
             raise FieldError("gains", "over historical data need all nodes on one medium, or none on any")
         if self.uses == "last-packets":

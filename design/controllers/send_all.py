@@ -84,7 +84,7 @@ class SendAll:
         K = np.asarray(self.gains, dtype=float)
         m, p = model.B.shape[1], model.C.shape[0]
         if len(self.integral_limit) not in (0, p):
-            raise FieldError("integral_limit", f"{len(self.integral_limit)} entries, but the plant has {p} outputs")
+            raise FieldError("integral_limit", f"length {len(self.integral_limit)}, expected {p}: one for each output")
         rows = row_count(self.selection, model.d_max, self.row_sojourns)
         width = p * (self.samples + self.integral)
         if K.shape[1:] != (rows, m, width):
@@ -156,7 +156,7 @@ class Constant:
 
     def start(self, model: LoopModel) -> RunningController:
         if len(self.value) != model.B.shape[1]:
-            raise FieldError("value", f"{len(self.value)} entries, but the plant has {model.B.shape[1]} inputs")
+            raise FieldError("value", f"length {len(self.value)}, expected {model.B.shape[1]}: one for each input")
         return _ConstantRows(self.value)
 
 

@@ -113,8 +113,8 @@ class Scheduled:
         if gain.gain.shape[2:] != (m, p - 1):
             raise FieldError(
                 "gain",
-                f"{gain.gain.shape[2]} x {gain.gain.shape[3]} matrices; the plant has {m} inputs and measures {p - 1} "
-                "states and the mode",
+                f"{gain.gain.shape[2]} x {gain.gain.shape[3]} matrices, expected {m} x {p - 1}: inputs of the plant, and what it "
+                "measures beside the mode",
             )
         return _ScheduledRows(gain, model.period_s)
 
@@ -216,7 +216,8 @@ class RobustScheduled:
         wanted = self.constraint.siqc()
         p, q = (0 if matrix is None else matrix.shape[axis] for matrix, axis in ((system.c, 1), (system.e, 2)))
         if wanted.g12.shape != (p, q):
-            raise FieldError("constraint.g12", f"shape {wanted.g12.shape}; the plant has {p} outputs y and {q} disturbances w")
+            said = f"shape {wanted.g12.shape}, expected {(p, q)}: outputs y and disturbances w of the plant"
+            raise FieldError("constraint.g12", said)
         return wanted
 
     def _starts(self, shown: SemiMarkov) -> Partition | None:

@@ -158,7 +158,7 @@ class Designed:
         model = task.model
         p, several = model.C.shape[0], len(model.nodes.names) > 1
         if self.output_weights and len(self.output_weights) != p:
-            raise FieldError("output_weights", f"{len(self.output_weights)} entries, but the plant has {p} outputs")
+            raise FieldError("output_weights", f"length {len(self.output_weights)}, expected {p}: one for each output")
         if self.integral and p > model.B.shape[1]:
             raise FieldError("integral", f"{model.B.shape[1]} inputs cannot make the mean errors of {p} outputs zero")
         if self.file:

@@ -215,15 +215,16 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
 
 
 def properties(session: Session) -> list[tuple[str, str]]:
-    """Return what JUnit keeps of a session: log, seed, verdict, timing and metrics.
+    """Return what JUnit keeps of a session: log, seed, verdict, timing, and the metrics that it has.
 
     Args:
         session: a finished run.
     """
     s = session.summary
     timing = "valid" if s["timing"]["valid"] else f"NOT VALID: {'; '.join(s['timing']['why'])}"
-    strings = {"log": s["log"]["path"], "seed": s["seed"], "verdict": (s["certificate"] or {}).get("state"), "timing": timing}
-    numbers = {f"metric_{name}": value for name, value in s["metrics"].items() if not isinstance(value, dict)}
+    verdict = (s["certificate"] or {}).get("state", "none")
+    strings = {"log": s["log"]["path"], "seed": s["seed"], "verdict": verdict, "timing": timing}
+    numbers = {f"metric_{name}": each for name, each in s["metrics"].items() if each is not None and not isinstance(each, dict)}
     return [(f"hil_{name}", str(value)) for name, value in (strings | numbers).items()]
 
 

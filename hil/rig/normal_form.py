@@ -97,12 +97,12 @@ def _size_faults(e: Experiment) -> list[str]:
     p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
     for i, step in enumerate(e.reference):
         if len(step.value) != p:
-            faults.append(f"reference[{i}].value: {len(step.value)} entries, but the plant has {p} outputs")
+            faults.append(f"reference[{i}].value: length {len(step.value)}, expected {p}: one for each output")
     for i, pulse in enumerate(e.disturbance):
         if len(pulse.value) != m:
-            faults.append(f"disturbance[{i}].value: {len(pulse.value)} entries, but the plant has {m} inputs")
+            faults.append(f"disturbance[{i}].value: length {len(pulse.value)}, expected {m}: one for each input")
     if e.limits.input is not None and len(e.limits.input) != m:
-        faults.append(f"limits.input: {len(e.limits.input)} entries, but the plant has {m} inputs")
+        faults.append(f"limits.input: length {len(e.limits.input)}, expected {m}: one for each input")
     for name in e.limits.state:
         if name not in names:
             faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")

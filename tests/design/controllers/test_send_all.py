@@ -40,7 +40,7 @@ def test_a_clamped_integral_stays_within_its_limit_and_comes_back_at_once() -> N
     [
         ({"integral": False, "integral_limit": (1.0,)}, "needs integral = true"),
         ({"integral": True, "integral_limit": (0.0,)}, "expected a finite number above 0"),
-        ({"integral": True, "integral_limit": (1.0, 1.0)}, "2 entries, but the plant has 1 outputs"),
+        ({"integral": True, "integral_limit": (1.0, 1.0)}, "length 2, expected 1: one for each output"),
     ],
 )
 def test_a_limit_that_clamps_nothing_is_refused(fields: dict[str, object], said: str) -> None:

@@ -47,7 +47,7 @@ def test_mode_that_no_gain_knows_takes_the_nearest() -> None:
 
 
 def test_gains_that_do_not_fit_the_plant_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"gain: 1 x 2 matrices; the plant has 1 inputs and measures 4"):
+    with pytest.raises(ValueError, match=r"gain: 1 x 2 matrices, expected 1 x 4: inputs of the plant"):
         scheduled_of(chapter2_gain()).start(model(p=5))
     with pytest.raises(ValueError, match="gain: expected"):
         Scheduled(gain=((((1.0,), (1.0, 2.0)),),), starts_s=((0.0,),))

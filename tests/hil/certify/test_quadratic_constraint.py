@@ -48,7 +48,7 @@ def test_gains_that_miss_a_constraint_are_said_to_miss_it() -> None:
 @pytest.mark.parametrize(
     ("constraint", "message"),
     [
-        ("{g11=[[1.0]], g12=[[0.1]], g22=[[-1.0]]}", r"constraint\.g12: shape \(1, 1\); the plant has 1 outputs y and 2"),
+        ("{g11=[[1.0]], g12=[[0.1]], g22=[[-1.0]]}", r"constraint\.g12: shape \(1, 1\), expected \(1, 2\): outputs y"),
         ("{g11=[[-1.0]], g12=[[0.1]], g22=[[-1.0]]}", r"constraint\.g11: eigenvalue -1, expected a positive definite"),
         ("{g11=[[1.0]], g12=[[0.1, 0.0], [1.0]], g22=[[-1.0]]}", r"controller\.constraint\.g12: expected rows of equal lengths"),
         ("{g11=[[1.0]]}", r"controller\.constraint\.g12: missing"),

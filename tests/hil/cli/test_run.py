@@ -99,7 +99,7 @@ GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
         (["network.nodes.second.id=0"], "network.nodes.second.id: 0 is the number of node 'first' already"),
         (["network.nodes.second.can_id=0x110", "network.nodes.third.can_id=0x110"],
          "network.nodes.third.can_id: 0x110 is the identifier of node 'second' already"),
-        ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
+        ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, expected 1 x 4: inputs and outputs"),
         ([GAINS % LARGE, *(f"network.nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
         (["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"],
          "network.media.bus.matrix: 1 rows"),

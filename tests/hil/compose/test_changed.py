@@ -52,7 +52,7 @@ def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session
     [
         ("plant.gain", -3.0, "plant.gain"),
         ("plant.load.torque_v", 3.0, "plant.load.torque_v: does not change while it runs"),
-        ("reference", [1.0, 2.0], "reference[0].value: 2 entries, but the plant has 1 outputs"),
+        ("reference", [1.0, 2.0], "reference[0].value: length 2, expected 1: one for each output"),
         ("reference", "high", "].value"),
         ("reference.0", [1.0], "reference.0: does not change while it runs"),
         ("network.ca.law", {"kind": "markov", "matrix": [[0.5, 0.6], [0.7, 0.3]]}, "network.ca.law"),

@@ -236,7 +236,7 @@ def test_gains_of_a_wrong_shape_and_unstable_ones_are_refused() -> None:
     gains[range(4), 0, 0, range(4)] = 200.0
     for given, expected in (
         (gains.tolist(), "refused: E|X|^2 of the stacked state does not fall"),
-        (gains[:, :, :, :3].tolist(), "controller.gains: 1 x 3 matrices, but the plant has 1 inputs and 4 outputs"),
+        (gains[:, :, :, :3].tolist(), "controller.gains: 1 x 3 matrices, expected 1 x 4: inputs and outputs"),
         ([[[[1.0]]], [[[1.0]], [[2.0]]]], "controller.gains[1]: expected as many matrices as gains[0]"),
     ):
         sets = [f"controller={{kind='historical', uses='current-packet', gains={given}}}"]
