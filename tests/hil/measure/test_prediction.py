@@ -154,7 +154,6 @@ GAPS = "{ kind = 'markov', matrix = [[0.2, 0.3, 0.5], [0.6, 0.1, 0.3], [0.3, 0.3
         ("dc-motor-ours-integral", [*IDEAL, WHOLE_SUM, "plant.load.torque_v=0.1", "plant.initial_angle_rad=-1.0"]),
         ("dc-motor-ours-h2", [f"network.sc.law={GAPS}", "plant.initial_angle_rad=0.5"]),
         ("dc-motor-hinf", [f"network.sc.law={GAPS}", "plant.load.torque_v=-0.03"]),
-        ("dc-motor-ours-bursty", ["plant.initial_speed_rad_s=6.0"]),
         ("dc-motor-two-nodes", ["plant.load.torque_v=0.03", "plant.initial_angle_rad=0.5", "limits.input=[20.0]"]),
         ("dc-motor-ours-two-samples", ["plant.load.torque_v=0.03", f"network.sc.law={GAPS}"]),
         ("dc-motor-ours-mixed", ["reference.0.at=0", "plant.initial_angle_rad=-1.0"]),
