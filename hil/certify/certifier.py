@@ -28,7 +28,6 @@ Check = tuple[State, str] | tuple[None, tuple[str, ...]]
 """What a comparison of a part with what it states says: a state and its reason, or None and what was found equal, in phrases."""
 
 UNTIL_ALL_CAME: Final = "growth per slot of the second moments until a packet of every node has come"
-STARVED: Final = "a fault does not make the watchdog trip, with commands that are lost or late while it lasts and behind it"
 WAITS_TOO_LONG: Final = 1e-6
 """How far from 1 a growth must lie to decide."""
 
@@ -195,11 +194,8 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     why = loop.whole if isinstance(loop.whole, str) else "no proof knows what it leaves behind"
     linear = verdict.kind == "mean-square stability" and not (loop.slack or loop.shares or isinstance(loop.plant, JumpPlant))
     if verdict.certified and linear and not isinstance(loop.whole, str):
-        late = loop.ca is not None and loop.ca.holds.any()
-        return msgspec.structs.replace(
-            verdict, reason=f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}",
-            assumptions=(*verdict.assumptions, *((STARVED,) if late else ())),
-        )
+        reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}"
+        return msgspec.structs.replace(verdict, reason=reason)
     without = f"{verdict.state} without what happens on the time line ({faults})"
     return _undecide(verdict, f"{without}; undecided with it, as {why}: {verdict.reason}")
 

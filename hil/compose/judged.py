@@ -20,10 +20,10 @@ from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.user_modules import is_ours
-from hil.rig.delay_chains import STOPPED, Chains, gains_over, watchdog_chance, within_reach, without_held
+from hil.rig.delay_chains import STOPPED, Chains, chance_behind, gains_over, watchdog_chance, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
-from hil.rig.schedules import whole_again
+from hil.rig.schedules import as_one, cuts_of, whole_again
 from hil.rig.spec import RigSpec
 from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
@@ -67,6 +67,10 @@ def judge(
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
             assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
+        behind = chance_behind(chains, as_one(cuts_of(experiment)), experiment, model.d_max)
+        if behind > STOPPED:
+            said = f"by its faults the watchdog stops about {100.0 * behind:.2g} % of the runs"
+            assumed += (f"{said}, of which nothing is claimed",)
         verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if external:
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
@@ -150,9 +154,12 @@ def _problem(
 
 
 def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:
-    """Return the smallest and the largest age of a command that the law draws and rows cover, and the largest that rows cover."""
+    """Return the smallest and the largest age of a command that the law draws, and the largest that rows cover.
+
+    Where commands may be missing anyhow, the cuts alone count: what they leave has a chance, see `chance_behind`.
+    """
     if ca is None or ca.holds.any():
-        return 0, d_max, d_max
+        return d_max, d_max, d_max
     return int(ca.delay.min()), int(ca.delay.max()), d_max
 
 

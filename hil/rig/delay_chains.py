@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import isqrt, prod
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ from design.controllers import (
 from design.errors import FieldError
 from hil.rig.packet_ages import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
-from transport.laws import NetworkLaw, SemiMarkovLaw
+from transport.laws import AgeChain, NetworkLaw, SemiMarkovLaw
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.wire import MAX_ROWS
 
@@ -99,6 +99,35 @@ def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float
             goes_on *= share ** (slots - 1 - k)
             break
     return max(0.0, 1.0 - goes_on)
+
+
+def chance_behind(chains: Chains, cuts: Sequence[tuple[int, int]], experiment: Experiment, d_max: int) -> float:
+    """Return about the probability that the watchdog trips by cuts of the way to the actuator, 0 over an age law.
+
+    So many slots are without a command: those before a cut that lacked one already, the cut, and those behind it in which none
+    that was sent since its end has come. What was sent before its end counts as lost.
+
+    Args:
+        chains: of the rig.
+        cuts: first slot of each, and the one in which it is over; none overlap.
+        experiment: with its watchdog.
+        d_max: largest delay that a packet has a row for.
+    """
+    law = chains.applied.ages
+    if not isinstance(law, AgeChain):
+        return 0.0
+    ages, matrix, most = np.array(law.mode_ages), law.transition_matrix(), experiment.limits.watchdog_slots
+
+    def lacks(slots: int, oldest: Callable[[int], int]) -> NDArray[np.float64]:
+        weights, found = law.initial_law(), [1.0]
+        for k in range(slots):
+            weights = np.where(ages > oldest(k), weights if k == 0 else weights @ matrix, 0.0)
+            found.append(float(weights.sum()))
+        return np.array(found)
+
+    before, behind = lacks(most, lambda k: d_max), lacks(most, lambda k: min(k, d_max))
+    exactly, left = before[:-1] - before[1:], [np.arange(most - (end - first), 0, -1) for first, end in cuts]
+    return min(1.0, sum(float(exactly[: len(each)] @ behind[each] + before[len(each)]) for each in left))
 
 
 def labels_of(controller: object) -> tuple[int | Sequence[int], tuple[int, ...], int]:

@@ -113,7 +113,7 @@ def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
     >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=11"]), (0, 1, 1))
     'network.ca may bring no command for 11 slots from slot 60 on, and the watchdog trips after 11'
     """
-    over, cuts = 0, []
+    over = 0
     for i, fault in enumerate(e.fault):
         first, end = fault.slots(float(e.period))
         if first >= e.slots:
@@ -123,13 +123,17 @@ def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
         if end >= e.slots:
             return f"fault[{i}] lasts to the end of the run"
         over = max(over, end)
-        if fault.link == "ca" and fault.kind != "freeze":
-            cuts.append((first, end))
-    for first, slots in starves(cuts, *ages):
+    for first, slots in starves(cuts_of(e), *ages):
         if slots >= e.limits.watchdog_slots:
             said = f"network.ca may bring no command for {slots} slots from slot {first} on"
             return f"{said}, and the watchdog trips after {e.limits.watchdog_slots}"
     return over * float(e.period)
+
+
+def cuts_of(e: Experiment) -> list[tuple[int, int]]:
+    """Return first slot and end of every time in which no command arrives."""
+    spells = [fault.slots(float(e.period)) for fault in e.fault if fault.link == "ca" and fault.kind in ("cut", "corrupt")]
+    return [(first, end) for first, end in spells if first < e.slots]
 
 
 def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: int) -> list[tuple[int, int]]:
@@ -146,14 +150,20 @@ def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: 
     >>> starves([(60, 70)], 0, 1, 1), starves([(60, 70)], 0, 0, 1), starves([(60, 65), (66, 70)], 0, 1, 1)
     ([(60, 11)], [(61, 9)], [(60, 11)])
     """
-    whole: list[list[int]] = []
-    for first, end in sorted(cuts):
-        if whole and first <= whole[-1][1] + oldest - youngest:  # no command need have come between
-            whole[-1][1] = max(whole[-1][1], end)
-        else:
-            whole.append([first, end])
+    whole = as_one(cuts, oldest - youngest)
     begins = [(max(first, oldest + 1) + d_max - oldest, end + oldest - youngest) for first, end in whole]
     return [(first, end - first) for first, end in begins if end > first]
+
+
+def as_one(cuts: Sequence[tuple[int, int]], gap: int = 0) -> list[tuple[int, int]]:
+    """Return cuts in order, those with so few slots between them as one: in these no command need have come."""
+    whole: list[tuple[int, int]] = []
+    for first, end in sorted(cuts):
+        if whole and first <= whole[-1][1] + gap:
+            whole[-1] = whole[-1][0], max(whole[-1][1], end)
+        else:
+            whole.append((first, end))
+    return whole
 
 
 def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:

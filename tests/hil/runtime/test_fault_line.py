@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.certify.certifier import STARVED
 from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
@@ -149,8 +148,12 @@ def test_a_loop_is_certified_where_no_fault_can_trip_the_watchdog(watchdog: int,
 
 
 def test_a_law_that_loses_commands_may_trip_the_watchdog_behind_a_fault() -> None:
-    verdict = compose(load_experiment("dc-motor-wifi", ["fault=[{at=1,for=0.1,kind='cut',link='ca'}]"])).verdict
-    assert verdict is not None and verdict.certified and STARVED in verdict.assumptions
+    """About 10 % of the runs by a cut of 10 slots, and 0.1 % without it: of 200 runs 5 to 37, but once in 10^4."""
+    sets = ["duration=2", "limits.watchdog_slots=12", "fault=[{at=1,for=0.5,kind='cut',link='ca'}]"]
+    loop = compose(load_experiment("dc-motor-wifi", sets))
+    assert loop.verdict is not None and loop.verdict.certified
+    assert "by its faults the watchdog stops about 10 % of the runs, of which nothing is claimed" in loop.verdict.assumptions
+    assert 5 <= sum(any(event["kind"] == "safety" for event in simulate(loop, seed).events) for seed in range(200)) <= 37
 
 
 LONG = "limits.watchdog_slots=900"
