@@ -12,7 +12,7 @@ from tests.mutations import judge
 from tests.mutations import random_run as run
 from tests.mutations.judge import Judge, UndecidedError
 from tests.mutations.random_faults import Place
-from tests.mutations.random_run import CHANCE, WANTED, Tried, limit, random_run, rule, table, too_few
+from tests.mutations.random_run import BY_OWN, CHANCE, WANTED, Tried, limit, random_run, rule, table, too_few
 from tests.mutations.reach import Reach
 
 PLACES = [
@@ -88,8 +88,15 @@ def test_several_faults_are_tried_at_once_and_what_is_not_begun_in_time_is_undec
     monkeypatch.setattr(run, "asked_for", lambda place, reach: ["tests/test_m.py::test_it"])
     monkeypatch.setattr(run, "kept", lambda workers, fresh: Reach(tests=[], seconds=[], realtime=[], by_block={}))
     monkeypatch.setattr(run, "equivalent", lambda: {chosen[0].key})
-    for own, ends in ((None, status), (["m.py"], 0)):
+    for own, ends, asked in ((None, status, "85%"), (["m.py"], 0, "50%")):
         assert random_run(30, 1, (), own=own, limit_s=limit_s, fresh=False, workers=3) == ends
         said = capsys.readouterr().out
         assert Counter(line.split()[1] for line in said.splitlines() if "/21 " in line) == counts
-        assert ("fails where more than" in said) is (own is None) and ("decides nothing" in said) is (own is not None)
+        assert "fails where more than" in said and f"asked tests see {asked} of" in said
+
+
+@pytest.mark.parametrize(("survivors", "fails"), [(17, False), (18, True)])
+def test_a_change_whose_own_tests_see_hardly_anything_fails(survivors: int, fails: bool) -> None:
+    """17 of 20 survive where half are seen in 2 of 1,000 draws, more in 2 of 10,000; where a tenth is seen, in two of three."""
+    done: list[Tried] = [(PLACES[0], "survived")] * survivors + [(PLACES[0], "killed")] * (20 - survivors)
+    assert too_few(done, BY_OWN) is fails
