@@ -47,91 +47,91 @@ LABELS = """(() => {
   return new Promise(f => requestAnimationFrame(() => f(seen.filter(text => ["late", "safety", "step"].includes(text))))); })()"""
 
 
-def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path) -> None:
+def test_page_draws_zooms_together_and_stays_off_the_network(tmp_path: Path, browser: chromium.Page) -> None:
     file = tmp_path / "page.html"
     file.write_text(page_of_panels(), encoding="utf-8")
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        assert page.requests == [file.resolve().as_uri()]
-        ink = page.evaluate(INK)
-        assert len(ink) == 3 and all(n > 2000 for n in ink)
-        assert page.evaluate("document.title") != "owned"
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.size(1400, 900)
+    browser.open(file)
+    assert browser.requests == [file.resolve().as_uri()]
+    ink = browser.evaluate(INK)
+    assert len(ink) == 3 and all(n > 2000 for n in ink)
+    assert browser.evaluate("document.title") != "owned"
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
-        whole = page.evaluate(RANGES)
-        assert whole[0] == pytest.approx([0.0, 19.999], abs=1e-6) and whole[1] == whole[0]
-        box = page.evaluate(BOX)
-        y = box[1] + box[3] / 2
-        page.mouse("mouseMoved", box[0] + 0.25 * box[2], y, clicks=0)
-        page.mouse("mousePressed", box[0] + 0.25 * box[2], y)
-        page.mouse("mouseMoved", box[0] + 0.5 * box[2], y)
-        page.mouse("mouseReleased", box[0] + 0.5 * box[2], y)
-        zoomed = page.evaluate(RANGES)
-        assert zoomed[0] == pytest.approx([5.0, 10.0], abs=0.1)
-        assert zoomed[1] == zoomed[0], "panels of one group zoom together"
-        assert zoomed[2] == whole[2], "a panel of its own does not"
-        assert page.evaluate("!document.getElementById('reset').hidden")
+    whole = browser.evaluate(RANGES)
+    assert whole[0] == pytest.approx([0.0, 19.999], abs=1e-6) and whole[1] == whole[0]
+    box = browser.evaluate(BOX)
+    y = box[1] + box[3] / 2
+    browser.mouse("mouseMoved", box[0] + 0.25 * box[2], y, clicks=0)
+    browser.mouse("mousePressed", box[0] + 0.25 * box[2], y)
+    browser.mouse("mouseMoved", box[0] + 0.5 * box[2], y)
+    browser.mouse("mouseReleased", box[0] + 0.5 * box[2], y)
+    zoomed = browser.evaluate(RANGES)
+    assert zoomed[0] == pytest.approx([5.0, 10.0], abs=0.1)
+    assert zoomed[1] == zoomed[0], "panels of one group zoom together"
+    assert zoomed[2] == whole[2], "a panel of its own does not"
+    assert browser.evaluate("!document.getElementById('reset').hidden")
 
-        page.mouse("mouseMoved", box[0] + 0.4 * box[2], y, clicks=0)
-        values = page.evaluate(LEGEND)
-        assert values and "–" not in values, "the cursor shows the values of every panel of its group"
+    browser.mouse("mouseMoved", box[0] + 0.4 * box[2], y, clicks=0)
+    values = browser.evaluate(LEGEND)
+    assert values and "–" not in values, "the cursor shows the values of every panel of its group"
 
-        for clicks in (1, 2):
-            page.mouse("mousePressed", box[0] + 0.6 * box[2], y, clicks)
-            page.mouse("mouseReleased", box[0] + 0.6 * box[2], y, clicks)
-        assert page.evaluate(RANGES) == whole, "a double click resets"
+    for clicks in (1, 2):
+        browser.mouse("mousePressed", box[0] + 0.6 * box[2], y, clicks)
+        browser.mouse("mouseReleased", box[0] + 0.6 * box[2], y, clicks)
+    assert browser.evaluate(RANGES) == whole, "a double click resets"
 
-        light = page.evaluate("getComputedStyle(document.body).backgroundColor")
-        page.colour_scheme("dark")
-        assert page.evaluate("getComputedStyle(document.body).backgroundColor") != light
-        page.size(800, 900)
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        page.pdf(tmp_path / "page.pdf")
-        assert (tmp_path / "page.pdf").stat().st_size > 10_000
-        assert page.problems == []
-        assert page.requests == [file.resolve().as_uri()]
+    light = browser.evaluate("getComputedStyle(document.body).backgroundColor")
+    browser.colour_scheme("dark")
+    assert browser.evaluate("getComputedStyle(document.body).backgroundColor") != light
+    browser.size(800, 900)
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.pdf(tmp_path / "page.pdf")
+    assert (tmp_path / "page.pdf").stat().st_size > 10_000
+    assert browser.problems == []
+    assert browser.requests == [file.resolve().as_uri()]
 
 
-def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path) -> None:
+def test_report_of_a_run_draws_every_panel_and_stays_off_the_network(tmp_path: Path, browser: chromium.Page) -> None:
     run = run_of("dc-motor-1khz", 'duration="2 s"', timed=True)
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        panels = page.evaluate("document.querySelectorAll('.plot').length")
-        ink = page.evaluate(INK)
-        assert len(ink) == panels >= 6 and all(n > 2000 for n in ink)
-        ranges = page.evaluate(RANGES)
-        assert all(r == ranges[0] for r in ranges)
-        assert page.problems == []
-        assert page.requests == [file.resolve().as_uri()]
+    browser.size(1400, 900)
+    browser.open(file)
+    panels = browser.evaluate("document.querySelectorAll('.plot').length")
+    ink = browser.evaluate(INK)
+    assert len(ink) == panels >= 6 and all(n > 2000 for n in ink)
+    ranges = browser.evaluate(RANGES)
+    assert all(r == ranges[0] for r in ranges)
+    assert browser.problems == []
+    assert browser.requests == [file.resolve().as_uri()]
 
 
-def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path) -> None:
+def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path, browser: chromium.Page) -> None:
     rows = [["25 ms", "150", 20, 0.005, "−3.3011e−08 to 3.5942e−08", 0.1, "0.0003 to 0.0004"]] * 2
     heads = ("period", "plant.gain", "runs", "mean", "95 % interval", "difference to the best point", "its 95 % interval")
     file = tmp_path / "page.html"
     file.write_text(Page("Points", [Section(title="x", blocks=(Table(columns=heads, rows=rows, highlight=(1,)),))]).html())
-    with chromium.Page(width=390, height=800) as page:
-        page.open(file)
-        lines = "[...document.querySelectorAll('td')].map(d => { const r = document.createRange(); r.selectNodeContents(d); "
-        lines += "return new Set([...r.getClientRects()].map(b => Math.round(b.top))).size; })"
-        assert set(page.evaluate(lines)) == {1}
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.size(390, 800)
+    browser.open(file)
+    lines = "[...document.querySelectorAll('td')].map(d => { const r = document.createRange(); r.selectNodeContents(d); "
+    lines += "return new Set([...r.getClientRects()].map(b => Math.round(b.top))).size; })"
+    assert set(browser.evaluate(lines)) == {1}
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
-def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path) -> None:
+def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path, browser: chromium.Page) -> None:
     run = run_of("dc-motor-hinf", 'duration="50 ms"')
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        assert all(low == -0.5 and high == 0.5 for low, high in page.evaluate(RANGES))
-        assert page.evaluate("hilPlots().every(p => p.series.slice(1).every(s => s.points.show === true || s.points.show()))")
-        assert page.problems == []
+    browser.size(1400, 900)
+    browser.open(file)
+    assert all(low == -0.5 and high == 0.5 for low, high in browser.evaluate(RANGES))
+    assert browser.evaluate("hilPlots().every(p => p.series.slice(1).every(s => s.points.show === true || s.points.show()))")
+    assert browser.problems == []
 
 
-def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Path) -> None:
+def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Path, browser: chromium.Page) -> None:
     marks = (
         Marker(x=5.2, label="late", state="warning"),
         Marker(x=5.22, label=""),
@@ -142,53 +142,53 @@ def test_worst_marker_gets_its_label_where_there_is_no_room_for_all(tmp_path: Pa
     file = tmp_path / "page.html"
     panel = Figure(title="Angle", series=(Series(label="angle", x=t, y=t),), markers=marks)
     file.write_text(Page("Marks", [Section(title="Panels", blocks=(panel,))]).html(), encoding="utf-8")
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        assert page.evaluate(LABELS) == ["safety", "step"]
+    browser.size(1400, 900)
+    browser.open(file)
+    assert browser.evaluate(LABELS) == ["safety", "step"]
 
 
-def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_desk(tmp_path: Path) -> None:
+def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_desk(tmp_path: Path, browser: chromium.Page) -> None:
     law = 'network.ca.law={kind="iid", probabilities=[0.5, 0.5]}'
-    run = run_of("vtol-fault", 'duration="1 s"', law, "allow_uncertified=true")
+    run = run_of("vtol-fault-published", 'duration="1 s"', law, "allow_uncertified=true")
     message = "an input that stayed at its limit for several samples " * 3
     run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
-    with chromium.Page(width=390, height=900) as page:
-        page.open(file)
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-        letters = "[...document.querySelectorAll('svg text')].map(t => parseFloat(getComputedStyle(t).fontSize)"
-        assert page.evaluate(f"Math.min(...{letters} * t.ownerSVGElement.clientWidth / 560))") > 9.0
-        assert page.evaluate("document.querySelector('.prose-last td:last-child').clientWidth") >= 200
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        assert page.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
+    browser.size(390, 900)
+    browser.open(file)
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    letters = "[...document.querySelectorAll('svg text')].map(t => parseFloat(getComputedStyle(t).fontSize)"
+    assert browser.evaluate(f"Math.min(...{letters} * t.ownerSVGElement.clientWidth / 560))") > 9.0
+    assert browser.evaluate("document.querySelector('.prose-last td:last-child').clientWidth") >= 200
+    browser.size(1400, 900)
+    browser.open(file)
+    assert browser.evaluate("(s => s.scrollWidth <= s.clientWidth)(document.querySelector('.wide .scroll'))")
 
 
-def test_few_bars_are_whole_on_a_telephone(tmp_path: Path) -> None:
+def test_few_bars_are_whole_on_a_telephone(tmp_path: Path, browser: chromium.Page) -> None:
     def ages(n: int) -> Bars:
         return Bars(title=f"{n}", categories=[str(i) for i in range(n)], groups=(BarGroup(label="share", values=[0.1] * n),))
 
     file = tmp_path / "page.html"
     file.write_text(Page("Bars", [Section(title="x", blocks=(ages(3), ages(20)))]).html(), encoding="utf-8")
-    with chromium.Page(width=390, height=800) as page:
-        page.open(file)
-        hidden = "[...document.querySelectorAll('.scroll')].map(s => s.scrollWidth - s.clientWidth > 1)"
-        assert page.evaluate(hidden) == [False, True]
+    browser.size(390, 800)
+    browser.open(file)
+    hidden = "[...document.querySelectorAll('.scroll')].map(s => s.scrollWidth - s.clientWidth > 1)"
+    assert browser.evaluate(hidden) == [False, True]
 
 
-def test_numbers_of_an_axis_leave_its_label_free(tmp_path: Path) -> None:
+def test_numbers_of_an_axis_leave_its_label_free(tmp_path: Path, browser: chromium.Page) -> None:
     t = np.arange(0.0, 10.0, 0.1)
     small = Figure(title="Small", y_label="angle", series=(Series(label="angle", x=t, y=-1e-5 - 1e-9 * np.sin(t)),))
     file = tmp_path / "page.html"
     file.write_text(Page("Small", [Section(title="x", blocks=(small,))]).html(), encoding="utf-8")
-    with chromium.Page(width=390, height=800) as page:
-        page.open(file)
-        shown = page.evaluate("hilPlots()[0].axes[1]._values.filter(v => v)")
-        assert "−1.0001e−5" in shown and "−1e−5" in shown and len(set(shown)) == len(shown)
-        room = "(u => { u.ctx.font = '11px ' + getComputedStyle(document.body).fontFamily; return u.axes[1]._size - 10 - 19 - "
-        room += "Math.max(...u.axes[1]._values.map(v => u.ctx.measureText(v || '').width)); })(hilPlots()[0])"
-        assert page.evaluate(room) >= 0
+    browser.size(390, 800)
+    browser.open(file)
+    shown = browser.evaluate("hilPlots()[0].axes[1]._values.filter(v => v)")
+    assert "−1.0001e−5" in shown and "−1e−5" in shown and len(set(shown)) == len(shown)
+    room = "(u => { u.ctx.font = '11px ' + getComputedStyle(document.body).fontFamily; return u.axes[1]._size - 10 - 19 - "
+    room += "Math.max(...u.axes[1]._values.map(v => u.ctx.measureText(v || '').width)); })(hilPlots()[0])"
+    assert browser.evaluate(room) >= 0
 
 
 STILLS = (  # boxes, numbers and words of each
@@ -219,37 +219,37 @@ SAVE = """((place, kind) => new Promise(done => {
 }))(%d, '%s')"""
 
 
-def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path) -> None:
+def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path, browser: chromium.Page) -> None:
     file = tmp_path / "page.html"
     file.write_text(page_of_panels(), encoding="utf-8")
-    with chromium.Page(width=1400, height=900) as page:
-        page.open(file)
-        assert page.evaluate("document.querySelectorAll('.save').length") == 3
-        name, csv, _ = page.evaluate(SAVE % (0, "CSV"))
-        head, *rows = csv.splitlines()
-        assert name.endswith("-1.csv") and head == 'time (s),"spread, upper","spread, lower",angle,coarse'
-        numbers = np.genfromtxt(rows, delimiter=",")
-        known = ~np.isnan(numbers[:, 3])
-        assert known.sum() > 500 and np.allclose(numbers[known, 3], np.sin(numbers[known, 0]), atol=1e-3)
-        name, svg, _ = page.evaluate(SAVE % (0, "SVG"))
+    browser.size(1400, 900)
+    browser.open(file)
+    assert browser.evaluate("document.querySelectorAll('.save').length") == 3
+    name, csv, _ = browser.evaluate(SAVE % (0, "CSV"))
+    head, *rows = csv.splitlines()
+    assert name.endswith("-1.csv") and head == 'time (s),"spread, upper","spread, lower",angle,coarse'
+    numbers = np.genfromtxt(rows, delimiter=",")
+    known = ~np.isnan(numbers[:, 3])
+    assert known.sum() > 500 and np.allclose(numbers[known, 3], np.sin(numbers[known, 0]), atol=1e-3)
+    name, svg, _ = browser.evaluate(SAVE % (0, "SVG"))
+    drawn = ElementTree.fromstring(svg)
+    tags = [element.tag.rpartition("}")[2] for element in drawn.iter()]
+    assert name.endswith("-1.svg") and tags.count("path") == 3 and tags.count("circle") > 50 and tags.count("line") == 1
+    texts = [element.text for element in drawn.iter() if element.tag.endswith("text")]
+    assert {"angle", "coarse", "spread", "time (s)", "10"} <= set(texts)
+    name, _, head_of_png = browser.evaluate(SAVE % (0, "PNG"))
+    assert name.endswith("-1.png") and head_of_png == [0x89, *b"PNG"]
+    assert not browser.problems and browser.requests[0] == file.resolve().as_uri()
+    still = tmp_path / "still.html"
+    still.write_text(page_of_stills(), encoding="utf-8")
+    browser.open(still)
+    for place, (boxes, csv, words) in enumerate(STILLS):
+        name, svg, _ = browser.evaluate(SAVE % (place, "SVG"))
         drawn = ElementTree.fromstring(svg)
-        tags = [element.tag.rpartition("}")[2] for element in drawn.iter()]
-        assert name.endswith("-1.svg") and tags.count("path") == 3 and tags.count("circle") > 50 and tags.count("line") == 1
-        texts = [element.text for element in drawn.iter() if element.tag.endswith("text")]
-        assert {"angle", "coarse", "spread", "time (s)", "10"} <= set(texts)
-        name, _, head_of_png = page.evaluate(SAVE % (0, "PNG"))
-        assert name.endswith("-1.png") and head_of_png == [0x89, *b"PNG"]
-        assert not page.problems and page.requests[0] == file.resolve().as_uri()
-        still = tmp_path / "still.html"
-        still.write_text(page_of_stills(), encoding="utf-8")
-        page.open(still)
-        for place, (boxes, csv, words) in enumerate(STILLS):
-            name, svg, _ = page.evaluate(SAVE % (place, "SVG"))
-            drawn = ElementTree.fromstring(svg)
-            fills = [element.get("fill") for element in drawn.iter() if element.tag.endswith("rect")]
-            assert len(fills) == 1 + boxes and all(fill.startswith("rgb(") for fill in fills), name  # the first is the ground
-            assert words <= {element.text for element in drawn.iter() if element.tag.endswith("text")}
-            assert page.evaluate(SAVE % (place, "CSV"))[1] == csv
-            assert page.evaluate(SAVE % (place, "PNG"))[2] == [0x89, *b"PNG"]
-        assert len(set(fills[1:])) == 4  # of the heat map: a colour for each value
-        assert not page.problems
+        fills = [element.get("fill") for element in drawn.iter() if element.tag.endswith("rect")]
+        assert len(fills) == 1 + boxes and all(fill.startswith("rgb(") for fill in fills), name  # the first is the ground
+        assert words <= {element.text for element in drawn.iter() if element.tag.endswith("text")}
+        assert browser.evaluate(SAVE % (place, "CSV"))[1] == csv
+        assert browser.evaluate(SAVE % (place, "PNG"))[2] == [0x89, *b"PNG"]
+    assert len(set(fills[1:])) == 4  # of the heat map: a colour for each value
+    assert not browser.problems

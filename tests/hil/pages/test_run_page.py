@@ -31,7 +31,7 @@ def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
 
 
 def test_report_of_a_timed_run_shows_lateness_and_marks_late_ticks() -> None:
-    run = run_of("dc-motor-1khz", 'duration="4.5 s"', timed=True)
+    run = run_of("dc-motor-1khz", 'duration="4.1 s"', timed=True)
     page = report(run)
     assert "timing valid" in page and "Round trip" in page and "SCHED_FIFO 60" in page
     late = [m for m in markers(view_of(run)) if m.state == "warning"]
@@ -51,7 +51,7 @@ def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
 
 
 def test_report_sets_sojourns_of_a_semi_markov_law_beside_it() -> None:
-    page = report(run_of("dc-motor-bursty"))
+    page = report(run_of("dc-motor-bursty", 'duration="20 s"'))
     assert "how long mode 0 lasted" in page and "sojourn law" in page
 
 
@@ -77,7 +77,7 @@ def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
 
 
 def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
-    page = report(run_of("smjls-robust", 'duration="1 s"'))
+    page = report(run_of("smjls-robust-published", 'duration="1 s"'))
     assert "no step" in page and "not settled" not in page and 'class="tile warning"' not in page
     assert "not settled" in report(run_of("dc-motor-hinf", 'duration="2 s"'))
 

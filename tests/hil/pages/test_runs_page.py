@@ -62,26 +62,26 @@ def test_a_folder_without_logs_and_options_of_one_run_are_refused(tmp_path: Path
 
 
 @pytest.mark.chromium
-def test_rows_are_filtered_and_choose_curves(folder: Path) -> None:
+def test_rows_are_filtered_and_choose_curves(folder: Path, browser: chromium.Page) -> None:
     index, *_ = hil.report(folder, force=True)
-    with chromium.Page(width=390, height=900) as page:
-        page.open(index)
-        assert page.evaluate("document.querySelector('td:has(input)').clientWidth") < 50, "a tick takes no room of its log"
-        assert page.evaluate("document.querySelector('.search [role=status]').getClientRects().length") == 1, "on one line"
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    with chromium.Page(width=1280, height=900) as page:
-        page.open(index)
-        rows = "[...document.querySelectorAll('table[data-searched] tbody tr')]"
-        seen = f"{rows}.filter(r => !r.hidden).map(r => r.cells[1].textContent)"
-        assert page.evaluate(seen) == ["motor-0.mcap", "motor-1.mcap", "omni.mcap", "torn.mcap"]
-        field = "document.querySelector('[type=search]')"
-        page.evaluate(f"(i => {{ i.value = 'hinf motor-1'; i.dispatchEvent(new Event('input')); }})({field})")
-        assert page.evaluate(seen) == ["motor-1.mcap"]
-        shown = "hilPlots().slice(0, 2).map(p => p.series.slice(1).map(s => s.show))"
-        assert page.evaluate(shown) == [[True, True], [True]]
-        page.evaluate(f"{rows}[1].querySelector('input').click()")
-        assert page.evaluate(shown) == [[False, True], [False]]
-        page.evaluate(f"{rows}[0].querySelector('input').click()")
-        said = page.evaluate("document.querySelector('.differences').textContent")
-        assert said.startswith("motor-0.mcap minus motor-1.mcap: ") and "squared tracking error (rad² s) " in said
-        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.size(390, 900)
+    browser.open(index)
+    assert browser.evaluate("document.querySelector('td:has(input)').clientWidth") < 50, "a tick takes no room of its log"
+    assert browser.evaluate("document.querySelector('.search [role=status]').getClientRects().length") == 1, "on one line"
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.size(1280, 900)
+    browser.open(index)
+    rows = "[...document.querySelectorAll('table[data-searched] tbody tr')]"
+    seen = f"{rows}.filter(r => !r.hidden).map(r => r.cells[1].textContent)"
+    assert browser.evaluate(seen) == ["motor-0.mcap", "motor-1.mcap", "omni.mcap", "torn.mcap"]
+    field = "document.querySelector('[type=search]')"
+    browser.evaluate(f"(i => {{ i.value = 'hinf motor-1'; i.dispatchEvent(new Event('input')); }})({field})")
+    assert browser.evaluate(seen) == ["motor-1.mcap"]
+    shown = "hilPlots().slice(0, 2).map(p => p.series.slice(1).map(s => s.show))"
+    assert browser.evaluate(shown) == [[True, True], [True]]
+    browser.evaluate(f"{rows}[1].querySelector('input').click()")
+    assert browser.evaluate(shown) == [[False, True], [False]]
+    browser.evaluate(f"{rows}[0].querySelector('input').click()")
+    said = browser.evaluate("document.querySelector('.differences').textContent")
+    assert said.startswith("motor-0.mcap minus motor-1.mcap: ") and "squared tracking error (rad² s) " in said
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -48,21 +47,6 @@ def page(tmp_path: Path) -> Any:
     page.begin()
     yield page
     page.end()
-
-
-@pytest.fixture(scope="module")
-def one_browser() -> Iterator[chromium.Page]:
-    with chromium.Page(width=1400, height=1000) as browser:
-        yield browser
-
-
-@pytest.fixture
-def browser(one_browser: chromium.Page) -> Iterator[chromium.Page]:
-    """The browser of the module, as if it were new: starting one takes seconds of CPU time."""
-    yield one_browser
-    one_browser.open("about:blank")
-    one_browser.problems.clear()
-    one_browser.requests.clear()
 
 
 def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, browser: chromium.Page) -> None:
@@ -243,7 +227,7 @@ def test_the_keyboard_alone_reaches_every_control_and_applies_a_change(page: Pag
         press(key, number, text)
         shows(browser, "document.activeElement.innerText", "Freeze")
         until(lambda left=left: page.view()["draft"]["state"] == left, left)
-        assert browser.evaluate("document.getElementById('apply')") is None
+        until(lambda: browser.evaluate("document.getElementById('apply')") is None, "the end of the button")
 
 
 def test_a_scope_names_an_input_and_its_disturbance_and_counts_no_slot_before_the_first_packet(

@@ -44,7 +44,7 @@ def test_a_prediction_over_many_modes_is_of_the_first_slots(tmp_path: Path, monk
     assert isinstance(found.blocks[0], Figure) and len(found.blocks[0].series[0].y) == 30
 
 
-@pytest.mark.parametrize("name", ["dc-motor-smith", "smjls-robust"])
+@pytest.mark.parametrize("name", ["dc-motor-smith", "smjls-robust-published"])
 def test_what_has_no_prediction_has_no_panel(tmp_path: Path, name: str) -> None:
     run = run_session(load_experiment(name, ["duration=2"]), path=tmp_path / "a.mcap").run
     assert theory_section(view_of(run)) is None
