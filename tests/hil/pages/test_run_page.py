@@ -83,7 +83,7 @@ def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
 
 
 def test_measured_mode_is_held_and_has_no_reference() -> None:
-    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault", 'duration="1 s"')))}
+    panels = {p.title: p for p in output_panels(view_of(run_of("vtol-fault-published", 'duration="1 s"')))}
     assert [s.style for s in panels["Detected mode"].series] == ["step"]
     assert [s.label for s in panels["Pitch rate"].series] == ["reference", "pitch rate"]
 
@@ -93,7 +93,7 @@ def test_measured_mode_is_held_and_has_no_reference() -> None:
     [
         ("dc-motor-hinf", ("× T (rad² s)", "last tenth (rad)", "largest input (V)")),
         ("vtol-hinf", ("× T (kn² s)", "last tenth (kn)", "largest input<")),
-        ("vtol-fault", ("× T (unit² s)", "last tenth (unit)", "horizontal velocity (kn)", "pitch rate (deg/s)")),
+        ("vtol-fault-published", ("× T (unit² s)", "last tenth (unit)", "horizontal velocity (kn)", "pitch rate (deg/s)")),
     ],
 )
 def test_summary_states_units(name: str, units: tuple[str, ...]) -> None:
