@@ -229,3 +229,26 @@ def test_no_process_of_a_loop_imports_cryptography_without_a_key(tmp_path: Path)
     for uri, there in (("can:hil:bare", "False"), (f"can:hil:keyed?auth={key}", "True")):
         done = subprocess.run([sys.executable, "-c", program, uri], capture_output=True, text=True, check=True)
         assert done.stdout.strip() == there, uri
+
+
+class Late(MemoryLink):
+    """An end on which what is foreign, then an answer comes, half a second of a clock apart."""
+
+    def __init__(self, clock: Clock, packets: list[bytes]) -> None:
+        self.clock, self.packets, self.waits = clock, packets, list[float]()
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        self.waits.append(timeout_s)
+        self.clock.s += 0.5
+        return self.packets.pop(0) if self.packets else None
+
+
+@pytest.mark.parametrize(("timeout_s", "arrives"), [(2.0, True), (0.4, False), (0.0, False)])
+def test_what_is_foreign_takes_of_the_wait_for_an_answer_and_does_not_end_it(timeout_s: float, arrives: bool) -> None:
+    wire = Wire()
+    wire.begin()
+    honest = wire.say(wire.controller, answer(3))
+    late = Late(wire.clock, [b"junk", honest])
+    wire.rig._link = late
+    assert (wire.rig.receive(timeout_s) == honest) is arrives
+    assert late.waits == ([2.0, 1.5] if arrives else [timeout_s])

@@ -130,7 +130,8 @@ def _faults(node: ast.AST) -> Iterator[tuple[ast.expr | ast.stmt, str]]:
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield node, str(not node.value)
     elif isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-        yield node, repr(node.value + 1)
+        if node.value + 1 != node.value:  # 1e60 + 1 is 1e60
+            yield node, repr(node.value + 1)
     elif isinstance(node, ast.If | ast.While | ast.IfExp):
         yield node.test, f"not ({ast.unparse(node.test)})"
     elif isinstance(node, ast.Return) and node.value is not None and ast.unparse(node.value) != "None":

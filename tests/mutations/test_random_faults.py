@@ -40,6 +40,7 @@ def kind(n: int = 3, *, loud: bool = True) -> str:
         ("x = a and b", {"x = (a or b)"}),
         ("x = a * b", {"x = (a / b)"}),
         ("x = f(3)", {"x = f((4))"}),
+        ("x = 1e60", set()),
         ("x = f(a, b)", {"x = (f(b, a))"}),
         ("x = f(a, a)", set()),
         ("x = max(a, b)", set()),

@@ -85,6 +85,13 @@ def test_uncertainty_is_constant_or_changes_at_its_period():
     assert all(-1.0 <= rho <= 1.0 for _, rho in seen["sampled"])
 
 
+def test_a_plant_without_uncertainty_states_none_and_a_fixed_one_is_that_plant():
+    assert SwitchedExample(uncertainty="none").jump_system().changes == ()
+    assert len(SwitchedExample().jump_system().changes) == 4
+    fixed = SwitchedExample(sigma=1.0, rho=-0.5)
+    assert fixed.jump_system().changes == () and fixed.jump_system().A[1] == fixed.matrices(2, 1.0, -0.5)[0]
+
+
 def test_another_uncertainty_leaves_the_jumps_where_they_were():
     a = SwitchedExample(uncertainty="none").start(np.random.default_rng(9))
     b = SwitchedExample(uncertainty="sampled").start(np.random.default_rng(9))

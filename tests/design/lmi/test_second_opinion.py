@@ -57,3 +57,13 @@ def test_unknowns_that_are_not_square_come_with_their_basis() -> None:
     program.require("stable", lambda U: symmetric_part(a + b @ U), "U")
     bases = {name: variable.basis for name, variable in program.variables.items()}
     assert second_opinion(program.inequalities, {"U": np.zeros((2, 3))}, bases=bases).holds
+
+
+def test_inequalities_that_exclude_each_other_have_no_matrices() -> None:
+    program = LmiProgram()
+    program.matrix("X", 1, 2)
+    program.require("above 1", lambda X: 1.0 - X[..., :1], "X", strict=False)
+    program.require("below 0", lambda X: X[..., :1], "X", strict=False)
+    theirs = second_opinion(program.inequalities, {"X": np.zeros((1, 2))})
+    assert not theirs.holds and theirs.status == "infeasible"
+    assert theirs.matrices["X"].shape == (1, 2) and np.isnan(theirs.matrices["X"]).all()

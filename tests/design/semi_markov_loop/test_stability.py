@@ -19,13 +19,14 @@ from design.as_printed.examples import (
 )
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.lmi.exact import prove
+from design.lmi.program import symmetric_part
 from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition, equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
-from design.semi_markov_loop.stability import analyse, largest_decay
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.stability import analyse, largest_decay, stability_inequalities
+from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 PROCESS = chapter2_process()
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
@@ -298,3 +299,36 @@ def test_a_rate_that_does_not_say_where_it_tends_to_is_undecided() -> None:
     process = SemiMarkov(rates=((None, Stranger()), (constant_rate(1.0), None)))
     found = analyse(autonomous([[-1.0]], [[-1.0]]), None, process, method="exact")
     assert found.verdict == "undecided" and "limit" in found.reason
+
+
+def test_an_uncertain_input_matrix_counts_through_the_gain_as_the_closed_loop_has_it() -> None:
+    """(dA, dB) = E delta (F_A, F_B) under u = K x is dA = E delta (F_A + F_B K) of a loop without an input."""
+    rng = np.random.default_rng(5)
+    a, b, gain = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 1)), constant_gain(rng.normal(size=(2, 1, 2)))
+    e, fa, fb = rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 2)), rng.normal(size=(2, 2, 1))
+    system = JumpSystem(a=a, b=b, uncertainty=NormBounded(e=e, fa=fa, fb=fb))
+    k = np.stack([gain.at(mode, 0.0) for mode in range(2)])
+    closed = JumpSystem(a=a + b @ k, b=0.0 * b, uncertainty=NormBounded(e=e, fa=fa + fb @ k, fb=0.0 * fb))
+    nothing = constant_gain(np.zeros((2, 1, 2)))
+    nodes = uniform(PROCESS, 2)
+    ours = stability_inequalities(system, gain, PROCESS, nodes, "pwl", 0.1)
+    theirs = stability_inequalities(closed, nothing, PROCESS, nodes, "pwl", 0.1)
+    assert len(ours) == len(theirs) > 8
+    found = {name: symmetric_part(rng.normal(size=(1, 1) if name.startswith("eps") else (2, 2)))
+             for item in ours for name in item.on}  # fmt: skip
+    for one, other in zip(ours, theirs):
+        given = [found[name] for name in one.on]
+        assert one.function(*given) == pytest.approx(other.function(*given), abs=1e-12)
+
+
+def test_a_gain_that_is_linear_in_the_sojourn_has_the_moments_of_its_integral() -> None:
+    """Scalar: x' = (a + b k(h)) x with k from k0 to k1 over 2 s and one rate out; E x^2 at the jump is an integral."""
+    a, b, k0, k1, span = 0.3, 0.5, -1.0, 0.4, 2.0
+    gain = ScheduledGain(gain=np.array([[[[k0]], [[k1]]]] * 2), starts_s=np.array([[0.0, span]] * 2), schedule="linear")
+    system = JumpSystem(a=np.full((2, 1, 1), a), b=np.full((2, 1, 1), b))
+    process = SemiMarkov(rates=((None, constant_rate(1.5)), (constant_rate(1.5), None)))
+    h = np.linspace(0.0, span, 20_001)
+    grown = 2.0 * (a * h + b * (k0 * h + (k1 - k0) * h**2 / (2.0 * span)))
+    within = np.trapezoid(1.5 * np.exp(grown - 1.5 * h), h)
+    beyond = 1.5 * np.exp(grown[-1] - 1.5 * span) / (1.5 - 2.0 * (a + b * k1))
+    assert second_moment_radius(system, gain, process) == pytest.approx(within + beyond, rel=1e-6)

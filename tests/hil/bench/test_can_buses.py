@@ -25,6 +25,7 @@ def test_every_bus_has_a_row_and_frames_in_time_have_an_error_beside_cyclictest(
     for row in (off, on, virtual):
         assert row["note"] == "" and row["lost"] == 0 and row["frames_s"] > 0 and 0 < row["p50_us"] <= row["p99_us"]
         assert row["times_off"] == pytest.approx(row["frames_s"] / off["frames_s"])
+        assert row["trip_times_off"] == pytest.approx(row["p50_us"] / off["p50_us"])
     assert on["frames_s"] < 1e6 / 112  # bits of its frames
     assert off["late_p99_us"] is None and on["late_p99_us"] >= on["late_p50_us"] > -1000  # two clocks, read one after the other
     if shutil.which("cyclictest"):

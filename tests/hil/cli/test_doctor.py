@@ -25,3 +25,10 @@ def test_what_is_fine_has_no_remedy() -> None:
               doctor._cpus(), doctor._packages(), doctor._loop(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
     for what, fine, finding, remedy in checks:
         assert finding and bool(remedy) is not fine, what
+
+
+@pytest.mark.parametrize(("median", "fine"), [(999.9, True), (1000.0, False)])
+def test_a_clock_is_judged_by_the_median_and_its_worst_is_shown(median: float, fine: bool) -> None:
+    what, found, said, remedy = doctor.clock_check("tsc", [5000.0, 10.0, median])
+    assert (what, found, bool(remedy)) == ("clock", fine, not fine)
+    assert said == "tsc; a 2 ms sleep ends 1000 us late (median), 5000 us at worst"

@@ -11,7 +11,10 @@ import pytest
 from design.requests.tracking import solve_tracking
 from hil.design_questions.design_problem import problem_for, tracking_target
 from hil.design_questions.measured_network import measured, over_network, region_verdict
+from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.log.recordings.read import read_recording
+from hil.log.recordings.recording import packet_records
 from tests.hil.cli.conftest import Hil
 from tests.transport.law_fit.synthetic_laws import DEADLINE, LAWS, T, record_of
 from transport.law_fit import fit_law
@@ -82,6 +85,9 @@ def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -
     assert status == 1
     assert "none of the laws" in out and "rejected" in out
     assert not (tmp_path / "law.toml").exists()
+    way = packet_records(read_recording([tmp_path / "rhythm.csv"]))[0]
+    with pytest.raises(HilError, match="there is nothing to design for; measure for longer"):
+        measured(fit_law(*way.values(), 0.01), holds_input=False)
 
 
 def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp_path: Path) -> None:

@@ -22,6 +22,16 @@ from tests.hil.cli.conftest import Hil
 PLAIN = Wanted(command=("true",))
 
 
+def test_a_machine_without_ip_is_told_which_package_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel.platform, "machine", lambda: "x86_64")
+    monkeypatch.setattr(kernel.shutil, "which", lambda program: None)
+    with pytest.raises(RunnerError, match="missing here: iproute2"):
+        kernel.need_machine(install=False)
+    monkeypatch.setattr(kernel.platform, "machine", lambda: "aarch64")
+    with pytest.raises(RunnerError, match="needs x86-64 Linux, this is linux on aarch64"):
+        kernel.need_machine(install=False)
+
+
 class NoCan(socket.socket):
     """What a kernel without CAN says."""
 

@@ -6,6 +6,7 @@ Where nothing is drawn the reference is the rig itself, run; where chance plays,
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from design.jump_linear.certificate import observed_part
 from design.jump_linear.mjls import MJLS
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
+from hil.plugins.checks import check_statements
 from hil.rig.loop_chains import settled
 from hil.runtime.virtual import simulate
 from tests.hil.compose.random_scheduled_loops import FAMILIES, clocked, composed, constant, experiment, grown, smith, table
@@ -269,3 +271,21 @@ def test_a_recording_behind_a_bus_with_time_is_judged_as_it_runs() -> None:
     made["network.ca"] = {"max_age": 1, "law": {"kind": "trace", "ages": [0, 1]}}
     loop = composed(made)
     assert loop.verdict is not None and loop.verdict.number == pytest.approx(grown(loop), rel=1e-3)
+
+
+@pytest.mark.parametrize("wrong", [list, lambda laws: laws[:-1], lambda laws: (*laws[:-1], None)], ids=["list", "few", "none"])
+def test_laws_of_ages_that_are_no_tuple_of_one_each_are_reported_to_their_author(wrong: Any) -> None:
+    loop = compose(load_experiment("dc-motor-smith"), certify=False)
+
+    @dataclass(frozen=True)
+    class Own:
+        selection: str = "applied"
+
+        def start(self, model: Any) -> Any:
+            return loop.controller.start(model)
+
+        def laws_of_ages(self, model: Any, ages: int) -> Any:
+            return wrong(loop.controller.laws_of_ages(model, ages))  # type: ignore[attr-defined]
+
+    with pytest.raises(AssertionError, match=r"laws_of_ages\(model, \d+\) returned .*, expected so many RowsLaw in a tuple"):
+        check_statements(Own(), loop.model)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from design.requests.historical import HistoricalDesigned
 from hil.cli import cli
-from hil.cli.design_answers import experiment_over_history
+from hil.cli.design_answers import experiment_over_history, historical_lines
 from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.design_questions.historical_bounds import judge_historical
@@ -59,6 +59,17 @@ def test_every_order_of_the_turns_is_tried() -> None:
         "nodes": ["first", "second", "third", "fourth"],
         "mean_cost": pytest.approx(2.0319, abs=1e-4),
     }
+
+
+def test_a_judgement_says_each_cost_once_and_why_there_is_no_bound() -> None:
+    found = {"experiment": "mine", "uses": "newest", "cost": 3.0, "mean_cost": 2.5, "bound_causal": 2.0, "gap": 0.25,
+             "bound_full_state": 1.5, "gains": [[[[0.1, 0.2]]], [[[0.3, 0.4]]]]}  # fmt: skip
+    said = historical_lines(found)
+    assert [line.split()[-1] for line in said[:3]] == ["newest", "3", "2.5"] and "2 (ours is 25.00 % above)" in said[3]
+    assert [line.split() for line in said[-2:]] == [["[0][0]", "0.1", "0.2"], ["[1][0]", "0.3", "0.4"]]
+    undecided = historical_lines(found | {"bound_causal": None, "gap": None, "cost_sd": 0.7})
+    assert "undecided: which node's packet arrives is not a Markov chain of its own" in undecided[4]
+    assert undecided[2].split()[-1] == "0.7" and len(undecided) == len(said) + 1
 
 
 def test_gains_over_a_history_of_random_turns_are_refused_before_any_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -24,6 +24,7 @@ from hil.experiment import (
     shipped,
 )
 from hil.experiment.schema import experiment_schema
+from hil.experiment.table import plain
 from hil.rig.named_files import with_law_files
 from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
@@ -113,13 +114,13 @@ FAULTS: list[tuple[str, str, str]] = [
     ("law that cannot be certified",
      law('{ kind = "packet", latency = { dist = "expon", scale = "1 ms" } }\nsc.max_age = 2'),
      "allow_uncertified"),
-    ("reference of the wrong width", changed("value = [3.0]", "value = [3.0, 1.0]"), "reference[0].value: 2 entries"),
+    ("reference of the wrong width", changed("value = [3.0]", "value = [3.0, 1.0]"), "reference[0].value: length 2, expected 1"),
     ("reference in the past", changed('at = "1 s"', 'at = "-1 s"'), "reference[0].at: -1 s is negative"),
     ("disturbance without samples", changed("samples = 2", "samples = 0"), "disturbance[0].samples: 0 is below 1"),
-    ("disturbance of the wrong width", changed("value = [0.1]", "value = []"), "disturbance[0].value: 0 entries"),
+    ("disturbance of the wrong width", changed("value = [0.1]", "value = []"), "disturbance[0].value: length 0, expected 1"),
     ("limit of an unknown state", changed("angle = 20.0", "angel = 20.0"), "limits.state.angel: the plant has no such state"),
     ("limit that is zero", changed("input = [5.0]", "input = [0.0]"), "limits.input[0]: 0 is not positive"),
-    ("limits of the wrong width", changed("input = [5.0]", "input = [5.0, 5.0]"), "limits.input: 2 entries"),
+    ("limits of the wrong width", changed("input = [5.0]", "input = [5.0, 5.0]"), "limits.input: length 2, expected 1"),
     ("watchdog of zero ticks", GOOD + "watchdog_slots = 0\n", "limits.watchdog_slots: 0 is below 1"),
     ("deadline beyond the period", GOOD + "[timing]\ndeadline = 1.5\n", "timing.deadline: 1.5"),
     ("priority out of range", GOOD + "[timing]\npriority = 99\n", "timing.priority: 99"),
@@ -347,3 +348,10 @@ def test_a_field_with_a_wrong_value_is_not_also_missing() -> None:
     assert reported.value.faults == [
         "fault[0].for: '3 parsecs' is not a duration: expected a number and one of s, ms, us, ns, min, h, as in 25ms or 1.5 h"
     ]
+
+
+def test_an_object_of_python_stands_in_a_resolved_experiment_by_its_class() -> None:
+    class Own:
+        pass
+
+    assert plain({"plant": [Own(), 3, None]}) == {"plant": [f"{__name__}.{Own.__qualname__}", 3, None]}

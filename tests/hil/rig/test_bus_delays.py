@@ -99,3 +99,11 @@ def test_a_cycle_is_computed_up_to_1024_slots(period: str, slots: int) -> None:
     assert len(found.sensor) == 1024 if slots == 1024 else found == (  # type: ignore[union-attr]
         "network.media.bus: its traffic comes again after 1025 slots, at most 1024 are computed with"
     )
+
+
+def test_ages_grow_from_slot_to_slot_of_a_cycle_until_its_packet_comes() -> None:
+    """One packet in three slots, in time or one slot late: backwards the same ages would fall."""
+    at = rig().at_controller._replace(max_age=5)
+    assert steps(chain_of_ages(((0, 0), None, None), at)) == {(0, 1), (1, 2), (2, 0)}
+    assert steps(chain_of_ages(((1, 1), None, None), at)) == {(1, 2), (2, 3), (3, 1)}
+    assert steps(chain_of_ages(((0, 1), None, None), at)) == {(0, 1), (1, 2), (2, 0), (2, 3), (3, 1)}

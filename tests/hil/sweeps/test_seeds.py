@@ -21,7 +21,7 @@ from design.monte_carlo.parallel_runs import Workers
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.sweeps.seeds import columns_of, here, run_sweep
+from hil.sweeps.seeds import _parts, columns_of, here, run_sweep
 from hil.sweeps.sweep import SweepStore
 from tests.file_limit import files_up_to
 from tests.waiting import until
@@ -238,3 +238,15 @@ def test_status_is_1_when_the_runs_did_not_suffice() -> None:
     refused = CliRunner().invoke(command, ["dc-motor-hinf", "--backend", "dask"])
     assert isinstance(refused.exception, HilError)
     assert "--scheduler" in str(refused.exception)
+
+
+def test_seeds_are_split_into_so_many_parts_that_each_worker_has_several() -> None:
+    seeds = range(1000)
+    parts = _parts(seeds, here(3), None)
+    assert [seed for part in parts for seed in part] == [*seeds] and {len(part) for part in parts[:-1]} == {25}
+    few = _parts(range(24), here(3), None)
+    assert len(few) == 12 and {len(part) for part in few} == {2}
+    assert [len(part) for part in _parts(seeds, here(3), 1000)] == [167] * 5 + [165]
+    assert [len(part) for part in _parts(seeds, here(1), 400)] == [400, 400, 200]
+    cores = len(os.sched_getaffinity(0))
+    assert len(_parts(range(8 * cores), here(-1), None)) == 4 * cores

@@ -14,9 +14,10 @@ from design.as_printed.chapter6 import (
 from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HeldDevice
+from design.passivity.loop import HeldDevice, push_response
 from design.passivity.transparency import distortion
 from hil.thesis import chapters, reproduce
+from hil.thesis.chapter6.equation_rows import loop_of
 from hil.thesis.chapter6.material_rows import LATER, OWN, materials
 from hil.thesis.chapter6.numbers import PASSIVITY, PUSH, passivity, push
 from hil.thesis.chapter6.statement_rows import STATEMENTS, statements
@@ -103,3 +104,14 @@ def test_the_printed_weighted_system_is_driven_by_nothing(cutoff, norm):
 def test_the_device_moves_at_once():
     late = next(r for r in judge(PUSH, push(DEVICE)) if "the delays of the responses" in r.item)
     assert late.verdict == "claim false" and late.witness[0].value > 1.0  # mm after one sample
+
+
+def test_figure_6_8_is_drawn_in_millimetres_of_the_depths_that_are_judged():
+    numbers = push(DEVICE)
+    materials, couplers = (panel.series for panel in numbers["figures"][0].panels)
+    final = [numbers["final"] - numbers["deeper"], numbers["final"], numbers["final"]]
+    assert [curve.y[-1] for curve in materials] == pytest.approx(final, rel=4e-4)  # not at rest yet
+    assert materials[0].y[1] == pytest.approx(numbers["start"], rel=1e-12) and materials[0].x[1] == PERIOD_S
+    for curve, coupler in zip(couplers, (wave_coupler(PERIOD_S, 1.9857, 6), theorem_61_coupler(1.9857))):
+        depth_m = push_response(loop_of(DEVICE, coupler), MATERIALS[0], 6, 0, 1.0, len(curve.x) - 1)
+        assert curve.y == pytest.approx(depth_m / 1e-3, rel=1e-12) and curve.x[-1] == pytest.approx(PERIOD_S * (len(curve.x) - 1))

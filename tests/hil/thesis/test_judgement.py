@@ -37,6 +37,14 @@ def test_verdicts_and_what_leads_to_each() -> None:
     assert row(claim, witness=witness, r=0.9, by="us").verdict == "reproduced"
 
 
+def test_a_check_that_is_off_has_a_larger_or_smaller_number_by_that_share() -> None:
+    checks = row(equal("x", "x", "2.0"), exactly("z", "z", 0, 0.1, 5.0), says("w", "w", "us"), x=2.02, z=0.01, w="us").checks
+    for share in (0.1, -0.1):
+        x, z, word = (check.off(share) for check in checks)
+        assert x is not None and x.value == pytest.approx(2.02 * (1.0 + share))
+        assert z is not None and z.value == pytest.approx(0.01 + share * 5.0) and word is None
+
+
 def test_a_row_without_a_check_is_refused() -> None:
     with pytest.raises(ValueError, match="no check"):
         Row(item="a", printed="1", computed="1", checks=())

@@ -226,3 +226,19 @@ def test_in_real_time_a_unit_that_crashes_ends_the_session_in_order(tmp_path: Pa
     assert process.returncode == 1 and "Traceback" not in err
     assert "killed by SIGSEGV" in next(e["message"] for e in read_run(log).events if e["kind"] == "plant failed")
     assert "SIGSEGV" in summary["problems"]["plant_failed"] and not left(temporary)
+
+
+@pytest.mark.parametrize(("ends", "status"), [("os._exit(7)", 7), ("os.kill(os.getpid(), signal.SIGKILL)", -9)])
+def test_a_runner_that_no_longer_answers_has_the_time_to_end_by_itself(ends: str, status: int) -> None:
+    """A process of the host's own, without a unit: it ends a tenth of a second later, or has ended before."""
+    for pause in ("time.sleep(0.1); ", ""):
+        code = (
+            "import os, signal, time\n"
+            "from plants.fmu_host import _how\n"
+            "pid = os.fork()\n"
+            f"if pid == 0: {pause}{ends}\n"
+            "runners = {pid: None}\n"
+            "print(_how(pid, runners), _how(pid, runners))\n"
+        )
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+        assert done.stdout.split() == [str(status)] * 2, done.stderr

@@ -1,6 +1,7 @@
 """Logs that hil did not write, or that were edited: one message names the field, for every kind that once ended elsewhere."""
 
 import math
+import struct
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ import pytest
 from mcap.writer import Writer
 
 from hil.errors import HilError
+from hil.log.events import encode_event
 from hil.log.read.run import check_events, check_topics, check_words, read_run
-from hil.log.records import Field, Schema
-from tests.hil.log.recording import TABLE
+from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Field, Schema
+from hil.log.write.mcap_sink import McapSink
+from tests.hil.log.recording import TABLE, provenance, record
 
 SCHEMAS = {topic: channel.schema for topic, channel in TABLE.items()}
 EVENT = {"tick": 3, "t_s": 0.15, "kind": "safety", "severity": "error", "message": "limit", "data": {}}
@@ -92,3 +95,17 @@ def test_an_experiment_of_other_types_is_named(path: str, value: Any) -> None:
 def test_a_summary_of_other_types_is_named(summary: dict[str, Any]) -> None:
     with pytest.raises(HilError, match="metadata summary: "):
         check_words({"seed": "7"}, {}, summary)
+
+
+def test_a_log_with_an_event_of_another_kind_is_refused_when_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "edited.mcap"
+    with McapSink(path, TABLE, provenance()) as sink:
+        record(sink, 3)
+        payload = bytearray(encode_event(0, "mark", "at no instant", tick=2, data={}))
+        struct.pack_into("<d", payload, len(CDR_HEADER), math.inf)
+        put = sink.channel(EVENTS_TOPIC)
+        assert put is not None
+        put(0, bytes(payload))
+        sink.summary({})
+    with pytest.raises(HilError, match="event 1: t_s: inf is no instant of a run"):
+        read_run(path)

@@ -141,6 +141,29 @@ def test_a_capture_of_ping(tmp_path: Path, order: str) -> None:
     np.testing.assert_allclose(only([capture(tmp_path / "ping.pcap", order=order)]), np.where(LOST, np.nan, LATENCY), atol=2e-6)
 
 
+LINKS = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0: 4, 108: 4}
+"""Bytes before an IP packet, by link type: LINKTYPE_ETHERNET, RAW, IPV4, IPV6, LINUX_SLL, LINUX_SLL2, NULL, LOOP."""
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize(("magic", "per_s"), [(0xA1B2C3D4, 1e6), (0xA1B23C4D, 1e9)])
+def test_a_capture_of_ping_over_ipv6_on_any_link(tmp_path: Path, link: int, magic: int, per_s: float) -> None:
+    """Three requests, of which the second has no answer; a packet of another protocol and one of version 5 are none."""
+    path, here, there = tmp_path / "ping.pcap", bytes(15) + b"\1", bytes(15) + b"\2"
+    frames = [(0.0, 58, 128, 0), (0.25, 58, 129, 0), (1.0, 58, 128, 1), (1.1, 17, 129, 1), (2.0, 58, 128, 2), (2.5, 58, 129, 2)]
+    with path.open("wb") as file:
+        file.write(struct.pack("<IHHiIII", magic, 2, 4, 0, 0, 65535, link))
+        for t, protocol, kind, number in [(0.0, 58, 128, -1), *frames]:
+            ends = here + there if kind == 128 else there + here
+            first = 0x60000000 if number >= 0 else 0x50000000
+            data = bytes(LINKS[link]) + struct.pack(">IHBB", first, 8, protocol, 64) + ends
+            data += struct.pack(">BBHHH", kind, 0, 0, 77, max(number, 0))
+            file.write(struct.pack("<IIII", 9 + int(t), round(t % 1 * per_s), len(data), len(data)) + data)
+    way = read_recording([path]).ways["round trip"]
+    assert way.sent_s.tolist() == [0.0, 1.0, 2.0]
+    np.testing.assert_allclose(way.difference_s, [0.25, np.nan, 0.5], rtol=1e-6)
+
+
 def zenoh_echo(path: Path, *, ports: tuple[int, ...] = ()) -> Path:
     """What tcpdump took on lo beside `hil probe zenoh:tcp/127.0.0.1:17447 --both`; of these destination ports only."""
     data = gzip.decompress((DATA / "zenoh-echo.pcap.gz").read_bytes())

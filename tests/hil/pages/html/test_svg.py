@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import BarGroup, Bars, Histogram, Scene, Shape
+from hil.pages.html.figures import BarGroup, Bars, Histogram, Marker, Scene, Shape
 from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene
 
 PICTURES = {
@@ -49,3 +49,15 @@ def test_words_of_a_scene_stay_inside_and_shapes_have_the_ink_of_their_number() 
     anchors = dict(re.findall(r'text-anchor="(\w+)"[^>]*>(west|amid|east)<', svg))
     assert {anchors[anchor]: anchor for anchor in anchors} == {"west": "start", "amid": "middle", "east": "end"}
     assert "stroke:var(--text)" in svg and "fill:var(--c2)" in svg
+
+
+@pytest.mark.parametrize("x_log", [False, True])
+def test_a_mark_is_a_line_at_its_number_and_its_words_stay_inside(x_log: bool) -> None:
+    marks = tuple(Marker(x=x, label=f"mark {x:g}", state=state) for x, state in ((1.0, "bad"), (4.0, "good"), (9.0, "bad")))
+    histogram = Histogram(title="n", edges=np.array([1.0, 2.0, 4.0, 8.0]), counts=np.ones(3), x_log=x_log, markers=marks)
+    svg = draw_histogram(histogram)
+    states, at = zip(*re.findall(r'class="mark mark-(\w+)" d="M([\d.]+) ', svg))
+    share = 2.0 / 3.0 if x_log else 3.0 / 7.0
+    assert states == ("bad", "good"), "a mark beyond the edges is left out"
+    assert [float(x) for x in at] == pytest.approx([58.0, 58.0 + share * (548.0 - 58.0)], abs=0.1)
+    assert "mark 1<" in svg and "mark 4<" in svg and "mark 9" not in svg

@@ -9,7 +9,7 @@ import struct
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,7 @@ from hil.pages.live.scopes import Tail, Window, picture, thinned
 from hil.pages.live.script import Scripted, read_script
 from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS
 from hil.pages.live.side import Side
-from hil.pages.live.watch import Asked, watch
+from hil.pages.live.watch import Asked, _run, watch
 from hil.session import Session, run_session
 from hil.session.replay.recorded import changes_of
 from tests.waiting import until
@@ -115,6 +115,26 @@ def page(tmp_path: Path) -> Iterator[Page]:
     page.begin()
     yield page
     page.end()
+
+
+def test_virtual_time_is_paced_and_begins_at_once_unless_it_is_held(tmp_path: Path) -> None:
+    plain = asked(tmp_path, "dc-motor-hinf", [])
+    begun, held = plain.pacer(), replace(plain, held=True).pacer()
+    assert begun is not None and held is not None and (begun.held, held.held) == (False, True)
+    assert replace(plain, clock="real").pacer() is None
+
+
+def test_a_page_says_what_it_waits_for_before_a_run_begins(tmp_path: Path) -> None:
+    waits: list[str] = []
+
+    def path(experiment: Experiment) -> Path:
+        waits.append(side.waits)
+        raise HilError("no log")
+
+    side = Side()
+    with pytest.raises(HilError, match="no log"):
+        _run([replace(asked(tmp_path, "dc-motor-hinf", []), path=path)], [side], None, None)
+    assert waits == ["composing dc-motor-hinf: gains and certificate"] and side.status == "ended"
 
 
 def test_a_spike_is_never_thinned_away() -> None:
