@@ -24,11 +24,12 @@ def bus_directory(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 @needs_compiler
 def test_every_link_gets_a_row_with_its_ratio_to_the_floor_and_nothing_stays_behind(bus_directory: Path) -> None:
-    links = ("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}", "plain-zenoh:unixsock-stream/{folder}/plain")
+    plain = ("plain-zenoh:unixsock-stream/{folder}/plain", "plain-unix:{folder}/sockets")
+    links = ("can:hil:bench", "zenoh:tcp/127.0.0.1:{port}", *plain)
     rows = bench_links(500.0, 0.2, links=links)
     assert [(row["link"], row["affinity"]) for row in rows] == [
         (FLOOR, "free"), ("can:hil:bench", "free"), ("zenoh:tcp/127.0.0.1:*", "free"), ("zenoh:tcp/127.0.0.1:*", "shared"),
-        ("plain-zenoh:unixsock-stream/*/plain", "free"),
+        ("plain-zenoh:unixsock-stream/*/plain", "free"), ("plain-unix:*/sockets", "free"),
     ]  # fmt: skip
     for row in rows:
         assert row["note"] == "" and 0 <= row["lost"] < 100 and row["lost"] / 100 <= row["late_share"] <= 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from hil.bench import soak
 from hil.bench.soak import PROCESSES, _memory, _predicted, _processes, _resident_kb, _watch, bench_soak, judge, slope
+from hil.errors import HilError
 
 
 def test_the_interval_covers_the_slope_as_often_as_it_says() -> None:
@@ -39,17 +41,37 @@ def test_too_few_samples_are_refused() -> None:
         slope(np.arange(19.0), np.arange(19.0))
 
 
-@pytest.mark.slow
 @pytest.mark.realtime
-def test_a_short_soak_measures_every_process_the_log_and_the_sessions() -> None:
-    row = bench_soak(duration_s=5.0, sessions=1, at_once=2)
-    assert row["slots"] == 5000 or row["status"] != 0
-    assert row["dropped"] == 0 and 0.5 < row["log_ratio"] < 2.0
+def test_a_short_soak_measures_every_process_the_log_and_the_sessions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(soak, "SHORT_S", 0.2)
+    said: list[str] = []
+    row = bench_soak(duration_s=2.5, at_once=1, progress=said.append)
+    assert said == ["1 kHz for 2.5 s over can:hil", "at once: 1 of 1, 1 sessions of 0.2 s"]
+    assert row["slots_expected"] == 2500 and (row["slots"] == 2500 or row["status"] != 0)
+    assert (row["safety"] is None) == (row["status"] != soak.SAFETY)
+    assert row["dropped"] == 0 and row["log_ratio"] == pytest.approx(row["log_bytes"] / row["log_predicted"])
+    assert row["log_bytes"] > 200 * row["slots"] and 0.2 < row["log_ratio"] < 5.0
     assert [each["process"] for each in row["memory"]] == ["session", "rig", "controller"]
     assert all(10 < each["mb"] < 1000 and each["plus_minus"] >= 0 for each in row["memory"])
-    assert sum(row["in_a_row"].values()) == 1 and sum(row["at_once"].values()) == 2
+    assert row["in_a_row"] is None and sum(row["at_once"].values()) == 1
+    assert row["short_dropped"] == {"at once": 0} and 0.0 <= row["overrun_share"] <= 1.0
+    assert not {"1", "2"} & {*row["at_once"]}  # each ran to its end, whatever the machine made of its timing
+    beside = row["cyclictest_us"]
+    assert (beside is None) == (row["cyclictest_missed_share"] is None) == (shutil.which("cyclictest") is None)
+    for late in (row["lateness_us"], *([beside] if beside else [])):
+        assert 0 < late["p50"] <= late["p99"] <= late["max"]
     assert bool(row["why"]) == (row["verdict"] != "holds")
-    assert not {"1", "2"} & {*row["in_a_row"], *row["at_once"]}  # each ran to its end, whatever the machine made of its timing
+
+
+def test_a_session_without_a_summary_or_of_few_samples_is_no_soak(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the place of a session: a program that ends at once."""
+    for written, said in (("", "ended with status 7 and without a summary"), ("{}", r"only 0 samples .*\(status 7\)")):
+        program = f"from pathlib import Path; Path('0.json').write_text('{written}'); raise SystemExit(7)"
+        words = [sys.executable, "-c", program]
+        monkeypatch.setattr(soak, "_start", lambda folder, *_, words=words: subprocess.Popen(words, cwd=folder))
+        monkeypatch.setattr(soak.shutil, "which", lambda name: None)
+        with pytest.raises(HilError, match=said):
+            bench_soak(duration_s=1.0)
 
 
 def test_memory_that_stays_exactly_the_same_has_no_slope() -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import os
+import threading
+from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 
-from hil.bench.timing import bench_timing, read_cyclictest
+from hil.bench.timing import bench_live, bench_timing, read_cyclictest, read_page
 from hil.errors import HilError
 
 
@@ -49,3 +52,47 @@ def test_two_experiments_are_measured_in_turns() -> None:
     assert [row["experiment"] for row in rows] == ["dc-motor-1khz", "omni-1khz"]
     assert all(row["slots"] == 600 and row["dropped_records"] == 0 and row["period_s"] == 1e-3 for row in rows)
     assert rows[-1]["round_trip_ratio"] == 1.0
+
+
+@pytest.mark.realtime
+def test_readers_of_the_live_page_are_counted_beside_a_session_without(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hil.bench.timing.READERS", (0, 1))
+    said: list[str] = []
+    link = f"can:hil:live{os.getpid()}"
+    rows = bench_live(duration_s=0.8, turns=1, link=link, experiment="dc-motor-1khz", progress=said.append)
+    assert said == [f"turn 1 of 1: dc-motor-1khz over {link}, {n} readers" for n in (0, 1)]
+    assert [(row["readers"], row["slots"], row["dropped_records"]) for row in rows] == [(0, 800, 0), (1, 800, 0)]
+    assert rows[0]["pictures"] == 0 and all(row["pictures"] >= 0 and 0 <= row["missed"] <= 1600 for row in rows)
+    for row in rows:
+        for q in ("p50", "max"):
+            assert row["ratio"][q] == pytest.approx(row["lateness_us"][q] / max(rows[0]["lateness_us"][q], 1.0))
+
+
+def test_a_reader_asks_as_the_page_does_until_the_server_ends() -> None:
+    """Every eighth time for words too; what no server answers are no pictures."""
+
+    class Server(BaseHTTPRequestHandler):
+        asked: ClassVar[list[str]] = []
+
+        def do_GET(self) -> None:
+            self.asked.append(self.path)
+            if len(self.asked) > 17:
+                self.connection.close()
+                return
+            self.send_response(200)
+            self.send_header("Content-Length", "2")
+            self.end_headers()
+            self.wfile.write(b"{}")
+
+        def log_message(self, format: str, *args: object) -> None:
+            pass
+
+    with HTTPServer(("127.0.0.1", 0), Server) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        assert read_page(f"127.0.0.1:{server.server_port}") == 17
+        server.shutdown()
+        thread.join()
+    assert [n for n, path in enumerate(Server.asked) if path.endswith("&words=1")] == [0, 8, 16]
+    assert {path.removesuffix("&words=1") for path in Server.asked} == {"/view?columns=1000"}
+    assert read_page(f"127.0.0.1:{server.server_port}") == 0
