@@ -251,6 +251,4 @@ def _descend(records: Sequence[Record], at: _Point) -> _Point:
             if share < 1e-4:
                 return at
         at = _project(records, at.pole + share * step)
-        if abs(share * step) <= 1e-11 * max(abs(at.pole), 1e-3):
-            return at
     return at

@@ -222,10 +222,7 @@ def _long(folder: Path, duration_s: float) -> Row:
         summary = json.loads((folder / "0.json").read_text())
     except ValueError:
         raise HilError(f"the session ended with status {status} and without a summary") from None
-    missed = beside_us = None
-    if beside is not None and output.exists():
-        late_us, count = read_cyclictest(output, period_us)
-        beside_us, missed = percentiles(late_us), count / max(len(late_us), 1)
+    beside_us, missed = _beside(output, period_us)
     t, log = np.array(seen.t_s), np.array(seen.log, dtype=float)
     if len(t) < 4 * BATCHES:
         raise HilError(f"only {len(t)} samples were taken (status {status}): let it run longer")
@@ -240,6 +237,14 @@ def _long(folder: Path, duration_s: float) -> Row:
         "log_bytes": size, "log_predicted": predicted, "log_ratio": size / predicted,
         "memory": [_memory(name, t, np.array(seen.kb[name])) for name in PROCESSES],
     }  # fmt: skip
+
+
+def _beside(output: Path, period_us: int) -> tuple[dict[str, float | None] | None, float | None]:
+    """Return how late cyclictest was, us, and the share of its cycles that it missed; None where it has written nothing."""
+    if not output.exists():
+        return None, None
+    late_us, missed = read_cyclictest(output, period_us)
+    return percentiles(late_us), missed / max(len(late_us), 1)
 
 
 def _predicted(t: Floats, log: Floats, duration_s: float) -> float:

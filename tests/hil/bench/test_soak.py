@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from hil.bench import soak
-from hil.bench.soak import PROCESSES, _memory, _predicted, _processes, _resident_kb, _watch, bench_soak, judge, slope
+from hil.bench.soak import PROCESSES, _beside, _memory, _predicted, _processes, _resident_kb, _watch, bench_soak, judge, slope
 from hil.errors import HilError
 
 
@@ -149,6 +150,16 @@ def test_the_size_of_a_log_is_predicted_by_its_growth_in_the_second_tenth() -> N
     assert _predicted(t, log, 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
     few = t <= 15.0  # of a session that ended early
     assert _predicted(t[few], log[few], 100.0) == pytest.approx(30.0 + 7.0 * 90.0)
+
+
+def test_what_cyclictest_wrote_stands_beside_and_nothing_where_it_did_not_run(tmp_path: Path) -> None:
+    output = tmp_path / "cyclictest.json"
+    assert _beside(output, 1000) == (None, None)
+    output.write_text(json.dumps({"thread": {"0": {"histogram": {"20": 97, "2500": 1}}}}))  # 1.5 and 0.5 ms late were missed
+    late_us, missed = _beside(output, 1000)
+    assert late_us is not None and (late_us["p50"], late_us["max"], missed) == (20.0, 2500.0, 0.02)
+    output.write_text(json.dumps({"thread": {"0": {"histogram": {}}}}))
+    assert _beside(output, 1000)[1] == 0.0
 
 
 class Session:

@@ -9,9 +9,10 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 from typing import ClassVar
 
+import numpy as np
 import pytest
 
-from hil.bench.timing import bench_live, bench_timing, read_cyclictest, read_page
+from hil.bench.timing import Turn, _row, bench_live, bench_timing, read_cyclictest, read_page
 from hil.errors import HilError
 
 
@@ -96,3 +97,19 @@ def test_a_reader_asks_as_the_page_does_until_the_server_ends() -> None:
     assert [n for n, path in enumerate(Server.asked) if path.endswith("&words=1")] == [0, 8, 16]
     assert {path.removesuffix("&words=1") for path in Server.asked} == {"/view?columns=1000"}
     assert read_page(f"127.0.0.1:{server.server_port}") == 0
+
+
+def turn(lateness_us: list[float], beside_us: list[float], missed: int, dropped: int) -> Turn:
+    ticks = np.zeros(len(lateness_us), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("late", "?"), ("overrun", "?")])
+    ticks["lateness_us"], ticks["round_trip_us"] = lateness_us, 100.0
+    ticks["late"][0] = ticks["overrun"][:2] = True
+    return Turn(1e-3, ticks, np.array(beside_us), missed, {"log": {"dropped": dropped}, "timing": {"scheduler": "fifo"}})
+
+
+def test_a_row_is_of_all_turns_together_and_compares_with_cyclictest_of_the_same_time() -> None:
+    row = _row("mine", "can:hil:x", "free", [turn([40.0] * 10, [20.0] * 10, 1, 2), turn([80.0] * 30, [20.0] * 30, 3, 4)])
+    assert (row["slots"], row["turns"], row["dropped_records"], row["late"], row["overruns"]) == (40, 2, 6, 2, 4)
+    assert (row["late_share"], row["overrun_share"], row["cyclictest_missed_share"]) == (0.05, 0.1, 0.1)
+    assert row["ratio"]["p50"] == 4.0 and row["lateness_us"]["max"] == 80.0 and row["round_trip_us"]["p50"] == 100.0
+    at_once = _row("mine", "can:hil:x", "free", [turn([40.0] * 10, [0.0] * 10, 0, 0)])
+    assert at_once["ratio"]["p50"] == 40.0, "cyclictest counts whole microseconds: less than one is one"

@@ -1,6 +1,7 @@
 """Chapter 6: verdicts with the numbers that they rest on, and verdicts that turn with them."""
 
 import pytest
+from scipy.stats import chi2
 
 from design.as_printed.chapter6 import (
     LAMBDA,
@@ -17,7 +18,7 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HeldDevice, push_response
 from design.passivity.transparency import distortion
 from hil.thesis import chapters, reproduce
-from hil.thesis.chapter6.equation_rows import loop_of
+from hil.thesis.chapter6.equation_rows import WALL, loop_of, wall
 from hil.thesis.chapter6.material_rows import LATER, OWN, materials
 from hil.thesis.chapter6.numbers import PASSIVITY, PUSH, passivity, push
 from hil.thesis.chapter6.statement_rows import STATEMENTS, statements
@@ -115,3 +116,13 @@ def test_figure_6_8_is_drawn_in_millimetres_of_the_depths_that_are_judged():
     for curve, coupler in zip(couplers, (wave_coupler(PERIOD_S, 1.9857, 6), theorem_61_coupler(1.9857))):
         depth_m = push_response(loop_of(DEVICE, coupler), MATERIALS[0], 6, 0, 1.0, len(curve.x) - 1)
         assert curve.y == pytest.approx(depth_m / 1e-3, rel=1e-12) and curve.x[-1] == pytest.approx(PERIOD_S * (len(curve.x) - 1))
+
+
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.99, "reproduced"), (1.01, "not reproduced"), (9.9, "not reproduced"), (10.1, "claim false")]
+)
+def test_that_the_material_has_a_memory_takes_ten_times_what_chance_gives(share, verdict):
+    numbers = wall()
+    assert numbers["limit"] == pytest.approx(float(chi2.isf(1e-3, numbers["freedom"])))
+    found = {row.item.partition(":")[0]: row.verdict for row in judge(WALL, numbers | {"G": share * numbers["limit"]})}
+    assert found["6.1"] == verdict

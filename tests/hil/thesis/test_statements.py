@@ -40,6 +40,11 @@ def test_a_statement_says_what_and_not_where(tables: list[tuple[str, Statement]]
     assert [(room, each.item) for room, each in tables if not each.item.strip() or PLACE.fullmatch(each.item)] == []
 
 
+def test_what_is_printed_fits_into_its_column_and_has_no_place_before_it(tables: list[tuple[str, Statement]]) -> None:
+    assert [(room, each.item) for room, each in tables if ": " in each.printed or len(each.printed) > 50] == []
+    assert sum(": " in each.item for _, each in tables) > 200
+
+
 def test_what_is_claimed_has_the_name_of_a_number(tables: list[tuple[str, Statement]]) -> None:
     claims = [(room, each.item, c) for room, each in tables for c in (*each.claims, *each.witness, *each.beside)]
     assert len(claims) > 500
