@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from design.as_printed.chapter5 import historical_gains, newest_gains
-from design.historical_data.block_diagonal import tangent_scheme
-from design.historical_data.lifted_loop import DelayedPlant
+from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue, tangent_scheme
+from design.historical_data.guaranteed_cost import cost, start_at, stationary_cost
+from design.historical_data.least_cost import OrderCost, PeakMatch, cyclic_orders
+from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
@@ -96,6 +98,54 @@ def test_remark_5_2_uses_what_a_delay_has_not_brought_and_the_shifted_mask_does_
     assert delay(prompt, late) == {"missing": 8, "shifted": 0}
     assert delay(prompt, prompt) == {"missing": 0, "shifted": 8}
     assert delay(prompt, np.roll(prompt, 1, axis=0))["shifted"] == 40
+
+
+def test_rows_beyond_the_chapter_say_what_was_found_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With answers in the place of minutes of search; costs, noise and the inequality are computed of them."""
+    asked: list[tuple[Any, ...]] = []
+    mask, gains = mask_of(round_robin(4, buffer=3)), (historical_gains(), newest_gains())
+    J = [cost(close(PLANT, each), start_at(X0, 4, 0)) for each in gains]
+    zero, P = np.zeros((4, 4, 1, 4)), 100.0 * np.eye(4)
+    proof = BlockDiagonalProof(P, np.repeat(np.eye(4)[None], PLANT.memory, axis=0), zero, (40.0, 30.0, 25.0))
+
+    def matched(plant: DelayedPlant, mask: Any, x0: Any, phase: int, peak: float) -> PeakMatch:
+        asked.append((plant is PLANT, mask.sum(), tuple(x0), phase))
+        return PeakMatch(0.5, zero, peak - 0.25, 10.0)
+
+    orders = [OrderCost((0, 2, 1, 3), gains[1], 2.0), OrderCost((0, 1, 2, 3), gains[0], 2.5)]
+    for name, answer in (
+        ("match_peak", matched), ("orders_by_cost", lambda plant, nodes, start: orders),
+        ("common_bound", lambda loop, start: (float(start @ start), P)), ("tangent_scheme", lambda *given: proof),
+        ("cone_complementarity", lambda plant, mask, x0, bound: proof._replace(bounds=(bound,))),
+    ):  # fmt: skip
+        monkeypatch.setattr(f"hil.thesis.chapter5.further.{name}", answer)
+    found = further(PLANT, lambda text, done=0, total=0, /: None)
+    assert asked == [(True, mask.sum(), tuple(X0), 0)] * 2 and found["missing"] > 0 == found["shifted"]
+    assert found["J"] == pytest.approx(J) and found["share"] == pytest.approx([10.0 / each for each in J])
+    assert found["peaks"] == pytest.approx([15.93, 2.59], rel=2e-3) or found["peaks"] == pytest.approx([2.59, 15.93], rel=2e-3)
+    assert found["more"] == pytest.approx([-0.25, -0.25]) and found["order"] == 1.25
+    assert found["orders"] == "1-3-2-4 2.0000, 1-2-3-4 2.5000"
+    noise = [stationary_cost(PLANT, each, 0.1) for each in (*gains, gains[0])]
+    assert found["noise"] == pytest.approx(noise) and found["bound"] == X0 @ X0
+    turned = [cost(close(PLANT, gains[0][list(order)]), start_at(X0, 4, 0)) for order in cyclic_orders(4)]
+    assert found["worst"] == pytest.approx(max(turned)) and len(turned) == 6
+    variant = variant_plant(PLANT)
+    worst = max(cost(close(variant, zero), start_at(X0, 4, phase)) for phase in range(4))
+    numbers = {"first": 40.0, "bound": 25.0, "steps": 2, "saved": 15.0, "worst": worst / 25.0}
+    assert found["tangent"] == pytest.approx(numbers | {"eigenvalue": largest_eigenvalue(variant, zero, P, proof.Q)})
+    assert (found["cone"]["first"], found["cone"]["bound"], found["cone"]["steps"]) == (14.8, 14.8, 0)
+    tangent, cone = numbers | {"eigenvalue": -1e-9, "worst": 0.99}, found["cone"] | {"eigenvalue": -1e-9, "bound": 14.7}
+    good = found | {"bound": found["worst"] + 1e-6, "order": 1.004, "tangent": tangent, "cone": cone}
+    said = verdicts(FURTHER, good)
+    assert len(said) == 8 and sorted(said.values()) == ["claim false"] + ["reproduced"] * 7
+    for wrong in (
+        {"more": [1e-3, 0.0]}, {"share": [1.01, 0.5]}, {"order": 1.006}, {"noise": [2.0, 1.0, 3.0]},
+        {"bound": found["worst"] - 1e-6}, {"tangent": tangent | {"saved": -1e-9}}, {"tangent": tangent | {"eigenvalue": 1e-9}},
+        {"tangent": tangent | {"worst": 1.01}}, {"cone": cone | {"bound": 14.9}}, {"cone": cone | {"eigenvalue": 1e-9}},
+        {"shifted": 1},
+    ):  # fmt: skip
+        turns = changed(said, verdicts(FURTHER, good | wrong))
+        assert len(turns) == 1, (wrong, turns)
 
 
 @pytest.mark.slow
