@@ -120,6 +120,8 @@ class LazyGroup(click.Group):
                 raise
             print("\nhil: interrupted", file=sys.stderr)
             sys.exit(at.status if isinstance(at, Terminated) else 130)
+        except click.exceptions.NoArgsIsHelpError:
+            raise
         except click.UsageError as e:
             from hil.cli.option_types import expected, near_options, suggestion
 

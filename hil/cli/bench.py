@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli.option_types import Duration, Questions
+from hil.cli.option_types import Duration, Questions, Within
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
@@ -172,7 +172,7 @@ def _us(lateness: dict[str, float | None]) -> str:
 @click.command()
 @click.argument("link", metavar="LINK")
 @click.option("--seconds", "--for", "seconds", type=Duration(0.1, 86_400), default="30s", show_default=True, help="For how long.")
-@click.option("--rate", type=click.FloatRange(0.1, 10_000), default=100.0, show_default=True, help="Frames per second.")
+@click.option("--rate", type=Within(0.1, 10_000), default=100.0, show_default=True, help="Frames per second.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the log here [link.mcap].")
 @click.option("--answer", "answers", is_flag=True, help="Be the other end: answer until Ctrl-C, and log nothing.")
 @click.option("--both", is_flag=True, help="Be both ends, for a link within this machine.")

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.option_types import Duration, NumberList, Ratio
+from hil.cli.option_types import LARGEST, Duration, NumberList, Ratio, Within
 from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, json_option, print_facts
 from hil.errors import HilError
@@ -22,9 +22,9 @@ VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, ov
 @click.command()
 @click.option("--period", type=Duration(above=True), default="1ms", show_default=True, help="Sample period T.")
 @click.option("--delay", type=NumberList(whole=True), default="0..6", show_default=True, help="Delays in samples that are safe.")
-@click.option("--hand", type=click.FloatRange(min=0.0), default=0.0, show_default=True, help="Least damping of a hand in N s/m.")
-@click.option("--damping", type=click.FloatRange(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
-@click.option("--stiffness", type=click.FloatRange(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
+@click.option("--hand", type=Within(min=0.0), default=0.0, show_default=True, help="Least damping of a hand in N s/m.")
+@click.option("--damping", type=Within(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
+@click.option("--stiffness", type=Within(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
 @click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
 @click.option("--varying", is_flag=True, help="Safe while the delay of one direction varies from sample to sample.")
 @click.option("--weight", type=Ratio(), help="W(z) whose largest |W C| is least, such as 1,-0.97/1,-0.9, in powers of 1/z.")
@@ -134,8 +134,8 @@ def stiffness_map(
     from plants.omni import Omni
     from plants.parts.hand import Hand
 
-    if not (lever > 0.0 and lever < float("inf")):
-        raise HilError(f"--lever: {lever!r}, expected a finite number above 0")
+    if not 1.0 / LARGEST <= lever <= LARGEST:
+        raise HilError(f"--lever: {lever!r}, expected a number above 0, and of a length that there is")
     if max(delay) > 40:
         raise HilError(f"--delay: {max(delay):g}; a coupler for every delay up to it takes minutes, expected at most 40")
     if output is not None:

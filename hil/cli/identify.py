@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.laws import files_of
-from hil.cli.option_types import Duration, Questions
+from hil.cli.option_types import Duration, Questions, Within
 from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded
 from hil.errors import HilError
 
@@ -46,7 +46,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.command()
 @click.argument("files", metavar="FILE...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--period", type=Duration(above=True), help="Length of a slot [the time between two packets].")
-@click.option("--deadline", type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True), default=0.6, show_default=True,
+@click.option("--deadline", type=Within(0.0, 1.0, min_open=True, max_open=True), default=0.6, show_default=True,
               help="When a slot closes, as a share of it.")  # fmt: skip
 @click.option("--halve", is_flag=True, help="Take half of a round trip for each direction.")
 @click.option("--one-clock", is_flag=True, help="Both time stamps are of one clock: no offset, no drift.")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import foxglove_beside, foxglove_option
+from hil.cli.option_types import Within, foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.option("--link", metavar="URI", help="Link in real time.")
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
-@click.option("--speed", type=click.FloatRange(1e-3, 1e3), default=1.0, show_default=True, help="Times real time.")
+@click.option("--speed", type=Within(1e-3, 1e3), default=1.0, show_default=True, help="Times real time.")
 @click.option("--hold", "held", is_flag=True, help="Wait before slot 0, until the page says go.")
 @click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip

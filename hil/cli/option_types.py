@@ -57,6 +57,8 @@ class Duration(click.ParamType[float]):
 
 
 MOST = 200
+LARGEST: Final = 1e30
+"""As in an experiment: products of larger ones leave what a double holds."""
 
 
 class NumberList(click.ParamType[tuple[float, ...]]):
@@ -92,8 +94,9 @@ class NumberList(click.ParamType[tuple[float, ...]]):
                 what = "whole number or range such as 0..8" if self.whole else "number"
                 self.fail(f"{part.strip()!r} is no {what}", param, ctx)
         for number in found:
-            if not math.isfinite(number) or number < 0 or (self.above and number == 0):
-                self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} 0", param, ctx)
+            if not 0 <= number <= LARGEST or (self.above and number == 0):
+                most = f" and of at most {LARGEST:g}" if number > LARGEST else ""
+                self.fail(f"{number:g}, expected a number {'above' if self.above else 'of at least'} 0{most}", param, ctx)
         if not 1 <= len(found) <= MOST:
             self.fail(f"{len(found)} numbers, expected 1 to {MOST}", param, ctx)
         return tuple(found)
@@ -117,10 +120,6 @@ class Ratio(click.ParamType[tuple[tuple[float, ...], tuple[float, ...]]]):
         return found[0], found[1] if len(found) == 2 else (1.0,)
 
 
-LARGEST: Final = 1e30
-"""As in an experiment: products of larger ones leave what a double holds."""
-
-
 class Number(click.ParamType):  # type: ignore[type-arg]
     """A finite number of at most 1e30; the help says no range, which no use comes near."""
 
@@ -133,6 +132,16 @@ class Number(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is not a number", param, ctx)
         if abs(number) > LARGEST:  # what is no number is for the command to say
             self.fail(f"{value}, expected a number of at most {LARGEST:g}", param, ctx)
+        return number
+
+
+class Within(click.FloatRange):
+    """A number within bounds; click lets nan through, which is beyond none."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
         return number
 
 
