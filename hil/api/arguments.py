@@ -54,7 +54,7 @@ def checked_arguments(function: Callable[P, R]) -> Callable[P, R]:
             kind = named.parameters[name].kind
             if kind is not Parameter.VAR_KEYWORD:
                 for each in value if kind is Parameter.VAR_POSITIONAL else (value,):
-                    _check(f"hil.{function.__name__}: {name}", each, hints[name], several=kind is Parameter.VAR_POSITIONAL)
+                    check_kind(f"hil.{function.__name__}: {name}", each, hints[name], several=kind is Parameter.VAR_POSITIONAL)
         try:
             return function(*args, **kwargs)
         except (DesignError, PlantError, TransportError) as error:  # of packages that know nothing of hil
@@ -80,7 +80,18 @@ def _module(function: Callable[..., Any]) -> Any:
     return sys.modules[function.__module__]
 
 
-def _check(what: str, value: Any, hint: Any, *, several: bool) -> None:
+def check_kind(what: str, value: Any, hint: Any, *, several: bool = False) -> None:
+    """Refuse a value of another kind than an annotation names.
+
+    Args:
+        what: function and parameter.
+        value: what it was given.
+        hint: the annotation.
+        several: whether the parameter takes each as an argument of its own.
+
+    Raises:
+        HilError: with what it was given and what it expects.
+    """
     if _fits(value, hint):
         return
     among = _members(hint)

@@ -187,6 +187,8 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
     __tracebackhide__ = True  # pytest shows the line of the test, not this function
     network = session.summary["network"]
     sides = {"sc": network["sc"], "ca": network["ca"], **network["nodes"]}
+    if not 0.0 < alpha < 1.0:
+        raise HilError(f"assert_law: alpha: {alpha:g}; expected a number between 0 and 1")
     if side not in sides:
         raise HilError(f"assert_law: side {side!r}; expected one of {', '.join(map(repr, sides))}{nearest(side, sides)}")
     found = sides[side]

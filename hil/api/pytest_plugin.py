@@ -150,11 +150,15 @@ class Runner:
         from hil.plugins.user_modules import refuse_shadowed_packages
 
         refuse_shadowed_packages()
+        from hil.api.arguments import check_kind
         from hil.api.experiment_source import load_experiment
         from hil.errors import HilError
-        from hil.session import run_session
+        from hil.session import ClockName, run_session
 
         clock = clock or self._clock
+        kinds = {"experiment": str | Path, "set": Sequence[str], "clock": ClockName, "link": str | None}
+        for (name, kind), value in zip(kinds.items(), (experiment, set, clock, link), strict=True):
+            check_kind(f"hil.run: {name}", value, kind)
         if external and clock == "virtual":
             raise HilError("external needs clock='real': virtual time runs in one process, without a link")
         checked = load_experiment(experiment, set, seed=seed, duration=duration, **changes)

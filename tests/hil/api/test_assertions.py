@@ -93,6 +93,9 @@ def test_a_side_that_is_none_and_a_run_too_short_for_a_test_are_reported() -> No
     short, session = (hil.run("dc-motor-hinf", duration=duration) for duration in (0.5, 5))
     with pytest.raises(hil.HilError, match="side 'cs'; expected one of 'sc', 'ca', 'sensor'"):
         hil.assert_law(session, "cs")
-    with pytest.raises(hil.HilError, match="sc: the law 'markov' has no test, or the run is too short for it"):
+    for alpha in (float("nan"), 0.0, 2.0):  # below which no p-value is, or every one
+        with pytest.raises(hil.HilError, match=r"assert_law: alpha: .*; expected a number between 0 and 1"):
+            hil.assert_law(session, "sc", alpha=alpha)
+    with pytest.raises(hil.HilError, match="sc: the law 'markov' has no test, was changed, or the run is too short for it"):
         hil.assert_law(short, "sc")
     assert np.isfinite(hil.assert_law(session, "ca", alpha=1e-9))

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 
-from hil.api.pytest_plugin import has_vcan
+from hil.api.pytest_plugin import Runner, has_vcan
+from hil.errors import HilError
 from hil.experiment import shipped
 from tests.warm_hil import hil_command
 
@@ -144,6 +147,19 @@ def test_a_wrong_key_or_link_is_one_line_for_each_fault(
     (line,) = (line for line in result.outlines if wrong in line and "FAILED" not in line)
     assert "test_a_wrong_key" in line and ".py:2: " in line and f"did you mean '{right}'" in line
     assert len(result.outlines) < 15, "no traceback of ours"
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"clock": "fast"}, "hil.run: clock: 'fast'; expected 'virtual' or 'real'"),  # it would run for 50 s in real time
+        ({"link": 5, "clock": "real"}, "hil.run: link: 5; expected text or None"),
+        ({"set": "plant.gain=150"}, "hil.run: set: 'plant.gain=150'; expected a list of text"),
+    ],
+)
+def test_an_argument_of_another_kind_is_refused_in_the_words_of_the_fixture(given: Any, said: str, tmp_path: Path) -> None:
+    with pytest.raises(HilError, match=re.escape(said)):
+        Runner(tmp_path, "virtual", None, None).run("dc-motor-hinf", **given)
 
 
 def test_the_assertions_of_the_face_show_the_line_of_the_test_and_none_of_ours(pytester: pytest.Pytester) -> None:
