@@ -77,3 +77,13 @@ def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(HilError, match="matplotlib is not installed"):
         write_figures([], tmp_path / "figures")
+
+
+@pytest.mark.parametrize(("x_log", "y_log"), [(True, False), (False, True)])
+def test_a_histogram_on_paper_has_the_scales_of_the_page(x_log: bool, y_log: bool) -> None:
+    axis = Sheet().subplots()
+    plot = Histogram(title="n", edges=np.array([1.0, 10.0, 100.0]), counts=np.array([3.0, 4.0]), x_label="late", x_unit="us",
+                     y_label="slots", x_log=x_log, y_log=y_log)  # fmt: skip
+    draw(plot, axis)
+    assert (axis.get_xscale(), axis.get_yscale()) == ("log" if x_log else "linear", "log" if y_log else "linear")
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("late (us)", "slots")

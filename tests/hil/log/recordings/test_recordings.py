@@ -222,6 +222,8 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
     assert "20 packets, expected at least 299" in few
     rows = [f"{s},{s + 0.001}" for s in SENT.tolist()]
     rows[7], rows[8] = rows[8], rows[7]
+    at_once = [f"{s},{s + 0.001}" for s in np.repeat(SENT, 2).tolist()]
+    assert len(only([table(tmp_path / "pairs.csv", "sent_s,received_s", at_once)], one_clock=True)) == 2 * N
     said = fails([table(tmp_path / "back.csv", "sent_s,received_s", rows)])
     assert "back.csv:10: sent_s" in said and "run backwards" in said
     assert "capture of one direction" in fails([capture(tmp_path / "one.pcap", replies=False)])
