@@ -102,13 +102,14 @@ class CanBus:
             self._busy.discard(node)
         return True
 
-    def advance(self, until: int) -> list[Transmission]:
+    def advance(self, until: int, most: int | None = None) -> list[Transmission]:
         """Let time pass; return what ended, in order, up to that instant and at it.
 
         Arbitration at that very instant is left for the next call: whoever is queued in it takes part.
 
         Args:
             until: an instant in units, not before the last one.
+            most: repeats of a frame that nobody acknowledges are left out but for the last so many; None: none is.
         """
         ended: list[Transmission] = []
         while True:
@@ -124,6 +125,20 @@ class CanBus:
                 return ended
             else:
                 self._begin(start)
+                if most is not None:
+                    self._skip(until, most)
+
+    def _skip(self, until: int, most: int) -> None:
+        """Leave out repeats, each of which is as the one that has begun: its sender is alone, error passive, and counts none."""
+        done, senders = self._now[0]
+        node, waiting = self.nodes[done.node], done.waiting
+        alone = len(self.nodes) - len(self._off) == 1 and node.errors.passive and self.noise is None
+        if alone and waiting is node.waiting.head() and self._next_recovery() is None:
+            period = done.idle + SUSPENDED_BITS * self.rates.bit - done.start
+            left_out = max(0, (until - done.end) // period - most)
+            waiting.attempts += left_out
+            by = left_out * period
+            self._now = [(done._replace(start=done.start + by, end=done.end + by, idle=done.idle + by), senders)]
 
     def _next_start(self) -> int | None:
         best = None

@@ -146,7 +146,7 @@ class HeldBus:
         return changed
 
     def _pass(self, ns: int) -> None:
-        for each in self.living.advance(BitRates.units(ns)):
+        for each in self.living.advance(BitRates.units(ns), _MOST_FAILURES):
             for i, waiting in ((each.node, each.waiting), *each.others):
                 if self.owners[i]:
                     mail = self.mail[i]

@@ -263,3 +263,33 @@ def test_more_than_the_whole_bus_runs_and_the_highest_messages_keep_their_bounds
     worst, _ = simulate(full, rates, [0] * len(full), rates.units(500 * MS))
     assert None in bounds.values()
     assert all(worst[name] <= rates.units(bound) for name, bound in bounds.items() if bound is not None)
+
+
+@pytest.mark.parametrize("before", ["nobody", "one that left", "one that is off the bus"])
+def test_repeats_that_are_left_out_leave_the_bus_as_if_each_had_passed(before: str) -> None:
+    """The last eight of 900 repeats; a frame of the same node that is more urgent, and one that joins, end them."""
+    ends = []
+    for most in (None, 8):
+        bus = CanBus(RATES, [CanNode()] + [CanNode(recovers=False)] * (before != "nobody"))
+        if before == "one that left":
+            bus.leave(1)
+        elif before == "one that is off the bus":
+            bus.switch_off(1, 0)
+        bus.queue(0, waiting(0x200))
+        found = [bus.advance(at, most) for at in (3 * MS, 400 * MS, 403 * MS)]
+        assert (len(found[1]) < 16) is (most is not None) and len(found[1]) >= 8
+        bus.queue(0, waiting(0x100, 403 * MS))
+        found.append(bus.advance(404 * MS, most))
+        bus.join(CanNode())
+        found.append(bus.advance(440 * MS, most))
+        assert order(found[-1])[-2:] == [0x100, 0x200] and not bus.sending
+        ends.append((found[0], found[1][-8:], found[2][-8:], *found[3:], [node.errors.tec for node in bus.nodes], bus.memory()))
+    assert [str(each) for each in ends[0]] == [str(each) for each in ends[1]]
+
+
+def test_what_is_disturbed_or_heard_is_not_left_out() -> None:
+    alone, heard = CanBus(RATES, [CanNode()], Planned({})), CanBus(RATES, [CanNode(), CanNode()])
+    for bus in (alone, heard):
+        bus.nodes[0].errors.tec = 128
+        bus.queue(0, waiting(0x200))
+    assert len(alone.advance(400 * MS, 8)) > 800 and len(heard.advance(400 * MS, 8)) == 1
