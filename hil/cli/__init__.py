@@ -191,7 +191,7 @@ def main(args: list[str] | None = None) -> Any:
             sys.exit(2)
     try:
         with signals_as_exceptions():
-            plain = bool(os.environ.get("NO_COLOR"))  # of bold, too
+            plain = bool(os.environ.get("NO_COLOR")) or os.environ.get("TERM") == "dumb"  # of bold, too
             return cli.main(args, prog_name="hil", standalone_mode=True, color=False if plain else None)
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
         print("\nhil: interrupted", file=sys.stderr)

@@ -116,7 +116,11 @@ def console() -> Console:
     """Return rich's console of standard output; with NO_COLOR it writes no escape code, of bold neither."""
     from rich.console import Console
 
-    return Console(color_system=None) if os.environ.get("NO_COLOR") else Console()
+    class Piped(Console):
+        def on_broken_pipe(self) -> None:  # rich would exit with 1
+            raise BrokenPipeError
+
+    return Piped(color_system=None) if os.environ.get("NO_COLOR") else Piped()
 
 
 def terminal_columns() -> int:

@@ -53,8 +53,8 @@ def test_a_table_that_folds_loses_no_word(
     ("laws", "dc-motor-hinf"), ("list", "links"), ("can", "analyse", "dc-motor-busy-can", "--duration", "0.1"),
     ("guide", "glossary"),
 ], ids=lambda words: words[0])  # fmt: skip
-@pytest.mark.parametrize("plain", [True, False])
-def test_no_color_is_no_escape_code(tmp_path: Path, arguments: tuple[str, ...], plain: bool) -> None:
+@pytest.mark.parametrize("plain", [{"NO_COLOR": "1"}, {"TERM": "dumb"}, {}], ids=lambda plain: "".join(plain) or "colour")
+def test_no_color_or_a_dumb_terminal_is_no_escape_code(tmp_path: Path, arguments: tuple[str, ...], plain: dict[str, str]) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm", "PAGER": "cat", "COLUMNS": "80"}
     ours, theirs = pty.openpty()
     shown: list[bytes] = []
@@ -66,13 +66,13 @@ def test_no_color_is_no_escape_code(tmp_path: Path, arguments: tuple[str, ...], 
 
     reader = Thread(target=keep)
     reader.start()
-    environment |= {"NO_COLOR": "1"} if plain else {}
+    environment |= plain
     done = hil_command(*arguments, cwd=tmp_path, env=environment, terminal=os.ttyname(theirs))
     os.close(theirs)
     reader.join()
     os.close(ours)
     assert done.returncode == 0 and len(b"".join(shown)) > 300
-    assert (b"\x1b[" in b"".join(shown)) is not plain
+    assert (b"\x1b[" in b"".join(shown)) is not bool(plain)
 
 
 @pytest.mark.parametrize("words", [
