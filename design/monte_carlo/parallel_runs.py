@@ -210,7 +210,7 @@ def spread(
 def _cancel(results: Any) -> None:
     """Close the results, which cancels what runs: joblib warns of that, and it is what is asked for."""
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "[0-9]+ tasks which were still being processed", UserWarning)
+        warnings.filterwarnings("ignore", "[0-9]+ tasks (which were still being processed|have been successfully)", UserWarning)
         results.close()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import warnings
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -15,7 +16,7 @@ from design.errors import DesignError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.parallel_runs import Workers, spread
+from design.monte_carlo.parallel_runs import Workers, _cancel, spread
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
@@ -108,6 +109,23 @@ def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
     assert list(spread(abs, range(20), Workers(backend="loky", jobs=2))) == list(range(20))
     with pytest.raises(ZeroDivisionError):
         list(spread(reciprocal, range(6), Workers(backend="threading", jobs=2)))
+
+
+@pytest.mark.parametrize("said", [
+    "3 tasks which were still being processed by the workers have been cancelled.",
+    "2 tasks have been successfully executed  but not used. Additionally, 3 tasks which were still being processed",
+])  # fmt: skip
+def test_what_joblib_says_of_results_that_nobody_takes_is_not_passed_on(said: str, recwarn: pytest.WarningsRecorder) -> None:
+    def results() -> Iterator[int]:
+        try:
+            yield 0
+        finally:
+            warnings.warn(said, stacklevel=1)
+
+    left = results()
+    next(left)
+    _cancel(left)
+    assert not recwarn.list
 
 
 class Interrupted(list[int]):
