@@ -247,6 +247,10 @@ def test_closed_classes_of_a_chain():
     matrix = np.array([[0.5, 0.5, 0, 0], [0.2, 0.5, 0.3, 0], [0, 0, 0.5, 0.5], [0, 0, 1.0, 0]])
     assert [c.tolist() for c in closed_classes(matrix)] == [[2, 3]]
     assert [c.tolist() for c in closed_classes(np.eye(2))] == [[0], [1]]
+    ring = np.roll(np.eye(7), 1, axis=1)  # all reach each other, in up to six steps
+    assert [c.tolist() for c in closed_classes(ring)] == [[*range(7)]]
+    ring[6] = np.eye(7)[6]
+    assert [c.tolist() for c in closed_classes(ring)] == [[6]]
 
 
 def test_problem_digest_distinguishes_problems():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from html import escape
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -42,7 +42,14 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
     assert {shape.colour for shape in areas} == {0, 1, 2}
     corners = np.vstack([np.asarray(shape.points) for shape in areas])
     assert corners[:, 0].min() <= y.min() and corners[:, 1].max() >= z.max()  # the way lies on the map
-    assert "first" in way.note and len(areas) < 200
+    tiles = [*product(*(range(int(each.min() // 40), int(each.max() // 40) + 1) for each in (y, z)))]
+    patches = {0: ((0, 0), (20, 20)), 1: ((20, 0), (40, 20)), 2: ((0, 20), (40, 40))}  # mm, of tiles of 40 mm
+    drawn = {(shape.colour, *np.min(shape.points, axis=0), *np.max(shape.points, axis=0)) for shape in areas}
+    assert drawn == {
+        (colour, 40 * i + low[0], 40 * j + low[1], 40 * i + high[0], 40 * j + high[1])
+        for i, j in tiles for colour, (low, high) in patches.items()
+    }  # fmt: skip
+    assert "first" in way.note and len(areas) == 3 * len(tiles) < 200 and len(tiles) > 3
     shapes = blocks["The way in space"].shapes
     pieces = [np.asarray(shape.points) for shape in shapes if shape.label.startswith("over material")]
     (shadow,) = [shape for shape in shapes if shape.label.startswith("its shadow")]
