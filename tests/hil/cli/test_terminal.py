@@ -6,6 +6,7 @@ import os
 import pty
 import re
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from threading import Thread
 
@@ -49,11 +50,17 @@ def test_a_table_that_folds_loses_no_word(
     assert max(map(len, shown.splitlines())) <= max(columns, 55)
 
 
-@pytest.mark.parametrize("arguments", [
-    ("laws", "dc-motor-hinf"), ("list", "links"), ("can", "analyse", "dc-motor-busy-can", "--duration", "0.1"),
-    ("guide", "glossary"),
-], ids=lambda words: words[0])  # fmt: skip
-@pytest.mark.parametrize("plain", [{"NO_COLOR": "1"}, {"TERM": "dumb"}, {}], ids=lambda plain: "".join(plain) or "colour")
+LINKS = ("list", "links")
+COLOURED = [
+    ("laws", "dc-motor-hinf"), LINKS, ("can", "analyse", "dc-motor-busy-can", "--duration", "0.1"), ("guide", "glossary"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("arguments", "plain"),
+    [*product(COLOURED, ({"NO_COLOR": "1"}, {})), (LINKS, {"TERM": "dumb"})],
+    ids=lambda each: each[0] if isinstance(each, tuple) else "".join(each) or "colour",
+)
 def test_no_color_or_a_dumb_terminal_is_no_escape_code(tmp_path: Path, arguments: tuple[str, ...], plain: dict[str, str]) -> None:
     environment = {k: v for k, v in os.environ.items() if k != "NO_COLOR"} | {"TERM": "xterm", "PAGER": "cat", "COLUMNS": "80"}
     ours, theirs = pty.openpty()
