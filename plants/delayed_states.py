@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.errors import FieldError, require_not_negative, require_vector, require_whole_nanoseconds
+from plants.errors import FieldError, require_not_negative, require_rows, require_vector, require_whole_nanoseconds
 from plants.parts.exponential import Rows, dot
 from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Matrix, Signal
 from plants.parts.linear_run import NoisyRun
@@ -141,6 +141,8 @@ class DelayedStates:
     noise_sd: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        require_rows("A", self.A)
+        require_rows("B", self.B)
         n = len(self.A)
         model = self.model()
         for j, rows in enumerate(self.delayed):
