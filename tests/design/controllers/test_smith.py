@@ -37,3 +37,15 @@ def test_a_loop_that_diverges_is_no_warning_and_a_lost_slot_passes_for_the_model
     assert once != every.rows(1, 0, (0.5,), (0.0,))  # two slots more have passed
     for k in range(4, 10):
         assert len(some.rows(k, 1, (-1e308 if k % 2 else 1e308,), (1e308,))) == loop.d_max + 1
+
+
+def test_each_row_is_for_the_model_as_many_slots_ahead() -> None:
+    """x(k+1) = 0.5 x(k) + u of gain -0.2, at rest: row d + 1 sees what the rows before it did to the model."""
+    one = np.eye(1)
+    model = LoopModel(A=0.5 * one, B=one, C=one, period_s=0.1, tau_max=0, d_max=3)
+    rows = Smith(gain=((-0.2,),)).start(model).rows(0, 0, (1.0,), (0.0,))
+    x, expected = 0.0, []
+    for _ in range(4):
+        expected.append((-0.2 * (x + 1.0),))  # what the model lacks of the measurement is taken to stay
+        x = 0.5 * x + expected[-1][0]
+    assert np.allclose(rows, expected) and len({row[0] for row in expected}) == 4

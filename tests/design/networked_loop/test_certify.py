@@ -9,7 +9,7 @@ import pytest
 from design.jump_linear import certificate
 from design.jump_linear.certificate import certify_system
 from design.jump_linear.mjls import MJLS
-from design.networked_loop.certify import certify_loop
+from design.networked_loop.certify import certify_loop, lower_bounds
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
@@ -203,3 +203,14 @@ def test_both_chains_stationary_where_both_count_slots(selection):
     structure = loop_structure(*MOTOR, split(2), ca, selection)
     assert structure.initial_law == "stationary"
     assert structure.default_initial @ structure.transition == pytest.approx(structure.default_initial, abs=1e-12)
+
+
+def test_a_bound_from_one_mode_waits_for_as_long_as_its_two_delays_are_together() -> None:
+    """x(k+1) = 2 x(k) + u + w with delays that stay: the impulse grows until it is known at the actuator, and is 0 then."""
+    sc, ca = DelayChain(transition=np.eye(3), delays=(0, 1, 2)), DelayChain(transition=np.eye(2), delays=(0, 1))
+    one = np.eye(1)
+    for mode, late in enumerate((0, 1, 1, 2, 2, 3)):  # of tau 0, 1, 2, each with d 0, 1
+        found = lower_bounds(2.0 * one, one, one, sc, ca, initial=np.eye(6)[mode], present=np.eye(6, dtype=bool)[mode])
+        energy = sum(4.0**k for k in range(late + 1))
+        assert found.h2_delayed_information**2 == pytest.approx(energy) == pytest.approx(found.hinf_delayed_information**2)
+        assert found.h2_full_information == pytest.approx(1.0) == pytest.approx(found.hinf_full_information)

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 
 from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate, UserRate
-from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, clip_rate, constant_rate
+from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, TendingRate, WeibullRate, clip_rate, constant_rate
 
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.5, 0.5), values=(0.01, 0.01, 20.0))
 BATHTUB = BathtubRate(infant=3.0, infant_time_s=0.4, useful=0.2, wear=1.5, wear_start_s=0.6, wear_span_s=2.0)
@@ -103,3 +103,26 @@ def test_weibull_of_scale_1_and_shape_2_is_2h_and_not_h() -> None:
 def test_bad_rate_is_refused_with_its_field_first(make: object, message: str) -> None:
     with np.errstate(divide="ignore"), pytest.raises(ValueError, match="^" + message):
         make()  # type: ignore[operator]
+
+
+LIMITS = [
+    (PiecewiseLinearRate(times_s=(0.0, 2.0), values=(1.0, 3.0)), 3.0), (WeibullRate(scale_s=4.0, shape=1.0), 0.25),
+    (WeibullRate(scale_s=4.0, shape=0.5), 0.0), (WeibullRate(scale_s=4.0, shape=2.0), math.inf),
+    (KOutOfNRate(needed=2, installed=3, rate=0.5), 1.0), (ColdStandbyRate(installed=2, rate=0.5), 0.5),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("rate", "limit"), LIMITS, ids=repr)
+def test_a_rate_says_where_it_tends_to_and_a_share_of_it_where_that_does(rate: Rate, limit: float) -> None:
+    assert isinstance(rate, TendingRate) and rate.limit == limit
+    assert ScaledRate(rate=rate, factor=0.3).limit == 0.3 * limit
+    if limit not in (0.0, math.inf):
+        assert float(rate(1e4)) == pytest.approx(limit, rel=1e-3)
+
+
+def test_a_share_of_a_rate_that_says_no_limit_has_none_that_is_known() -> None:
+    class Stranger:
+        def __call__(self, h: object) -> object:
+            return h
+
+    assert math.isnan(ScaledRate(rate=Stranger(), factor=0.3).limit)  # type: ignore[arg-type]

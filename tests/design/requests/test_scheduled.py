@@ -8,7 +8,9 @@ import pytest
 from design.as_printed.examples import chapter2_gain
 from design.controllers import LoopModel
 from design.controllers.scheduled_gain import constant_gain
+from design.errors import FieldError
 from design.requests.scheduled import Scheduled, scheduled_of
+from design.requests.tracking import DesignTask
 
 
 def model(p: int = 3) -> LoopModel:
@@ -51,3 +53,12 @@ def test_gains_that_do_not_fit_the_plant_are_refused() -> None:
         scheduled_of(chapter2_gain()).start(model(p=5))
     with pytest.raises(ValueError, match="gain: expected"):
         Scheduled(gain=((((1.0,), (1.0, 2.0)),),), starts_s=((0.0,),))
+
+
+def test_a_design_without_chains_names_its_field_and_what_keeps_them_away() -> None:
+    model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=0, d_max=0)
+    with pytest.raises(FieldError, match="a law states none") as error:
+        DesignTask(model=model, sc=None, ca=None).chains  # noqa: B018
+    assert error.value.field == "kind"
+    with pytest.raises(FieldError, match="a design needs a chain of ages on both links, but packets are reordered"):
+        DesignTask(model=model, sc=None, ca=None, chainless="packets are reordered").chains  # noqa: B018

@@ -56,8 +56,11 @@ def test_a_row_that_is_none_is_one_message(experiment: Experiment, tmp_path: Pat
         pass
     with open(tmp_path / "s", "a") as file:
         file.write(row + "\n")
-    with pytest.raises(HilError, match="line 2 is not a row of this sweep"):
+    with pytest.raises(HilError, match="line 2 is not a row of this sweep") as refused:
         SweepStore(tmp_path / "s", experiment, ("iae",))
+    with pytest.raises(HilError, match="line 2 is not a row of this sweep"):  # what was refused holds the file no longer
+        SweepStore(tmp_path / "s", experiment, ("iae",))
+    assert refused.value.status == 2
 
 
 def test_a_line_without_end_is_no_sweep(experiment: Experiment, tmp_path: Path) -> None:

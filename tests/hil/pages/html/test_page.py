@@ -1,6 +1,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -173,3 +174,18 @@ def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
     assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, low": [0.2, 0.1], "law, high": [0.5, 0.2]}
     assert columns[2] == {"from": ["0"], "0": [0.1], "0, expected": [0.2], "1": [None], "1, expected": [0.3]}
     assert columns[3] == {"shape": ["way", "way"], "y (mm)": [0.0, None], "y": [1.0, 2.0]}
+
+
+def test_a_figure_hands_its_script_ticks_range_and_scales_where_it_has_them() -> None:
+    def drawn(**about: Any) -> dict[str, Any]:
+        x = np.linspace(1.0, 3.0, 5)
+        figure = Figure(title="f", series=(Series(label="s", x=x, y=x),), x_label="mode", x_unit="1", **about)
+        page = Page("p", [Section(title="s", blocks=(figure,))]).html()
+        data = re.search(r'<script[^>]*id="hil-data"[^>]*>(.*?)</script>', page, re.S)
+        assert data is not None
+        return json.loads(data[1])["figures"][0]  # type: ignore[no-any-return]
+
+    plain, full = drawn(), drawn(x_ticks=(1.0, 2.0), y_range=(0.0, 4.0), x_log=True, y_log=True, integer_y=True)
+    keys = ("xTicks", "yRange", "xLog", "yLog", "integerY")
+    assert [plain[key] for key in keys] == [None, None, False, False, False]
+    assert [full[key] for key in keys] == [[1.0, 2.0], [0.0, 4.0], True, True, True]
