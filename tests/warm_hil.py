@@ -16,7 +16,7 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ MODULES = (
 
 def hil_command(
     *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil",
-    terminal: str = "", errors_too: bool = False,
+    terminal: str = "", errors_too: bool = False, absent: Iterable[str] = (),
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 
@@ -48,6 +48,7 @@ def hil_command(
         program: "pytest" for pytest in its place.
         terminal: device that takes standard output in place of a file; it is the controlling one of its process.
         errors_too: standard error goes there, too.
+        absent: packages of which it can import nothing, as if they were not installed.
 
     Raises:
         subprocess.TimeoutExpired: it took longer.
@@ -56,6 +57,7 @@ def hil_command(
         given = dict(os.environ if env is None else env)
         asked = {"program": program, "words": words, "cwd": str(cwd), "env": given, "timeout": timeout}
         asked |= {"out": terminal or out.name, "err": (errors_too and terminal) or err.name, "own_session": bool(terminal)}
+        asked |= {"absent": [*absent]}
         server = _server()
         assert server.stdin is not None and server.stdout is not None
         print(json.dumps(asked), file=server.stdin, flush=True)
@@ -75,8 +77,10 @@ def _server() -> subprocess.Popen[str]:
 
 
 def _serve() -> None:
-    for module in MODULES:
-        importlib.import_module(module)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "asammdf", None)  # for which python-can loads pandas; no command of tests writes MF4
+        for module in MODULES:
+            importlib.import_module(module)
     for line in sys.stdin:
         asked = json.loads(line)
         pid = os.fork()
@@ -89,6 +93,19 @@ def _serve() -> None:
         watch.cancel()
         watch.join()  # a fork has one thread
         print(json.dumps(None if late else os.waitstatus_to_exitcode(status)), flush=True)
+
+
+class Absent:
+    """What nothing can be imported of."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.names = {*names}
+        if there := self.names & {*sys.modules}:
+            raise RuntimeError(f"{sorted(there)}: loaded already, by {__name__}.MODULES")
+
+    def find_spec(self, name: str, path: object = None, target: object = None) -> None:
+        if name.partition(".")[0] in self.names:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 def _become(asked: dict[str, Any]) -> None:
@@ -107,6 +124,7 @@ def _become(asked: dict[str, Any]) -> None:
             os.dup2(opened, number)
             os.close(opened)
         sys.stdin, sys.stdout, sys.stderr = (open(number, mode) for number, mode in enumerate("rww"))  # noqa: SIM115
+        sys.meta_path.insert(0, Absent(asked["absent"]))  # type: ignore[arg-type]
         sys.argv = [asked["program"], *asked["words"]]
         sys.path[0] = asked["cwd"]
         sys.path[1:1] = filter(None, asked["env"].get("PYTHONPATH", "").split(os.pathsep))

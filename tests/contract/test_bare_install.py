@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 import tomllib
+from functools import cache
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
@@ -14,25 +15,13 @@ import plants
 from design.errors import DesignError
 from design.requests.local_design import local_design
 from plants import PlantError, StateSpace
+from tests.warm_hil import hil_command
 from transport import TransportError, open_link
 
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-BARE = """
-import sys
-
-class Absent:  # of what these extras bring, nothing can be imported
-    def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] in {absent!r}:
-            raise ModuleNotFoundError("No module named " + repr(name), name=name)
-
-sys.meta_path.insert(0, Absent())
-from hil.cli import main
-main(sys.argv[1:])
-"""
-
-
+@cache
 def modules_of(*extras: str) -> set[str]:
     """Return what is imported of the packages that only these extras bring, directly or not."""
     homes: dict[str, set[str]] = {}
@@ -44,9 +33,7 @@ def modules_of(*extras: str) -> set[str]:
 
 
 def bare(*command: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    text = BARE.format(absent=modules_of("design", "zenoh", "keys"))
-    run = [sys.executable, "-c", text, *command]
-    return subprocess.run(run, cwd=cwd, capture_output=True, text=True, timeout=240, check=False)
+    return hil_command(*command, cwd=cwd, absent=modules_of("design", "zenoh", "keys"))
 
 
 def test_nothing_of_the_extras_is_a_dependency_of_the_bare_package() -> None:

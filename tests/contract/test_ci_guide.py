@@ -14,6 +14,8 @@ from typing import Any
 import pytest
 import yaml  # type: ignore[import-untyped]
 
+from tests.warm_hil import hil_command
+
 TOP = Path(__file__).parents[2]
 PROJECT = tomllib.loads((TOP / "pyproject.toml").read_text())["project"]
 PAGE = (TOP / "hil/guide/ci.md").read_text(encoding="utf-8")
@@ -60,11 +62,12 @@ def test_the_tests_run_as_written_and_leave_what_the_job_keeps(name: str, tmp_pa
         assert (tmp_path / kept["reports"]["junit"]).is_file()
 
 
-def test_the_step_with_a_vcan_has_options_that_exist() -> None:
+def test_the_step_with_a_vcan_has_options_that_exist(tmp_path: Path) -> None:
     (command,) = COMMANDS["vcan"]
     ours, theirs = command.split(" -- ")
-    for words in ([sys.executable, "-m", *shlex.split(ours), "--help"], [sys.executable, "-m", *shlex.split(theirs), "--help"]):
-        done = subprocess.run(words, capture_output=True, text=True, timeout=240, check=False)
+    for said in (ours, theirs):
+        program, *words = [*shlex.split(said), "--help"]
+        done = hil_command(*words, cwd=tmp_path, program=program)
         assert done.returncode == 0, done.stderr  # an unknown option before --help is an error
         options = [word.partition("=")[0] for word in words if word.startswith("--")]
         assert all(option in done.stdout for option in options)

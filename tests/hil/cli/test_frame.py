@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -102,24 +101,15 @@ def test_bad_input_is_one_message_and_status_2(cli: Hil, arguments: list[str], s
     assert (status, out) == (2, "") and says in err and "Ctrl-C" not in err
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_interrupted_command_says_so_in_one_line(tmp_path: Path, number: int, status: int) -> None:
+def test_an_interrupted_command_says_so_in_one_line() -> None:
     command = [sys.executable, "-m", "hil", "controller", "dc-motor-hinf", "--link", f"can:hil:stop{os.getpid()}"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None
         assert "Ctrl-C ends it" in process.stderr.readline()
-        process.send_signal(number)
+        process.send_signal(signal.SIGTERM)
         rest = process.communicate(timeout=LIMIT_S)[1]
-    assert process.returncode == status
+    assert process.returncode == 143
     assert rest.split() == ["hil:", "interrupted"]
-
-
-def test_a_reader_that_leaves_is_no_failure() -> None:
-    read, write = os.pipe()
-    os.close(read)
-    with open(write, "w") as closed:
-        done = subprocess.run([sys.executable, "-m", "hil", "list"], stdout=closed, stderr=subprocess.PIPE, text=True)
-    assert (done.returncode, done.stderr) == (141, "")
 
 
 def test_ctrl_c_while_a_class_is_made_is_an_interrupt(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,8 +38,10 @@ except KeyboardInterrupt:
 """
 
 
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 129)])
-@pytest.mark.parametrize("signals", [1, 3])
+@pytest.mark.parametrize(
+    ("number", "status", "signals"),
+    [(signal.SIGINT, 130, 1), (signal.SIGINT, 130, 3), (signal.SIGTERM, 143, 1), (signal.SIGHUP, 129, 3)],
+)
 def test_a_signal_inside_an_import_is_raised_after_it(tmp_path: Path, number: int, status: int, signals: int) -> None:
     (tmp_path / "swallows.py").write_text(SWALLOWS.format(seconds=0.3))
     path = {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}

@@ -74,7 +74,7 @@ def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path
     assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [problem]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])  # tests/hil/cli/test_interrupts.py: which end a command
 def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
     late = "print('loops', file=sys.stderr, flush=True)\n            import time\n            while True: time.sleep(0.01)"
     with ended(started(prepared(tmp_path, late))) as process:
@@ -198,11 +198,8 @@ def test_what_a_module_of_ones_own_prints_stays_out_of_the_json(tmp_path: Path) 
         "@dataclass(frozen=True, kw_only=True)\nclass Loud(Constant):\n    value: tuple[float, ...] = (0.0,)\n"
         "    def __post_init__(self):\n        print('{}')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", "hil", "run", "e.toml", "--duration", "1", "--json", "-o", "x.mcap",
-         "--set", "allow_uncertified=true"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
+    words = ("run", "e.toml", "--duration", "1", "--json", "-o", "x.mcap", "--set", "allow_uncertified=true")
+    done = hil_command(*words, cwd=tmp_path)
     assert json.loads(done.stdout)["slots"] == 20, done.stderr
     assert done.stderr.startswith("imported\n{}\n")
 

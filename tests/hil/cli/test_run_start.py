@@ -21,7 +21,7 @@ print("\\n" + json.dumps([sorted(sys.modules), gc.isenabled(), gc.get_freeze_cou
 """
 
 
-@pytest.mark.parametrize("arguments", [["run", "dc-motor-hinf", "--duration", "0.1", "--quiet"], ["list"], ["guide", "glossary"]])
+@pytest.mark.parametrize("arguments", [["run", "dc-motor-hinf", "--duration", "0.1", "--quiet"], ["list"]])
 def test_garbage_is_looked_for_again_and_not_among_modules(arguments: list[str], tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", TRY, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
     loaded, enabled, frozen, others = json.loads(done.stdout.splitlines()[-1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from hil.compose.loop import compose, solved_gains
 from hil.compose.stored_gains import FORMAT, NoDigest, problem_digest
 from hil.experiment import Experiment, load_experiment, shipped
 from hil.rig.loop import Gains
-from tests.hil.cli.conftest import Hil
+from tests.hil.cli.conftest import Hil, run_main
 
 NAME = "dc-motor-ours-h2"
 
@@ -91,11 +92,18 @@ def test_a_damaged_file_is_reported_and_solved_again(own: Path, text: str, why: 
     assert found.origin == "solved here" and why in found.note
 
 
+@pytest.fixture(scope="module")
+def mine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `hil design -o` wrote."""
+    path = tmp_path_factory.mktemp("design") / "mine.json"
+    assert run_main("design", NAME, "--objective", "h2", "--starts", "1", "-o", str(path)) == 0
+    return path
+
+
 @pytest.fixture
-def filed(cli: Hil, own: Path) -> Path:
-    """An experiment of a user's own whose gains `hil design -o` wrote into a file that it names."""
-    status, _, err = cli("design", own, "--objective", "h2", "--starts", 1, "-o", own.parent / "mine.json")
-    assert status == 0, err
+def filed(mine: Path, own: Path) -> Path:
+    """An experiment of a user's own that names a file of gains."""
+    shutil.copy(mine, own.parent)
     own.write_text(own.read_text().replace('kind = "designed"', 'kind = "designed"\nfile = "mine.json"'))
     return own
 
