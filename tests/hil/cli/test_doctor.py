@@ -20,6 +20,12 @@ def test_one_comparison_of_round_trips_is_no_fault(free: float, said: str, monke
     assert fine and said in finding and not remedy
 
 
+@pytest.mark.slow
+def test_round_trips_over_zenoh_are_measured() -> None:
+    fine, finding, _ = doctor._zenoh_cpus()
+    assert fine and "us (median) on one CPU" in finding
+
+
 def test_what_is_fine_has_no_remedy() -> None:
     checks = [doctor._vcan(), doctor._own_vcan(), doctor._zenoh(), doctor._scheduler(), doctor._idle(), doctor._clock(),
               doctor._cpus(), doctor._packages(), doctor._loop(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip

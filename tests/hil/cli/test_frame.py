@@ -63,7 +63,7 @@ def test_doctor_gives_a_remedy_for_all_that_is_missing(
 
 
 def test_doctor_prints_a_line_for_every_check(cli: Hil, doctor: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(doctor_page, "_zenoh_cpus", lambda: (True, "not measured a second time", ""))
+    monkeypatch.setattr(doctor_page, "_zenoh_cpus", lambda: (True, "not measured", ""))
     status, out, _ = cli("doctor", "--link", "can:socketcan:can0")
     assert status == 0 and all(f"{check['what']}: " in out for check in doctor)
 
