@@ -17,7 +17,6 @@ from hil.cli.run import let_go
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
-from tests.waiting import ended, until
 from tests.warm_hil import hil_command
 
 PLANT = '''
@@ -60,10 +59,6 @@ def prepared(folder: Path, late: str) -> list[str]:
     return ["run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
 
 
-def started(words: list[str]) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-m", "hil", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
 @pytest.mark.parametrize("late", ["return {}['x']", "raise Base('not now')", "sys.exit(0)", "return 1 / 0"])
 def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path: Path, late: str) -> None:
     done = hil_command(*prepared(tmp_path, late), cwd=tmp_path)
@@ -74,29 +69,23 @@ def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path
     assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [problem]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])  # tests/hil/cli/test_interrupts.py: which end a command
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path: Path, number: int) -> None:
-    late = "print('loops', file=sys.stderr, flush=True)\n            import time\n            while True: time.sleep(0.01)"
-    with ended(started(prepared(tmp_path, late))) as process:
-        assert process.stderr is not None and process.stderr.readline() == "loops\n"
-        process.send_signal(number)
-        out, err = process.communicate(timeout=60)
-    assert process.returncode == 128 + number and "Traceback" not in err
-    assert json.loads(out)["problems"] == {"interrupted": signal.Signals(number).name}
+    late = f"import time\n            os.kill(os.getpid(), {int(number)})\n            while True: time.sleep(0.01)"
+    done = hil_command(*prepared(tmp_path, late), cwd=tmp_path, timeout=60)
+    assert done.returncode == 128 + number and "Traceback" not in done.stderr
+    assert json.loads(done.stdout)["problems"] == {"interrupted": signal.Signals(number).name}
     assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome"
 
 
 def test_a_signal_before_the_first_record_leaves_no_empty_log(tmp_path: Path) -> None:
-    late = ""
-    words = prepared(tmp_path, late or "pass")
+    words = prepared(tmp_path, "pass")
     text = (tmp_path / "cart.py").read_text()
-    slow = "    def model(self):\n        import pathlib, time\n        if pathlib.Path({log!r}).exists(): time.sleep(60)\n"
-    (tmp_path / "cart.py").write_text(text.replace("    def model(self):\n", slow.format(log=str(tmp_path / "a.mcap"))))
-    with ended(started(words)) as process:
-        until((tmp_path / "a.mcap").exists, "the log's name is taken")
-        process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
-    assert process.returncode == 130 and "Traceback" not in err and not (tmp_path / "a.mcap").exists()
+    late = "    def model(self):\n        if os.path.exists({log!r}): print('taken', file=sys.stderr); os.kill(os.getpid(), 2)\n"
+    (tmp_path / "cart.py").write_text(text.replace("    def model(self):\n", late.format(log=str(tmp_path / "a.mcap"))))
+    done = hil_command(*words, cwd=tmp_path)
+    assert done.returncode == 130 and "Traceback" not in done.stderr and done.stderr.startswith("taken\n")
+    assert not (tmp_path / "a.mcap").exists()
 
 
 def test_what_another_run_has_begun_is_not_removed(tmp_path: Path) -> None:
