@@ -102,5 +102,11 @@ def test_one_pair_of_numbers_and_a_measure_without_a_direction_decide_nothing(bo
     once = replace(both, values={name: dict(values) | {"sse": kept * values["sse"]} for name, values in both.values.items()})
     said = "against dc-motor-ours-h2: undecided; squared tracking error is a number in 1 runs of both, 2 are needed"
     assert once.verdict("dc-motor-smith") == f"dc-motor-smith {said}"
+    assert [row[2:] for row in once.rows()[:2]] == [[1, once.rows()[0][3], None, None], [1, once.rows()[1][3], None, None]]
+    a, b = both.values.values()
+    pair = replace(both, values={name: {key: column[:2] for key, column in own.items()} for name, own in both.values.items()})
+    first, second = pair.rows()[:2]
+    assert (first[2], second[2], first[4]) == (2, 2, None) and " to " in second[5]
+    assert second[4] == pytest.approx(float(np.mean(b["sse"][:2] - a["sse"][:2])))
     without = replace(both, quantities=tuple(msgspec.structs.replace(each, better="") for each in both.quantities))
     assert without.verdict("dc-motor-smith").endswith("undecided; no measure states which value is better")

@@ -244,11 +244,12 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
 
 def test_frames_that_repeat_and_get_lost_cannot_be_paired(tmp_path: Path) -> None:
     paths = [tmp_path / "a.log", tmp_path / "b.log"]
-    for path, n in zip(paths, (N, N - 1)):
-        with can.Logger(str(path)) as log:
-            for k in range(n):
-                log(can.Message(timestamp=1e9 + k, arbitration_id=1, data=b"same", is_extended_id=False))
-    assert "which was lost cannot be said" in fails(paths)
+    for there in (N, 2):
+        for path, n in zip(paths, (there, there - 1)):
+            with can.Logger(str(path)) as log:
+                for k in range(n):
+                    log(can.Message(timestamp=1e9 + k, arbitration_id=1, data=b"same", is_extended_id=False))
+        assert f"is there {there} times, in {paths[1]} {there - 1} times: which was lost cannot be said" in fails(paths)
 
 
 def test_shipped_recordings_are_of_real_links_and_say_so() -> None:
