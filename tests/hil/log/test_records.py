@@ -16,6 +16,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from hil.errors import HilError
 from hil.log.records import Channel, Field, Schema, field_name
+from hil.log.run import assemble
 from hil.log.topics import Logged, channels
 
 
@@ -172,3 +173,49 @@ def test_a_schema_name_that_ros2_readers_cannot_take_is_refused() -> None:
 def test_a_unit_cannot_break_the_schema_text() -> None:
     table = channels(Logged(states=[Signal("a", "m,\n s")], n_rows=1))
     assert table["/plant/state"].schema.fields[0].unit == "m s"
+
+
+PLAIN = Schema(name="hil/msg/Plain", fields=(Field(type="float64", name="x"), Field(type="int32", name="k")))
+RAW = Schema(name="hil/msg/Raw", fields=(Field(type="int64", name="tick"), Field(type="uint8[]", name="data")))
+
+
+def test_records_become_an_array_with_their_own_times_or_given_ones() -> None:
+    packed = [PLAIN.pack(0.5 * k, k) for k in range(3)]
+    found = assemble(PLAIN, packed, times=[10, 20, 30])
+    assert found["t_ns"].tolist() == [10, 20, 30] and found["x"].tolist() == [0.0, 0.5, 1.0] and found["k"].tolist() == [0, 1, 2]
+    framed = [b"head" + (100 * k).to_bytes(8, "little") + each for k, each in enumerate(packed)]
+    assert assemble(PLAIN, framed, payload_at=12, time_at=4)["t_ns"].tolist() == [0, 100, 200]
+    raw = assemble(RAW, [RAW.pack(7, b"abc"), RAW.pack(8, b"")], times=[1, 2])
+    assert raw["tick"].tolist() == [7, 8] and raw["data"].tolist() == [b"abc", b""]
+    assert len(assemble(RAW, [])) == 0
+
+
+@pytest.mark.parametrize("payload_at", [0, 5])
+def test_a_record_of_another_length_or_form_is_refused_with_its_number(payload_at: int) -> None:
+    good, raw = (bytes(payload_at) + each for each in (PLAIN.pack(1.0, 2), RAW.pack(7, b"abc")))
+    size = len(good) - payload_at
+    big = good[:payload_at] + b"\0\0" + good[payload_at + 2 :]
+    for schema, records, said in (
+        (PLAIN, [good, good[:-1]], f"record 1 of hil/msg/Plain: {size - 1} bytes, expected {size}"),
+        (PLAIN, [good + b"0"], f"record 0 of hil/msg/Plain: {size + 1} bytes, expected {size}"),
+        (PLAIN, [good, good, big], "record 2 of hil/msg/Plain: no little-endian CDR"),
+        (RAW, [raw, raw[:-1]], "record 1 of hil/msg/Raw: .* not as its length states"),
+        (RAW, [raw + b"0"], "record 0 of hil/msg/Raw: .* not as its length states"),
+        (RAW, [raw, raw, raw[: payload_at + 6]], "record 2 of hil/msg/Raw: 6 bytes, not as its length states"),
+    ):  # fmt: skip
+        with pytest.raises(HilError, match=said):
+            assemble(schema, records, payload_at=payload_at, times=[0] * len(records))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"type": "float32"}, "type: 'float32', expected one of float64"), ({"name": "Speed"}, "name: 'Speed' is no ROS 2"),
+        ({"name": "a__b"}, "is no ROS 2 field name"), ({"unit": "m,s"}, "unit: 'm,s' or its doc holds a comma or a line break"),
+        ({"unit": "m\n"}, "or a line break"), ({"doc": "two\nlines"}, "or a line break"),
+    ],
+)  # fmt: skip
+def test_a_field_that_its_text_could_not_say_is_refused(given: dict[str, str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        Field(**({"type": "float64", "name": "x"} | given))
+    assert Field(type="float64", name="x", doc="a doc, with a comma").line == "float64 x  # 1, a doc, with a comma"

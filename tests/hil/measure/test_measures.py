@@ -106,6 +106,31 @@ def test_the_check_says_what_a_measure_does_not_keep(measure: object, fault: str
         check_measure(measure, view_of(run_of("dc-motor-hinf", "duration=1")))
 
 
+class _Silent(Effort):
+    def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
+        return ()
+
+    def of(self, view: RunView) -> dict[str, float | None]:
+        return {}
+
+
+class _Wordy(Effort):
+    def of(self, view: RunView) -> dict[str, float | None]:
+        return {"effort": "much"}  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize(
+    ("measure", "fault"),
+    [
+        (_Silent(), "a measure has at least one quantity"),
+        (_Wordy(), "a run: effort is 'much', expected a number, or None"),
+    ],
+)
+def test_the_check_asks_for_numbers(measure: object, fault: str) -> None:
+    with pytest.raises(AssertionError, match=fault):
+        check_measure(measure, view_of(run_of("dc-motor-hinf", "duration=1")))
+
+
 def test_an_unknown_or_doubled_measure_is_a_fault_of_the_experiment() -> None:
     with pytest.raises(HilError, match=r"report\.measures\[0\]: no measure plug-in is called 'trackin'; did you mean 'tracking'"):
         load_experiment("dc-motor-hinf", ['report.measures=["trackin"]'])

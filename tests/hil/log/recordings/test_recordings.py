@@ -242,6 +242,37 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
         assert "no pcap capture" in fails([tmp_path / "cut.pcap"])
 
 
+def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
+    plain = table(tmp_path / "a.csv", "latency_s", [repr(v) for v in LATENCY.tolist()])
+    trips = table(tmp_path / "trips.csv", "rtt_s", [repr(v) for v in LATENCY.tolist()])
+    empty = tmp_path / "empty.mcap"
+    for paths, how, said in (
+        ([plain], {"can_id": 7}, "a.csv: --can-id: belongs to CAN logs (.log, .asc, .blf"),
+        ([plain, plain, plain], {}, "expected one file, or two CAN logs of one bus, or two tables (.csv) of both directions"),
+        ([plain, empty], {}, "expected one file, or two CAN logs of one bus, or two tables"),
+        ([plain, tmp_path / "b.log"], {}, "expected one file, or two CAN logs of one bus, or two tables"),
+        ([tmp_path / "b.log"] * 3, {}, "a CAN log has no latencies by itself"),
+        ([plain, trips], {}, "two tables are both directions; expected latencies or time stamps, and no round trips"),
+        ([trips, plain], {}, "two tables are both directions; expected latencies or time stamps, and no round trips"),
+        ([plain], {"halve": True}, "--halve: these are no round trips, but sc"),
+    ):  # fmt: skip
+        halve = bool(how.pop("halve", False))
+        with pytest.raises(HilError) as refused:
+            packet_records(read_recording(paths, **how), halve=halve)  # type: ignore[arg-type]
+        assert said in str(refused.value), refused.value
+    records, notes = packet_records(read_recording([trips]), halve=True)
+    assert set(records) == {"sc", "ca"} and "each direction is half of a round trip, by choice" in notes[-1]
+
+
+def test_two_logs_of_two_buses_have_no_frame_in_common(tmp_path: Path) -> None:
+    paths = [tmp_path / "a.log", tmp_path / "b.log"]
+    for path, identifier in zip(paths, (1, 2)):
+        with can.Logger(str(path)) as log:
+            for k in range(400):
+                log(can.Message(timestamp=1e9 + k, arbitration_id=identifier, data=k.to_bytes(4, "little"), is_extended_id=False))
+    assert "no frame is in both; expected two logs of one bus at one time" in fails(paths)
+
+
 def test_frames_that_repeat_and_get_lost_cannot_be_paired(tmp_path: Path) -> None:
     paths = [tmp_path / "a.log", tmp_path / "b.log"]
     for there in (N, 2):
