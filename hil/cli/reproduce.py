@@ -50,7 +50,7 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
         raise click.UsageError(f"{chapter!r} is not one of {', '.join((*chapters(), ALL))}")
     as_json = wants_json()
     names = chapters() if chapter == ALL else (chapter,)
-    pages = _pages(chapter, names, output, force)  # now, and not after the work
+    pages = {} if output is None else _pages(chapter, names, output, force)  # now, and not after the work
     results = {}
     with ExitStack() as stack:
         state = None if output is None else output / STATE if chapter == ALL else output.with_name(output.name + ".state")
@@ -93,13 +93,11 @@ def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: 
         click.echo(f"the same command goes on: {_stages(kept)} in {kept.path}", err=True)
 
 
-def _pages(chapter: str, names: tuple[str, ...], output: Path | None, force: bool) -> dict[str, Path]:
+def _pages(chapter: str, names: tuple[str, ...], output: Path, force: bool) -> dict[str, Path]:
     """Where each page goes, checked. The folder of ``all`` is made; an ``index.html`` of another kind is refused."""
     from hil.errors import HilError
     from hil.files import check_page
 
-    if output is None:
-        return {}
     if chapter != ALL:
         return {chapter: check_page(output, force=force)}
     try:
