@@ -26,9 +26,11 @@ from design.errors import DesignError, FieldError
 from design.historical_data.lifted_loop import DelayedPlant
 from design.identification.axis import LEAST_SAMPLES, Record
 from design.identification.output_error import identify_axis
+from design.jump_linear.mjls import MJLS
 from design.lmi.exact import prove, prove_inequalities
 from design.monte_carlo.confidence import deviation_interval, mean_interval
 from design.monte_carlo.jump_loop import JumpLoop
+from design.monte_carlo.markov_batch import simulate_mjls
 from design.networked_loop.closed_loop import dynamic_loop
 from design.networked_loop.loop_parts import check_plant_shapes
 from design.passivity.transparency import distortion
@@ -107,8 +109,13 @@ def moments(system: JumpSystem, upper: bool) -> object:
     return period_moments(system, [box, box], 0.1, 0, upper, slack=1.0)
 
 
-def bent(coupler: Coupler) -> object:
+def bent(coupler: Coupler) -> MJLS:
     return distortion(MATERIALS, np.full((3, 3), 1.0 / 3.0), coupler, period_s=1e-3, delay=1, cutoff_hz=30.0)
+
+
+def followed(**values: Any) -> object:
+    given = {"runs": 2, "steps": 1, "start": np.zeros(bent(SOFT).order), "seed": 0}
+    return simulate_mjls(bent(SOFT), **(given | values))
 
 
 NO_PROOF = JumpCertificate(method="exact", verdict="certified", reason="")
@@ -191,6 +198,9 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         (lambda: check_plant_shapes([[1.0]], [[math.inf]], [[1.0]]), "B"),
         (lambda: inner_loop(MATERIALS[0], SUMMED, 30.0), "coupler"),
         (lambda: bent(SUMMED), "coupler"),
+        *((lambda name=name, value=value: followed(**{name: value}), name) for name, value in (
+            ("steps", 0), ("seed", -1), ("start", (1.0,)), ("start", np.full(bent(SOFT).order, np.nan)), ("runs", 0),
+        )),
     ],
 )  # fmt: skip
 def test_a_part_that_does_not_fit_is_refused_with_its_field(make: Callable[[], object], field: str) -> None:
@@ -202,7 +212,7 @@ def test_a_part_that_does_not_fit_is_refused_with_its_field(make: Callable[[], o
 @pytest.mark.parametrize(
     "make",
     [
-        plant, siqc, driven,
+        plant, siqc, driven, followed,
         lambda: plant(input_weight=None),
         lambda: started(history((((1.0,),), ((2.0,),)))),
         lambda: started(Constant(value=(1.0,))),
