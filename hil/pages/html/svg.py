@@ -58,8 +58,7 @@ def draw_histogram(histogram: Histogram) -> str:
     counts = np.asarray(histogram.counts, dtype=np.float64)
     most = float(counts.max()) if counts.size else 1.0
     if histogram.y_log:
-        ticks = [10.0**e for e in range(math.ceil(math.log10(max(most, 1.0))) + 1)]
-        ticks = ticks if len(ticks) > 1 else [1.0, 10.0]
+        ticks = [10.0**e for e in range(math.ceil(math.log10(max(most, 10.0))) + 1)]
         y_of = _logarithmic(0.6, ticks[-1], HEIGHT - BOTTOM, TOP)
     else:
         ticks = nice_ticks(0.0, most or 1.0)

@@ -196,6 +196,15 @@ def test_counts_on_a_logarithmic_axis_rise_by_equal_steps_for_equal_factors() ->
     assert linear[0] - linear[1] == pytest.approx(linear[1] - linear[2], abs=0.2)
 
 
+@pytest.mark.parametrize(("most", "top"), [(0.0, 1), (1.0, 1), (10.0, 1), (11.0, 2), (100.0, 2), (101.0, 3)])
+def test_a_logarithmic_axis_ends_at_the_power_of_ten_that_holds_all_counts_and_at_ten_at_least(most: float, top: int) -> None:
+    svg = draw_histogram(Histogram(title="n", edges=np.arange(2.0), counts=np.array([most]), y_log=True))
+    numbers = re.findall(r'class="tick"[^>]*text-anchor="end"[^>]*>([\d.]+)<', svg)
+    assert [float(text) for text in numbers] == [10.0**e for e in range(top + 1)]
+    bars = tops(svg)
+    assert len(bars) == (most > 0.0) and all(18.0 <= y <= 206.0 for y in bars) and (most != 10.0**top or bars == [18.0])
+
+
 def test_bars_without_a_number_stand_on_an_axis_from_0_to_1() -> None:
     svg = draw_bars(Bars(title="delays", categories=("0", "1"), groups=(BarGroup(label="sc", values=np.full(2, np.nan)),)))
     numbers = [float(text) for text in re.findall(r'text-anchor="end"[^>]*>([\d.]+)<', svg)]
