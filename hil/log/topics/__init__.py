@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from pkgutil import iter_modules
+from re import findall
 from typing import TYPE_CHECKING, Final
 
 from hil.errors import HilError, nearest
@@ -81,6 +82,16 @@ def channels_of(loop: Loop, *, on_can: bool = False) -> dict[str, Channel]:
         states=rig.states, inputs=rig.inputs, outputs=rig.outputs, n_rows=loop.rows, numbered=rig.numbered,
         passivity=rig.passivity, on_can=on_can, bus=any(shared.table.kind == "can" for shared in rig.media),
     ))  # fmt: skip
+
+
+def in_log_of(versions: Mapping[str, str], topic: str) -> bool:
+    """Return whether the hilrig that wrote a log knew a topic; one that does not say its version knew all.
+
+    >>> in_log_of({"hilrig": "0.2.0"}, "/plant/state"), in_log_of({"hilrig": "0.0.9"}, "/plant/state")
+    (True, False)
+    """
+    wrote, since = (tuple(map(int, findall(r"\d+", text)[:3])) for text in (versions.get("hilrig", ""), TOPICS[topic].since))
+    return not wrote or wrote >= since
 
 
 def missing(topic: str, there: Sequence[str]) -> MissingTopic:

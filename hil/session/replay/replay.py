@@ -19,7 +19,7 @@ from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.table import UnavailablePlugin
 from hil.log.append_column import AppendColumn, pieces, whole
 from hil.log.run import Run
-from hil.log.topics import APPLIED, SENSOR, TIMING, channels_of
+from hil.log.topics import APPLIED, SENSOR, TIMING, channels_of, in_log_of
 from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
@@ -147,7 +147,8 @@ class Recorded:
 def verify(run: Run, source: str = "log", experiment: Experiment | None = None) -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record.
 
-    What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller.
+    What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller. A log
+    that ends before the slot up to which the rig says that it ran is different.
 
     Args:
         run: the log.
@@ -156,6 +157,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
 
     Raises:
         HilError: if the log has no slots.
+        MissingTopic: it lacks a topic of its run.
     """
     experiment = experiment_of(run, source) if experiment is None else experiment
     loop = compose(experiment, certify=False)
@@ -163,11 +165,14 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     applied = run.numbers(APPLIED.name)
     if not len(applied):
         raise HilError(f"{source}: the log holds no slots")
-    ended = any(event["kind"] == "outcome" for event in run.events)
-    slots = int(applied["tick"][-1]) + ended  # the last slot of a rig that was killed may be torn
+    ended = [event["data"] for event in run.events if event["kind"] == "outcome"]
+    slots = int(applied["tick"][-1]) + bool(ended)  # the last slot of a rig that was killed may be torn
+    short = [(slots, f"the log ends with slot {slots - 1}; the rig says that it ran {n} slots")
+             for n in (data.get("slots", slots) for data in ended if isinstance(data, dict)) if n != slots]  # fmt: skip
     received = RecordedAnswers(run)
     channels = channels_of(loop)
-    compared = sorted(topic for topic in channels if topic != TIMING.name and topic in run.arrays)  # an older log may lack one
+    compared = sorted(topic for topic in channels if topic != TIMING.name and (topic in run.arrays or in_log_of(run.versions, topic)))
+    run.needs(*compared)
     again = Comparison(run, channels, compared, slots)
     began = Woken(run, experiment.period_ns).at
     asked = changes_of(run)
@@ -187,7 +192,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
         if k % BATCH == BATCH - 1:
             again.compare()
     again.compare()
-    far = again.far(slots) + ([] if recorded.far is None else [recorded.far])
+    far = again.far(slots) + ([] if recorded.far is None else [recorded.far]) + short
     exact = again.differences(slots) + ([] if recorded.difference is None else [recorded.difference])
     likeness: Likeness = "different" if far else "same within 1e-9" if exact else "same bits"
     _, text = min(far or exact, default=(slots, None))

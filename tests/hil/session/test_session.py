@@ -138,6 +138,27 @@ def test_a_gap_in_the_log_is_a_difference(tmp_path: Path) -> None:
         verify(run)
 
 
+@pytest.mark.parametrize("topic", ["/plant/state", "/plant/measurement", "/reference", "/controller/rows", "/network/sc"])
+def test_a_log_without_a_topic_of_its_run_is_not_verified(tmp_path: Path, topic: str) -> None:
+    run_session(load_experiment("dc-motor-hinf", ["duration=1"]), path=tmp_path / "a.mcap")
+    run = read_run(tmp_path / "a.mcap")
+    del run.arrays[topic]
+    with pytest.raises(HilError, match=f"topic {topic}: this log lacks it"):
+        verify(run)
+
+
+def test_a_log_that_ends_before_its_run_is_different(tmp_path: Path) -> None:
+    run_session(load_experiment("dc-motor-hinf", ["duration=3"]), path=tmp_path / "a.mcap")
+    run = read_run(tmp_path / "a.mcap")
+    for topic in [*run.arrays]:
+        run.arrays[topic] = run.arrays[topic][run.arrays[topic]["tick"] < 40]
+    found = verify(run)
+    assert (found.likeness, found.states) == ("different", 40)
+    assert found.difference == "the log ends with slot 39; the rig says that it ran 60 slots"
+    run.events.clear()  # of a rig that was killed
+    assert verify(run).likeness == "same bits"
+
+
 def test_differences_are_found_in_whatever_batch_they_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in (replay, replay_compare):
         monkeypatch.setattr(module, "BATCH", 16)
