@@ -209,7 +209,8 @@ def _write(chosen: list[Problem]) -> None:
 
 
 def _mean(mean: float | None, low: float | None, high: float | None) -> tuple[str, str]:
-    return ("-", "-") if mean is None or low is None or high is None else (f"{mean:.5g}", f"{low:.5g} to {high:.5g}")
+    interval = "-" if low is None or high is None else f"{low:.5g} to {high:.5g}"
+    return "-" if mean is None else f"{mean:.5g}", interval
 
 
 def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[str, Reached]) -> None:

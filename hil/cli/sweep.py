@@ -207,7 +207,7 @@ def _show(out: dict[str, Any], titles: dict[str, str], table: Path | None) -> No
 
 def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
     from hil.pages.html.figures import Table
-    from hil.sweeps.shown import in_no_run
+    from hil.sweeps.shown import SHORTER, in_no_run
 
     print_folded(out["caution"] or "")
     rows: list[tuple[Any, ...]] = []
@@ -218,11 +218,12 @@ def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
             continue
         values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
         rows.append((titles[name], s["n"], *("-" if v is None else f"{v:.4g}" for v in values)))
-    note = in_no_run(none) if none else ""
+    note = "; ".join(filter(None, (in_no_run(none) if none else "", SHORTER if out["stopped_by_safety"] else "")))
     print_table(Table(columns=("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"), rows=rows, note=note), folds=True)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:
         what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"
+        what += " or has equal values" if wanted["statistic"] == "sd" else ": all values are equal"
         print(f"{wanted['statistic']} of {wanted['metric']}: no interval of the {what}")
     if wanted and wanted["interval"]:
         seen = wanted["interval"]

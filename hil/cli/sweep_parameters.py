@@ -55,7 +55,7 @@ def run_points(
     from hil.files import check_output, check_page, write_output
     from hil.pages.many_runs import parameter_page
     from hil.sweeps.parameters import load_points, sweep_parameters
-    from hil.sweeps.shown import interval_of
+    from hil.sweeps.shown import as_plain, interval_of
 
     if page is not None:
         check_page(page, force=force)
@@ -83,7 +83,7 @@ def run_points(
                 "stopped_by_safety": int(columns["stopped"].sum()),
                 "caution": found.cautions.get(number),
                 "metrics": {
-                    q.name: {"n": i.n, "mean": i.value, "low": i.low, "high": i.high} if i.n > 1 else {"n": i.n}
+                    q.name: as_plain(i) if i.n > 1 else {"n": i.n}
                     for q in found.quantities
                     for i in [interval_of(columns[q.name])]
                 },
@@ -141,13 +141,13 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
         rows = []
         for point in out["points"]:
             seen = point["metrics"][quantity.name]
-            numbers = ("-", "-") if "mean" not in seen else (f"{seen['mean']:.5g}", f"{seen['low']:.4g} to {seen['high']:.4g}")
+            mean, low = seen.get("mean"), seen.get("low")
+            numbers = ("-" if mean is None else f"{mean:.5g}", "-" if low is None else f"{low:.4g} to {seen['high']:.4g}")
             rows.append((*point["changes"].values(), seen["n"], *numbers))
-        if any(row[-1] != "-" for row in rows):
+        if any(row[-2] != "-" for row in rows):
             heads = (*sweep.points.keys, "n", "mean", "95 % interval")
             print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
-    judged = next((q.name for q in sweep.quantities if sweep.best(q.name) is not None), None)
-    for said in (*([sweep.answer(judged)] if judged else []), *sweep.said()):
+    for said in (*(sweep.answer(q.name) for q in sweep.judged()[:1]), *sweep.said()):
         print_folded(said)
     for what, path in (("page", page), ("csv", table)):
         if path is not None:

@@ -15,6 +15,7 @@ from hil.pages.html.numbers import can_id_text
 from hil.pages.html.page import Page
 
 if TYPE_CHECKING:
+    from design.monte_carlo.confidence import Interval
     from hil.design_questions.bus_analysis import BusAnalysis
     from hil.design_questions.can_priority import Judged
     from hil.design_questions.norm_trade_off import Compromise
@@ -166,6 +167,10 @@ def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> Page:
     )
 
 
+def _half(interval: Interval) -> str:
+    return f" ± {interval.half_width:.2g}" if np.isfinite(interval.half_width) else ""
+
+
 def trigger_page(
     name: str, kind: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint], open_points: Sequence[OpenPoint] = ()
 ) -> Page:
@@ -200,8 +205,8 @@ def trigger_page(
         [
             f"{each.of.threshold:g}" if each.of.threshold else "every slot", "  ".join(f"{v:.4g}" for v in each.of.gain.ravel()),
             f"{each.of.share:.0%} wrong" if each.of.share else "no trigger",
-            f"{each.stopped} runs stopped" if each.stopped else f"{each.cost.value:.4g} ± {each.cost.half_width:.2g}",
-            f"{each.packets.value:.3g} ± {each.packets.half_width:.2g}", _certificate(each.state),
+            f"{each.stopped} runs stopped" if each.stopped else f"{each.cost.value:.4g}" + _half(each.cost),
+            f"{each.packets.value:.3g}" + _half(each.packets), _certificate(each.state),
             each.bound if relative else ", ".join(f"{output} {value:.3g}" for output, value in each.ends_within.items()) or "-",
         ]
         for each in points

@@ -131,8 +131,7 @@ def parameter_page(sweep: ParameterSweep) -> str:
 
 def _answer_of_points(sweep: ParameterSweep) -> Section:
     """The best point of every quantity of which it is known which values are better."""
-    judged = [q for q in sweep.quantities if sweep.best(q.name) is not None]
-    said = [Text(title=q.title, text=sweep.answer(q.name)) for q in judged]
+    said = [Text(title=q.title, text=sweep.answer(q.name)) for q in sweep.judged()]
     none = Text(text="No measure of this experiment states which value is better.")
     cautions = tuple(Text(text=each) for each in sweep.said())
     return Section(title="Answer", blocks=(*(said or (none,)), *cautions))

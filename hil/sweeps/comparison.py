@@ -10,7 +10,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.monte_carlo.confidence import Interval, difference_interval, ratio_interval
+from design.monte_carlo.confidence import EQUAL, Interval, difference_interval, ratio_interval
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity
@@ -62,7 +62,8 @@ class Comparison(ShownResult):
         """Return in words whether an experiment is better than the first, with the number that decides and its interval.
 
         Whom safety stops more often is worse. Otherwise it is judged by the first quantity of which it is known what is better;
-        runs that safety stopped are shorter than the others, so that no number of theirs is judged.
+        runs that safety stopped are shorter than the others, so that no number of theirs is judged. Where one of them lacks a
+        number that the other has in the same seed, a mean over the others would leave out the best or the worst runs.
         """
         stops = self._verdict_on_stops(name)
         if stops is not None:
@@ -70,10 +71,17 @@ class Comparison(ShownResult):
         judged = next((q for q in self.quantities if q.better), None)
         if judged is None:
             return f"{name} against {self.first}: undecided; no measure states which value is better"
+        undecided = f"{name} against {self.first}: undecided; {judged.title}"
+        own, other = (np.isfinite(self.values[each][judged.name]) for each in (name, self.first))
+        if (own != other).any():
+            counts = f"{own.sum()} of its {self.runs} runs and in {other.sum()} of {self.first}"
+            return f"{undecided} is a number in {counts}, not in the same ones"
         pairs = self._pairs(name, judged.name)
         gap = difference_interval(*pairs)
         if gap.n < 2:
-            return f"{name} against {self.first}: undecided; {judged.title} is a number in {gap.n} runs of both, 2 are needed"
+            return f"{undecided} is a number in {gap.n} runs of both, 2 are needed"
+        if not np.isfinite(gap.half_width):
+            return f"{undecided} differs by the same {gap.value:+.4g} in all {gap.n} runs, and {EQUAL} are needed to show that"
         numbers = f"{judged.title} {_change(*pairs, judged.unit)}, {gap.n} runs"
         if gap.low <= 0.0 <= gap.high:
             return f"{name} against {self.first}: no difference is shown: {numbers}"

@@ -65,12 +65,22 @@ class ParameterSweep(ShownResult):
         return [interval_of(columns[quantity]) for columns in self.columns]
 
     def best(self, quantity: str) -> int | None:
-        """Return the point whose mean is best; None where no value is better, or the mean is undefined everywhere."""
-        better = asked(self.quantities, quantity).better
-        means = [i.value for i in self.intervals(quantity)]
-        if not better or not np.isfinite(means).any():
+        """Return the point whose mean is best of those that are `whole`; None where there is none, or no value is better."""
+        better, whole = asked(self.quantities, quantity).better, self.whole(quantity)
+        if not better or not whole:
             return None
-        return int(np.nanargmin(means) if better == "lower" else np.nanargmax(means))
+        return (min if better == "lower" else max)(whole, key=lambda p: float(self.columns[p][quantity].mean()))
+
+    def whole(self, quantity: str) -> list[int]:
+        """Return the points all of whose runs went to their end and have a number.
+
+        A run that safety stopped has a sum over fewer slots: the sooner, the smaller.
+        """
+        return [p for p, c in enumerate(self.columns) if np.isfinite(c[quantity]).all() and not c["stopped"].any()]
+
+    def judged(self) -> list[Quantity]:
+        """Return the quantities of which it is known which values are better, and that some run has."""
+        return [q for q in self.quantities if q.better and any(np.isfinite(c[q.name]).any() for c in self.columns)]
 
     def difference(self, point: int, against: int, quantity: str) -> Interval:
         """Return the mean difference of a point against another over the seeds that both have, and its 95 % interval."""
@@ -78,18 +88,21 @@ class ParameterSweep(ShownResult):
 
     def answer(self, quantity: str) -> str:
         """Return in words which point is best, and from how many others a paired difference distinguishes it."""
-        best, asked_for = self.best(quantity), asked(self.quantities, quantity)
-        if best is None:
+        best, asked_for, whole = self.best(quantity), asked(self.quantities, quantity), self.whole(quantity)
+        if asked_for not in self.judged():
             return f"{asked_for.title}: no measure states which value is better"
-        others = [p for p in range(len(self.columns)) if p != best]
+        if best is None:
+            return f"{asked_for.title}: no point is best; at each safety stopped a run, or a run has no number"
+        others = [p for p in whole if p != best]
         gaps = [self.difference(p, best, quantity) for p in others]
         clear = sum(g.n > 1 and (g.low > 0.0 or g.high < 0.0) for g in gaps)
         text = f"best point: {', '.join(self.points.changes(best))}; {mean_and_interval(self.columns[best][quantity], asked_for)}"
-        if not others:
-            return text
-        stopped = int(self.columns[best]["stopped"].sum())
-        safety = f"; safety stopped {stopped} of its {self.columns[best]['stopped'].size} runs" if stopped else ""
-        return f"{text}; {clear} of {len(others)} other points differ on the same seeds (95 % interval each){safety}"
+        if others:
+            text += f"; {clear} of {len(others)} other points differ on the same seeds (95 % interval each)"
+        if not_whole := len(self.columns) - len(whole):
+            points = "points are" if not_whole > 1 else "point is"
+            text += f"; {not_whole} {points} not judged: safety stopped a run, or a run has no number"
+        return text
 
     def _runs(self) -> tuple[Mapping[str, Sequence[str]], Sequence[Values]]:
         done = self.points.values[: len(self.columns)]

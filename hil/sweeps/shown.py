@@ -123,25 +123,36 @@ def within(interval: Interval) -> str | None:
     return said if np.isfinite(interval.half_width) else None
 
 
+def as_plain(interval: Interval) -> dict[str, float | int | None]:
+    """Return mean, ends and number of runs as JSON has them: no ends where the interval is infinitely wide."""
+    low, high = (interval.low, interval.high) if np.isfinite(interval.half_width) else (None, None)
+    return {"n": interval.n, "mean": interval.value, "low": low, "high": high}
+
+
 def ends_of(interval: Interval) -> tuple[float, float]:
     """Return the ends of an interval, the value alone where it is infinitely wide."""
     return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
 
 
 def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:
-    """Return the mean of a quantity with its interval, in one line."""
+    """Return the mean of a quantity with its interval, in one line, and how many runs it is over where some lack the number."""
     found = interval_of(values)
     if not found.n:
         return f"{quantity.title} undefined in all runs"
     unit = f" {quantity.unit}" if quantity.unit else ""
     inner = within(found)
-    return f"{quantity.title} {found.value:.5g}{unit} on average" + (f", 95 % interval {inner}" if inner else "")
+    over = f" over the {found.n} of {values.size} runs that have it" if found.n < values.size else ""
+    return f"{quantity.title} {found.value:.5g}{unit} on average{over}" + (f", 95 % interval {inner}" if inner else "")
 
 
 def stopped_in_words(values: Values) -> str:
     """Return how many of the runs safety stopped."""
     count, runs = int(values["stopped"].sum()), values["stopped"].size
-    return f"safety stopped {count or 'none'} of {runs} runs"
+    return f"safety stopped {count or 'none'} of {runs} runs" + (f"; {SHORTER}" if count else "")
+
+
+SHORTER = "means are over the shorter runs too, whose sums are of fewer slots"
+"""What is to be said beside a mean where safety stopped runs."""
 
 
 CRUSHED = 20.0

@@ -18,7 +18,7 @@ from hil.measure.signals import signals_of
 from hil.measure.tracking import without_sense
 from hil.rig.loop_chains import loop_chains
 from hil.sweeps.seeds import run_sweep
-from hil.sweeps.shown import interval_of
+from hil.sweeps.shown import as_plain, interval_of
 
 RUNS: Final = 20
 """Seeds of every point, the same for all."""
@@ -45,8 +45,8 @@ class TriggerPoint(NamedTuple):
         return {
             "threshold": self.of.threshold, "designed_for_share": self.of.share, "gain": self.of.gain.tolist(),
             "h2_bound": self.bound, "certificate": self.state, "reason": self.reason, "ends_within": self.ends_within,
-            "cost": None if self.stopped else _plain(self.cost), "packets_per_s": _plain(self.packets), "stopped": self.stopped,
-            "budget_spent": self.of.cut,
+            "cost": None if self.stopped else as_plain(self.cost), "packets_per_s": as_plain(self.packets),
+            "stopped": self.stopped, "budget_spent": self.of.cut,
         }  # fmt: skip
 
     @property
@@ -76,10 +76,6 @@ def undecided(plan: Sequence[tuple[float, float]], points: Sequence[TriggerPoint
     """Return what is open of a plan: points that the budget cut short, and those that no run has reached."""
     cut = [OpenPoint(each.of.threshold, each.of.share, CUT) for each in points if each.of.cut]
     return cut + [OpenPoint(*each, NOT_REACHED) for each in plan[len(points) :]]
-
-
-def _plain(each: Interval) -> dict[str, float | int]:
-    return {"mean": each.value, "low": each.low, "high": each.high, "n": each.n}
 
 
 def experiment_with(asked: TriggerQuestion, candidate: Candidate) -> Experiment:

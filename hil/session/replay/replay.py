@@ -171,7 +171,8 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
              for n in (data.get("slots", slots) for data in ended if isinstance(data, dict)) if n != slots]  # fmt: skip
     received = RecordedAnswers(run)
     channels = channels_of(loop)
-    compared = sorted(topic for topic in channels if topic != TIMING.name and (topic in run.arrays or in_log_of(run.versions, topic)))
+    known = [topic for topic in channels if topic in run.arrays or in_log_of(run.versions, topic)]
+    compared = sorted({*known} - {TIMING.name})
     run.needs(*compared)
     again = Comparison(run, channels, compared, slots)
     began = Woken(run, experiment.period_ns).at

@@ -176,7 +176,21 @@ def test_stopping_at_the_first_narrow_ordinary_interval_misses_more_often() -> N
 def test_too_few_values_give_no_narrow_interval() -> None:
     assert mean_interval([1.0]).half_width == np.inf
     assert deviation_interval([1.0, 2.0, 3.0]).high == np.inf
-    assert deviation_interval([2.0] * 10) == Interval(0.0, 0.0, 0.0, 0.95, 10)
+    for found in (mean_interval([2.0] * 10), deviation_interval([2.0] * 10), difference_interval([1.0] * 5, [2.0] * 5)):
+        assert found.half_width == np.inf
+    assert difference_interval([1.0] * 6, [2.0] * 6) == Interval(1.0, 1.0, 1.0, 0.95, 6)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.05])
+@pytest.mark.parametrize("n", [2, 5, 10, 20, 200])
+def test_a_number_that_is_nearly_always_the_same_is_covered(share: float, n: int) -> None:
+    """Misses: at most 7 % of all samples (binomial bound 1e-4); of 10 values that are 1 in one of twenty 60 % are all 0."""
+    rng = np.random.default_rng(10)
+    means = [mean_interval((rng.random(n) < share).astype(float)) for _ in range(FEW)]
+    assert sum(not i.low <= share <= i.high for i in means) <= FEW - fewest_hits(0.93, FEW)
+    draws = [(rng.random((2, n)) < share).astype(float) for _ in range(FEW)]
+    gaps = [difference_interval(a, b) for a, b in draws]
+    assert sum(not i.low <= 0.0 <= i.high for i in gaps) <= FEW - fewest_hits(0.93, FEW)
 
 
 @pytest.mark.parametrize(

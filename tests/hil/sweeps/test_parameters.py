@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,21 @@ def test_every_point_has_the_numbers_of_a_sweep_of_its_own() -> None:
     for columns, gain in zip(found.columns, (150, 170)):
         alone = hil.sweep("dc-motor-hinf", runs=3, jobs=1, duration=3, **{"plant.gain": gain})
         assert columns["seed"].tolist() == [0, 1, 2] and np.array_equal(columns["sse"], alone.values["sse"])
+
+
+def test_a_point_whose_runs_safety_stopped_is_not_the_best() -> None:
+    """Its sums are of fewer slots: the sooner it was stopped, the smaller."""
+    gains = [[[-0.005]], [[-3.0]]]
+    changes = {"duration": 6, "allow_uncertified": True, "limits.state.angle": 3.3}
+    found = hil.sweep("dc-motor-local", runs=3, jobs=1, grid={"controller.gain": gains}, **changes)
+    calm, stopped = found.columns
+    assert stopped["stopped"].all() and not calm["stopped"].any() and stopped["sse"].mean() < calm["sse"].mean()
+    assert found.best("sse") == 0 and found.answer("sse").startswith("best point: controller.gain=[[-0.005]]; ")
+    assert found.answer("sse").endswith("; 1 point is not judged: safety stopped a run, or a run has no number")
+    none = replace(found, columns=[stopped])
+    assert none.answer("sse") == "squared tracking error: no point is best; at each safety stopped a run, or a run has no number"
+    alone = hil.sweep("dc-motor-local", runs=3, jobs=1, **changes, **{"controller.gain": gains[1]})
+    assert "safety stopped 3 of 3 runs; means are over the shorter runs too, whose sums are of fewer slots" in repr(alone)
 
 
 def test_a_bad_point_is_named_before_anything_runs() -> None:

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from hil.measure.measure import Quantity
-from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for, ends_of, interval_of, paint_distributions, within
+from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for, ends_of, interval_of, mean_and_interval, paint_distributions, within
 from hil.sweeps.sweep import statistics
 
 
@@ -21,6 +21,13 @@ def test_an_axis_follows_its_values_whatever_their_unit(unit: float) -> None:
     assert axis([1.0, 1.0], [1.01 * CRUSHED]) == Axis(log=True)
     assert axis([0.0, 1.0, 1.0], [1.01 * CRUSHED]).asinh == pytest.approx(unit)
     assert axis([0.0, 1.0, 1.0], [2.0 * 10.0**9]).asinh == pytest.approx(2e9 * unit / DECADES)
+
+
+def test_a_mean_says_over_how_many_runs_it_is() -> None:
+    quantity = Quantity(name="reach", title="time to reach", unit="s")
+    said = "time to reach 1 s on average"
+    assert mean_and_interval(np.array([1.0, 1.0, np.nan]), quantity) == f"{said} over the 2 of 3 runs that have it"
+    assert mean_and_interval(np.array([1.0, 1.0]), quantity) == said
 
 
 @pytest.mark.parametrize(("far", "scale"), [([350.0, 800.0], "log"), ([-350.0, 800.0], "asinh"), ([11.5, 12.5], "linear")])

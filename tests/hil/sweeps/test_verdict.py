@@ -51,6 +51,29 @@ def test_whom_safety_stops_is_the_answer(both: hil.Comparison, own: int, other: 
     assert replace(both, values=stopped).verdict("b") == said
 
 
+@pytest.mark.parametrize("worst", [np.inf, np.nan])
+def test_a_mean_over_those_that_came_through_is_no_verdict(both: hil.Comparison, worst: float) -> None:
+    """Who diverges in the runs that the other finds hard has the smaller mean over the rest."""
+    first = both.values["dc-motor-ours-h2"]
+    hard = first["sse"] > np.quantile(first["sse"], 0.7)
+    values = {"a": first, "b": dict(first) | {"sse": np.where(hard, worst, 0.99 * first["sse"])}}
+    said = replace(both, values=values).verdict("b")
+    assert said == (
+        "b against a: undecided; squared tracking error is a number in 21 of its 30 runs and in 30 of a, not in the same ones"
+    )
+    same = {"a": dict(first) | {"sse": np.where(hard, np.nan, first["sse"])}, "b": values["b"]}
+    assert replace(both, values=same).verdict("b").startswith("b is better than a: ")
+
+
+def test_equal_differences_of_a_few_runs_show_nothing() -> None:
+    quantity = Quantity(name="lost", title="packets lost", better="lower")
+    few = "b against a: undecided; packets lost differs by the same +1 in all 5 runs, and 6 are needed to show that"
+    enough = "b is worse than a: packets lost +100.0 %, 95 % interval +100.0 to +100.0 %, 6 runs"
+    for n, said in ((5, few), (6, enough)):
+        values = {name: {"stopped": np.zeros(n), "lost": np.full(n, lost)} for name, lost in (("a", 1.0), ("b", 2.0))}
+        assert hil.Comparison(runs=n, values=values, quantities=(quantity,)).verdict("b") == said
+
+
 def test_two_equal_laws_are_seldom_called_different() -> None:
     """5 % of verdicts at n = 2, 3, 5, 10: a binomial bound of 1e-4 over 600 comparisons each."""
     quantity = Quantity(name="sse", title="squared error", unit="rad² s", better="lower")
