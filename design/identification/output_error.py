@@ -20,6 +20,8 @@ from scipy.stats import t as student
 
 from design.errors import DesignError
 from design.identification.axis import Array, Record, covariance, sensitivities
+from design.identification.dry_friction import dry_friction
+from design.identification.residual_test import LEVEL as RARE
 from design.identification.residual_test import ResidualTest, residual_test
 
 
@@ -109,7 +111,7 @@ class Interval:
     Args:
         value: the estimate.
         error: its standard error.
-        low, high: ends of the 95 % interval.
+        low, high: ends of the 95 % interval, where nothing else is said.
     """
 
     value: float
@@ -134,6 +136,8 @@ class AxisFit:
         plain: g and p by plain least squares, None where it gives none.
         start: g and p that the fit began with.
         residuals: whether what is left is noise.
+        friction: dry friction beside the model, in the input's unit, its interval at 99 %; see `dry_friction`. The model has
+            none, and what the interval leaves room for may shift the others.
         starts: y_0 and v_0 of every record.
     """
 
@@ -146,6 +150,7 @@ class AxisFit:
     plain: tuple[float, float] | None
     start: tuple[float, float]
     residuals: ResidualTest
+    friction: Interval
     starts: tuple[tuple[float, float], ...]
 
 
@@ -204,7 +209,10 @@ def identify_axis(records: Sequence[Record]) -> AxisFit:
         error = math.sqrt(max(of_top - 2.0 * value * with_gain + value * value * gg, 0.0)) / g
         return Interval(value=value, error=error, low=b / a - half, high=b / a + half)
 
+    f, error = dry_friction(records, g, p, best.starts, best.left, jacobian)
+    wide = float(student.isf(0.5 * RARE, freedom - 1)) * error
     return AxisFit(
+        friction=Interval(value=f, error=error, low=f - wide, high=f + wide),
         gain=interval(g, math.sqrt(gg)), pole=interval(p, math.sqrt(pp)), inertia=over_gain(1.0, 0.0, 0.0),
         damping=over_gain(p, pp, gp), noise_sd=math.sqrt(variance), samples=samples, plain=plain, start=start,
         residuals=residual_test(best.left, size), starts=best.starts,

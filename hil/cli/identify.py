@@ -165,7 +165,8 @@ command.add_command(law)
 def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.
 
-    All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise: the intervals are then too narrow.
+    All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise, or dry friction is seen, of which the axis has
+    none: the intervals are then too narrow.
     """
     from design.errors import DesignError
     from design.identification.axis import Record
@@ -188,7 +189,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
         raise HilError(f"identify: {error}") from error
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
     answer(said, _print, said)
-    if fit.residuals.verdict == "correlated":
+    if fit.residuals.verdict == "correlated" or said["friction"]["seen"]:
         raise SystemExit(1)
 
 
@@ -213,14 +214,36 @@ def _document(kind: str, axis: Axis, records: list[AxisRecord], fit: AxisFit) ->
         "plain_least_squares": pair(fit.plain),
         "logged": {name: records[0].plant[name] for name in axis.parameters if name in records[0].plant},
         "residuals": asdict(fit.residuals),
+        "friction": _friction(axis, fit),
     }
 
 
+def _friction(axis: Axis, fit: AxisFit) -> dict[str, Any]:
+    """Return the dry friction beside the model; it is seen where its interval does not hold 0, and there is noise to judge by."""
+    f, known = fit.friction, isfinite(fit.friction.error)
+    seen = fit.residuals.verdict != "exact" and known and not f.covers(0.0)
+    ends = {"value": f.value, "low": f.low, "high": f.high} if known else dict.fromkeys(("value", "low", "high"))
+    return {**ends, "unit": axis.unit, "seen": seen}
+
+
 WORDS = {
-    "white": "white: the intervals hold",
+    "white": "white: nothing but damping is seen to brake the axis",
     "correlated": "correlated: the model or the noise is another, and the intervals are too narrow",
     "exact": "none: the model fits to rounding",
 }
+
+
+def _friction_in_words(friction: dict[str, Any], verdict: str) -> str:
+    """Return what is known of the dry friction, and whether the intervals hold."""
+    if friction["value"] is None:
+        return "this motion cannot show it: the intervals hold if there is none"
+    unit = friction["unit"]
+    number = f"{friction['value']:.3g} {unit}, 99 %: {friction['low']:.3g} to {friction['high']:.3g} {unit}"
+    if friction["seen"]:
+        return f"{number}; the axis has none, and the intervals do not hold"
+    if verdict == "white":
+        return f"{number}; the intervals hold if there is none: as much would not be seen here, and shifts them"
+    return number
 
 
 def _print(said: dict[str, Any]) -> None:
@@ -232,6 +255,7 @@ def _print(said: dict[str, Any]) -> None:
     test = said["residuals"]
     tested = f" (Q = {test['statistic']:.3g} over {test['lags']} lags, p = {test['p_value']:.2g})"
     print_facts((
+        ("dry friction", _friction_in_words(said["friction"], said["residuals"]["verdict"]), ""),
         ("plain least squares", f"{text}, for comparison", ""),
         ("noise", f"{said['noise_sd']:.3g} (standard deviation), {said['samples']} samples at {1e3 * said['period_s']:g} ms", ""),
         ("residuals", WORDS[test["verdict"]] + ("" if test["verdict"] == "exact" else tested), ""),

@@ -28,17 +28,19 @@ class Axis:
         input, output: names of the signals.
         parameters: names in the plant's table: of m and b, or of g and p.
         physical: whether these are m = 1/g and b = p/g.
+        unit: of the input.
     """
 
     input: str
     output: str
     parameters: tuple[str, str]
     physical: bool
+    unit: str
 
 
 AXES = {
-    "omni": Axis(input="torque", output="angle", parameters=("inertia", "damping"), physical=True),
-    "dc-motor": Axis(input="voltage", output="angle", parameters=("gain", "pole"), physical=False),
+    "omni": Axis(input="torque", output="angle", parameters=("inertia", "damping"), physical=True, unit="N m"),
+    "dc-motor": Axis(input="voltage", output="angle", parameters=("gain", "pole"), physical=False, unit="V"),
 }
 
 

@@ -6,9 +6,11 @@ import csv
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hil.log.read.run import read_run
+from tests.design.identification.test_dry_friction import CHIRP, braked
 from tests.hil.cli.conftest import Hil
 
 
@@ -47,6 +49,21 @@ def test_a_motor_with_friction_is_distinguished_from_one_without(cli: Hil) -> No
     assert cli("run", "dc-motor-hinf", *sets, "-o", "motor.mcap")[0] == 0
     status, out, _ = cli("identify", "plant", "motor.mcap")
     assert status == 1 and "the model or the noise is another" in out
+
+
+def test_dry_friction_that_white_residuals_hide_is_seen(cli: Hil, tmp_path: Path) -> None:
+    y = braked(CHIRP, 0.02) + 0.01 * np.random.default_rng(2).standard_normal(CHIRP.size)
+    rows = "".join(f"{0.02 * k},{angle},{u}\n" for k, (angle, u) in enumerate(zip(y.tolist(), CHIRP.tolist())))
+    (tmp_path / "motor.csv").write_text(f"t_s,angle,voltage\n{rows}")
+    status, out, _ = cli("identify", "plant", "motor.csv", "--plant", "dc-motor", "--json")
+    found = json.loads(out)
+    assert status == 1 and found["residuals"]["verdict"] == "white" and found["friction"]["seen"]
+    assert "the intervals do not hold" in " ".join(cli("identify", "plant", "motor.csv", "--plant", "dc-motor")[1].split())
+
+
+def test_what_would_not_be_seen_is_said(cli: Hil, omni_log: Path) -> None:
+    status, out, _ = cli("identify", "plant", omni_log)
+    assert status == 0 and "the intervals hold if there is none: as much would not be seen here" in " ".join(out.split())
 
 
 def write_table(path: Path, log: Path, clock: str = "t_s", skip: int | None = None) -> None:
