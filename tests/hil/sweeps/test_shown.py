@@ -7,7 +7,17 @@ import pytest
 from matplotlib.figure import Figure
 
 from hil.measure.measure import Quantity
-from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for, ends_of, interval_of, mean_and_interval, paint_distributions, within
+from hil.sweeps.shown import (
+    CRUSHED,
+    DECADES,
+    Axis,
+    axis_for,
+    ends_of,
+    interval_of,
+    mean_and_interval,
+    paint_distributions,
+    within,
+)
 from hil.sweeps.sweep import statistics
 
 
