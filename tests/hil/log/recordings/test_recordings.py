@@ -108,7 +108,9 @@ def test_probes_that_overtake_are_read_as_they_were_sent_back(tmp_path: Path) ->
     np.testing.assert_allclose(records["ca"].latency_s, 0.001, atol=1e-9)
 
 
-def capture(path: Path, *, replies: bool = True, order: str = "<", magic: int = 0xA1B2C3D4) -> Path:
+def capture(
+    path: Path, *, replies: bool = True, order: str = "<", magic: int = 0xA1B2C3D4, twice: int = 0, strays: int = 0
+) -> Path:
     """Ethernet, IPv4, ICMP echo: what `tcpdump -w` writes of ping."""
     frames = []
     for k in range(N):
@@ -117,6 +119,9 @@ def capture(path: Path, *, replies: bool = True, order: str = "<", magic: int = 
                 addresses = (b"\n\0\0\1", b"\n\0\0\2")[:: 1 if kind == 8 else -1]
                 ip = struct.pack(">BBHHHBBH", 0x45, 0, 28, 0, 0, 64, 1, 0) + b"".join(addresses)
                 frames.append((t, b"\0" * 12 + b"\x08\0" + ip + struct.pack(">BBHHH", kind, 0, 0, 77, k)))
+    answers = [each for each in frames if each[1][34] == 0]
+    frames += [(t + 0.5, data) for t, data in answers[:twice]]  # the same again
+    frames += [(t, data[:-4] + struct.pack(">HH", 78, 0)) for t, data in answers[:strays]]  # of another program's ping
     frames.sort()
     with path.open("wb") as file:
         file.write(struct.pack(order + "IHHiIII", magic, 2, 4, 0, 0, 65535, 1))
@@ -139,6 +144,16 @@ def test_a_log_of_odd_lines_prints_nothing_of_each(tmp_path: Path) -> None:
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_a_capture_of_ping(tmp_path: Path, order: str) -> None:
     np.testing.assert_allclose(only([capture(tmp_path / "ping.pcap", order=order)]), np.where(LOST, np.nan, LATENCY), atol=2e-6)
+
+
+def test_replies_that_come_twice_or_to_no_request_are_counted_and_said(tmp_path: Path) -> None:
+    recording = read_recording([capture(tmp_path / "ping.pcap", twice=3, strays=5)])
+    (record,) = packet_records(recording)[0].values()
+    np.testing.assert_allclose(record.latency_s, np.where(LOST, np.nan, LATENCY), atol=2e-6)
+    said = " ".join(recording.notes)
+    assert "3 replies came twice: the first counts" in said and "5 replies to no request" in said
+    quiet = " ".join(read_recording([capture(tmp_path / "ping.pcap")]).notes)
+    assert "replies came twice" not in quiet and "replies to no request" not in quiet
 
 
 LINKS = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0: 4, 108: 4}
