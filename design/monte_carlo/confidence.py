@@ -242,6 +242,8 @@ class SequentialTest:
     >>> test = SequentialTest(p0=0.95, p1=0.975, alpha=1e-3, beta=1e-3)
     >>> test.decide(265, 265), test.decide(266, 266), test.decide(266, 300)
     (None, 'at least p1', 'at most p0')
+    >>> test.fewest
+    266
     """
 
     p0: float
@@ -255,6 +257,12 @@ class SequentialTest:
         for name, value in (("alpha", self.alpha), ("beta", self.beta)):
             if not 0.0 < value < 1.0:
                 raise FieldError(name, f"{value:g}; expected a number between 0 and 1")
+
+    @property
+    def fewest(self) -> int:
+        """Number of runs in which the condition must hold, all of them, before "at least p1" can be decided."""
+        n = max(math.ceil(-math.log(self.alpha) / math.log(self.p1 / self.p0)) - 1, 1)
+        return next(runs for runs in range(n, n + 3) if self.decide(runs, runs) == "at least p1")
 
     def decide(self, successes: int, runs: int) -> Decision | None:
         """Return what is decided after some runs, None if more are needed."""

@@ -110,7 +110,8 @@ def assert_probability(
     """Assert that a condition holds with at least some probability, by Wald's sequential test over seeded sessions.
 
     It runs seed after seed in virtual time and stops as soon as it may. If the probability is ``at_least`` or less, it passes
-    with probability at most ``alpha``; if it is ``at_least + margin`` or more, it fails with probability at most ``beta``.
+    with probability at most ``alpha``; if it is ``at_least + margin`` or more, it is decided that it is too low with probability
+    at most ``beta``. A test that has not decided after ``most_runs`` fails too, and says so: that is no part of ``beta``.
 
     Args:
         source: as in `run`.
@@ -127,7 +128,7 @@ def assert_probability(
 
     Raises:
         AssertionError: with that line and the command that runs a failed seed again, if the probability is too low or undecided.
-        HilError: if the experiment cannot be run, or the numbers mean nothing.
+        HilError: if the experiment cannot be run, the numbers mean nothing, or ``most_runs`` cannot suffice.
 
     Reference: A. Wald, Sequential Analysis, 1947.
     """
@@ -142,6 +143,11 @@ def assert_probability(
         test = SequentialTest(p0=at_least, p1=sure, alpha=alpha, beta=beta)
     except ValueError as error:
         raise HilError(f"assert_probability: {error}") from None
+    if 1 <= most_runs < test.fewest:
+        raise HilError(
+            f"assert_probability: most_runs: {most_runs}; to tell {at_least:g} from {sure:g} takes {test.fewest} runs at least, "
+            "in which it always holds: allow more, or a wider margin"
+        )
     found = frequency(checked_experiment(source, None, None, changes), holds, test, most_runs=most_runs, first_seed=first_seed)
     if not found.holds:
         again = f"; to see one: {command_of(source, found.failed[0], changes)}" if found.failed else ""

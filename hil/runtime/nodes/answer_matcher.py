@@ -20,8 +20,8 @@ FLOOD_NS: Final = 50_000_000
 LOGGED: Final = 16
 """Late frames of one slot that the log keeps."""
 
-REMEMBERED: Final = 64
-"""Slots for which a second answer is compared with the first one."""
+REMEMBERED: Final = 1024
+"""Slots for which a second answer is compared with the first one, and a late one is known: a second of stall at 1 kHz."""
 
 SAMPLES: Final = 1024
 """Samples that are known to have been sent."""

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import binom
 
 import hil
+from design.monte_carlo.confidence import SequentialTest
 from hil.compose.loop import compose
 from hil.measure.network_paths import network_metrics
 from hil.session import simulated_session
@@ -35,8 +36,21 @@ def test_it_gives_the_seeds_that_failed_and_stops_at_once() -> None:
 
 
 def test_too_few_runs_are_undecided_and_fail() -> None:
-    with pytest.raises(AssertionError, match=r"too few to tell 0\.9 from 0\.95"):
-        hil.assert_probability("dc-motor-hinf", lambda s: True, at_least=0.9, most_runs=2, duration=1)
+    first = iter([False])
+    with pytest.raises(AssertionError, match=r"too few to tell 0\.5 from 0\.9"):
+        hil.assert_probability(
+            "dc-motor-hinf", lambda s: next(first, True), at_least=0.5, margin=0.4, alpha=1e-2, most_runs=8, duration=1
+        )
+
+
+@pytest.mark.parametrize(("at_least", "runs"), [(0.9, 128), (0.999, 13_806)])
+def test_runs_that_cannot_suffice_are_refused_before_any_is_made(at_least: float, runs: int) -> None:
+    """At 0.999 the default of 10,000 runs failed also where it always holds, beside "fails with probability at most beta"."""
+    most = min(runs - 1, 10_000)
+    with pytest.raises(hil.HilError, match=f"most_runs: {most}; to tell {at_least:g} from .* takes {runs} runs at least"):
+        hil.assert_probability("dc-motor-hinf", lambda s: pytest.fail("ran"), at_least=at_least, most_runs=most)
+    test = SequentialTest(p0=at_least, p1=0.5 * (1.0 + at_least), alpha=1e-3, beta=1e-3)
+    assert test.decide(runs, runs) == "at least p1" and test.decide(runs - 1, runs - 1) is None
 
 
 @pytest.mark.parametrize(

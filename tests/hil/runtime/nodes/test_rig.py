@@ -202,8 +202,18 @@ def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_o
     assert 1 in Run.from_memory(sink).arrays["/link/control"]["tick"][-1:]  # and the answer is found among them
 
 
-def test_answers_that_a_stalled_controller_sends_late_are_no_flood(loop: Loop) -> None:
-    sink = drive(loop, lambda k: [] if k < 60 else [control(g) for g in range(61)], 61)
+@pytest.mark.parametrize("slots", [60, 1000])
+def test_answers_that_a_stalled_controller_sends_late_are_no_flood(slots: int) -> None:
+    """At 1 kHz a stall of 150 ms was called a flood, with exit status 6."""
+    patient = compose(load_experiment("dc-motor-hinf", ["limits.watchdog_slots=2000", "duration=60"]), certify=False)
+    answered: list[int] = []
+
+    def late(k: int) -> list[bytes]:
+        answered.extend(range(k + 1) if k == slots else ())
+        return [control(g) for g in answered]
+
+    sink = drive(patient, late, slots + 1)
+    assert len(answered) == slots + 1
     assert "flood" not in kinds(sink) and "second controller" not in kinds(sink)
 
 
