@@ -152,6 +152,23 @@ def drift_of(sent_s: Array, difference_s: Array) -> Drift:
     return Drift(float(line.slope), 0.5 * float(line.high_slope - line.low_slope), seen)
 
 
+def drift_and_rise(there: Drift, back: Drift) -> tuple[Drift, Drift]:
+    """Return the drift of the other clock against ours, and by how much the least latency rises in both directions, s per s.
+
+    A drift raises the differences of one direction as it lowers those of the other; a queue that fills raises both. Either is
+    seen where chance alone, as good as normal, gives it with less than `SEEN`.
+
+    Args:
+        there: of the differences at the other clock.
+        back: of those at ours.
+    """
+    half = 0.5 * math.hypot(there.half_width, back.half_width)
+    surely = half * float(stats.norm.isf(0.5 * SEEN) / stats.norm.isf(0.025))
+    slopes = 0.5 * (there.slope - back.slope), 0.5 * (there.slope + back.slope)
+    drift, rise = (Drift(slope, half, abs(slope) > surely) for slope in slopes)
+    return drift, rise
+
+
 def without_drift(sent_s: Array, difference_s: Array, drift: Drift) -> Array:
     """Return received minus sent as if both clocks ran alike; the first difference stays as it was.
 

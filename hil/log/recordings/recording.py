@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hil.errors import HilError
 from transport.errors import FieldError
-from transport.law_fit.packet_record import PacketRecord, drift_of, offset_of, without_drift
+from transport.law_fit.packet_record import Drift, PacketRecord, drift_and_rise, drift_of, offset_of, without_drift
 
 Array = NDArray[np.float64]
 
@@ -63,15 +63,26 @@ def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[s
     """
     ways, notes = dict(recording.ways), list(recording.notes)
     if recording.clocks == 2:
+        drifts = {name: _drift(way) for name, way in ways.items()}
+        if THERE in ways and BACK in ways:
+            drift, rise = drift_and_rise(drifts[THERE], drifts[BACK])
+            drifts = {THERE: drift, BACK: drift._replace(slope=-drift.slope)}
+            if rise.seen:
+                size = f"{rise.slope * 1e6:.3g} us per s (95 %: +- {rise.half_width * 1e6:.2g})"
+                notes.append(
+                    f"the least latency rises by {size} in the mean of both directions, which no clock does: it stays in, and a "
+                    "drift is told from it if it is the same in both"
+                )
         for name, way in ways.items():
-            ways[name] = _straight(name, way, notes)
+            ways[name] = _straight(name, way, drifts[name], notes)
         if THERE in ways and BACK in ways:
             offset = offset_of(ways[THERE].difference_s, ways[BACK].difference_s)
             shifts = {THERE: -offset, BACK: offset}
             ways = {name: replace(way, difference_s=way.difference_s + shifts[name]) for name, way in ways.items()}
             notes.append(f"offset between the clocks {offset:.6g} s, taken out: the least latency is the same in both directions")
         else:
-            notes.append("one direction: an offset between the two clocks would shift every latency, and cannot be seen")
+            said = "would shift every latency, and cannot be seen; a latency that grows would be taken for a drift"
+            notes.append(f"one direction: an offset between the two clocks {said}")
     if halve:
         if ROUND_TRIP not in ways:
             raise HilError(f"{recording.source}: --halve: these are no round trips, but {' and '.join(ways)}")
@@ -87,10 +98,15 @@ def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[s
     return found, tuple(notes)
 
 
-def _straight(name: str, way: Way, notes: list[str]) -> Way:
-    if len(way.sent_s) < 2 or np.isnan(way.difference_s).all():
+def _drift(way: Way) -> Drift:
+    """Return the drift in one direction, none where too few packets came."""
+    none = len(way.sent_s) < 2 or np.isnan(way.difference_s).all()
+    return Drift(0.0, np.inf, False) if none else drift_of(way.sent_s, way.difference_s)
+
+
+def _straight(name: str, way: Way, drift: Drift, notes: list[str]) -> Way:
+    if not np.isfinite(drift.half_width):
         return way
-    drift = drift_of(way.sent_s, way.difference_s)
     said = f"{name}: drift between the clocks {drift.slope * 1e6:.3g} ppm (95 %: +- {drift.half_width * 1e6:.2g})"
     notes.append(f"{said}, taken out" if drift.seen else f"{said}: none is seen, none is taken out")
     if not drift.seen:

@@ -67,6 +67,20 @@ def test_two_tables_of_two_clocks_say_offset_and_drift(tmp_path: Path) -> None:
     assert "drift" in said and "ppm" in said and "taken out" in said and "offset between the clocks 12" in said
 
 
+def test_latencies_that_grow_in_both_directions_stay_as_they_are(tmp_path: Path) -> None:
+    """A queue that fills: a drift of 250 ppm in either direction was taken out, and half of the mean latency with it."""
+    ahead, drift, rise, rng = 12.0, 30e-6, 250e-6, np.random.default_rng(3)
+    sent, paths, grown = np.arange(2000) * 0.01, [], {}
+    for name, sign in (("sc", 1.0), ("ca", -1.0)):
+        grown[name] = 1e-3 + rng.exponential(1e-3, sent.size) + rise * sent
+        rows = [f"{s!r},{s + v + sign * (ahead + drift * s)!r}" for s, v in zip(sent.tolist(), grown[name].tolist())]
+        paths.append(table(tmp_path / f"{name}.csv", "sent_s,received_s", rows))
+    records, notes = packet_records(read_recording(paths))
+    for name, record in records.items():
+        np.testing.assert_allclose(record.latency_s, grown[name], atol=1e-4)
+    assert any("the least latency rises by 25" in note and "which no clock does: it stays in" in note for note in notes)
+
+
 @pytest.mark.parametrize("ending", [".log", ".asc", ".blf"])
 def test_one_bus_seen_twice(tmp_path: Path, ending: str) -> None:
     begin = 1_700_000_000.0
