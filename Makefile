@@ -54,7 +54,7 @@ test-slow: $(INSTALLED) ## the long computations: whole chapters, studies of hun
 	$(BIN)/pytest -n 0 --hil-slow -m "slow and realtime" $(PYTEST_ARGS)
 
 mutations: $(INSTALLED) ## put every known fault in and see its tests fail (some ten minutes)
-	$(BIN)/python -m tests.mutations
+	$(BIN)/python -m tests.mutations $(MUTATIONS)
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
 VCAN_TESTS = $(shell grep -rl --include='test_*.py' 'mark\.vcan' tests)
