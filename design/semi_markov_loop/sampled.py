@@ -47,6 +47,7 @@ TOLERANCE = 1e-6
 MARGIN = 1e-3
 """The least fall of V per second that counts, for P up to 1e5 I: rounding and quadrature stay below it."""
 _SLACKS = (2.0, 1.0, 4.0, 0.5, 8.0, 0.25)
+LONG = "in the long run second moments"
 _ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact and no sample or packet is lost")
 
 
@@ -131,16 +132,16 @@ def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, perio
             if upper < 1.0 - TOLERANCE:
                 break
     if upper < 1.0 - TOLERANCE:
-        return _decided("certified", f"second moments are multiplied by at most {upper:.6g}", upper, assumed, modes)
+        return _decided("certified", f"{LONG} are multiplied by at most {upper:.6g}", upper, assumed, modes)
     lower, which = 0.0, ""
     for name, plant in _constant_plants(system):
         own = renewal_radius(replace(loop, system=plant), modes, upper=False)
         if own > lower:
             lower, which = own, name
         if lower > 1.0 + TOLERANCE:
-            return _decided("refused", f"second moments{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
+            return _decided("refused", f"{LONG}{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
     if system.uncertainty is not None:
-        why = f"second moments{which} are multiplied by at least {lower:.6g}, and by at most {upper:.6g}"
+        why = f"{LONG}{which} are multiplied by at least {lower:.6g}, and by at most {upper:.6g}"
         return _uncertain(loop, f"{why} from one seen change of the mode to the next", assumed)
     try:
         finer = refined(loop, modes)
@@ -151,10 +152,10 @@ def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, perio
         return Verdict(
             kind="mean-square stability", state=finer.state, number=finer.growth, limit=1.0, assumptions=assumed,
             quantity="growth of the second moments per period", details={"modes": [mode + 1 for mode in modes]},
-            reason=f"second moments are multiplied by at {side} {finer.growth:.6g} a period (ages in {finer.parts} parts of it)",
+            reason=f"{LONG} are multiplied by at {side} {finer.growth:.6g} a period (ages in {finer.parts} parts of it)",
             method="sampled jump loop: ages in parts of a period, between proved sides",
         )  # fmt: skip
-    why = f"second moments{which} are multiplied by at least {lower:.6g}"
+    why = f"{LONG}{which} are multiplied by at least {lower:.6g}"
     return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
 
 
@@ -201,7 +202,7 @@ def _slacks(system: JumpSystem) -> list[float]:
 
 
 def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]) -> Verdict:
-    whose = what.partition(" are multiplied")[0]
+    whose = what.partition(" are multiplied")[0].removeprefix("in the long run ")
     what = f"{what} from one seen change of the mode to the next" if math.isfinite(number) else (
         f"{whose} have no finite mean at the end of a stay in a mode: they grow faster than it is left"
     )
@@ -234,7 +235,7 @@ def _growing(
     return Verdict(
         kind="mean-square stability", state="refused", number=growth, limit=1.0, assumptions=_ASSUMED,
         quantity="lower bound of the growth of the second moments per period",
-        reason=f"second moments are multiplied by at least {growth:.6g} per period, by the paths on which the mode stays",
+        reason=f"{LONG} are multiplied by at least {growth:.6g} per period, by the paths on which the mode stays",
         method="sampled jump loop: a quadratic form that grows while the mode stays",
     )  # fmt: skip
 
@@ -292,7 +293,7 @@ def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain,
         )  # fmt: skip
     growth = slowest_growth(loop)
     state: State = "refused" if growth > 1.0 + TOLERANCE else "undecided"
-    reason = f"second moments are multiplied by at least {growth:.6g} per period"
+    reason = f"{LONG} are multiplied by at least {growth:.6g} per period"
     return Verdict(
         kind="mean-square stability", state=state, number=growth, limit=1.0, method=method, assumptions=_ASSUMED,
         quantity="lower bound of the spectral radius of the second moments per period",

@@ -196,11 +196,11 @@ def random_delay_verdict(
     upper = proved_radius(larger, len(loop.labels), radius(larger))
     lower = radius(smaller)
     state: State = "undecided"
-    what = f"second moments are multiplied by at least {lower:.6g} per period, and no bound below 1 is proved"
+    what = f"in the long run second moments are multiplied by at least {lower:.6g} per period, and no bound below 1 is proved"
     if upper < 1.0 - TOLERANCE:
-        state, what = "certified", f"second moments are multiplied by at most {upper:.6g} per period"
+        state, what = "certified", f"in the long run second moments are multiplied by at most {upper:.6g} per period"
     elif lower > 1.0 + TOLERANCE:
-        state, what = "refused", f"second moments are multiplied by at least {lower:.6g} per period"
+        state, what = "refused", f"in the long run second moments are multiplied by at least {lower:.6g} per period"
     return Verdict(
         kind="mean-square stability", state=state, number=upper if state == "certified" else lower, limit=1.0,
         reason=f"{what} over {len(loop.labels)} modes of plant and network",

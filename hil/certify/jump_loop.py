@@ -223,9 +223,9 @@ def _with_continuous_time(
     try:
         ideal = in_continuous_time(system, gain, process)
         details |= ideal.to_json()
-        word, gamma = str(ideal.verdict), ideal.gamma
+        word, ideals = str(ideal.verdict), {"gamma": ideal.gamma, "decay_rate": ideal.decay_rate}
     except (ValueError, DesignError) as error:
-        word, gamma = f"not covered ({error})", None
+        word, ideals = f"not covered ({error})", {}
     details |= {"stable": found.certified, "verdict": found.state, "continuous_time": word}
     reason, assumed = found.reason, found.assumptions
     if found.state == "undecided":
@@ -234,8 +234,10 @@ def _with_continuous_time(
         reason = f"{word} in continuous time; not decided at T = {T:g} s{delays}: {found.reason}"
     else:
         reason = f"at T = {loop.model.period_s:g} s {found.reason}"
-    if gamma is not None:
-        assumed = (*assumed, "gamma alone is of the feedback that acts at every instant, without delays")
+    of_ideal = [name for name, value in ideals.items() if value is not None]
+    if of_ideal:
+        said = f"{' and '.join(of_ideal)} alone {'are' if of_ideal[1:] else 'is'} of the feedback that acts at every instant"
+        assumed = (*assumed, f"{said}, without delays")
     number = found.number if found.number is None or isfinite(found.number) else None
     return msgspec.structs.replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
 

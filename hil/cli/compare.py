@@ -83,6 +83,7 @@ def compare(
 def _show_comparison(comparison: Comparison, out: dict[str, Any], output: Path | None) -> None:
     from hil.measure.signals import with_unit
     from hil.pages.html.figures import Table
+    from hil.sweeps.shown import SHORTER
 
     first, *others = out
     for name in others:
@@ -95,7 +96,8 @@ def _show_comparison(comparison: Comparison, out: dict[str, Any], output: Path |
         rows.append((with_unit(quantity.title, quantity.unit), "", "", "", ""))
         rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in out]
     heads = ("metric, experiment", "n", "mean", "difference", "95 % interval")
-    note = f"differences are against {first}, run by run on the same delays" + (none and f"; {none}")
+    said = (none, SHORTER if comparison.stopped else "")
+    note = "; ".join([f"differences are against {first}, run by run on the same delays", *filter(None, said)])
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
     if output is not None:
         print(f"page: {visible(output)}")

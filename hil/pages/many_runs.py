@@ -16,7 +16,7 @@ from hil.pages.html.page import Page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
-from hil.sweeps.shown import axis_for, ends_of, within
+from hil.sweeps.shown import SHORTER, axis_for, ends_of, within
 from hil.sweeps.sweep import statistics
 
 
@@ -94,7 +94,7 @@ def _answer(comparison: Comparison) -> Section:
         columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"),
         rows=[[*row[:-1], _in_one_line(row[-1])] for row in comparison.rows()],
         note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number."
-        f"{none and f' N{none[1:]}.'}",
+        f"{none and f' N{none[1:]}.'}" + (f" M{SHORTER[1:]}." if comparison.stopped else ""),
     )  # fmt: skip
     cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())
     return Section(title="Answer", blocks=(*verdicts, *cautions, table))

@@ -17,7 +17,7 @@ from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
 from hil.sweeps.seeds import here, quantities_in, run_sweep
-from hil.sweeps.shown import ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
+from hil.sweeps.shown import SHORTER, ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, repr=False)
@@ -53,6 +53,11 @@ class Comparison(ShownResult):
     def first(self) -> str:
         """The experiment that the others are compared with."""
         return next(iter(self.values))
+
+    @property
+    def stopped(self) -> bool:
+        """Whether safety stopped a run."""
+        return any(bool(values["stopped"].any()) for values in self.values.values())
 
     def measured(self) -> tuple[list[Quantity], str]:
         """Return the quantities that some run has, and a sentence on those that none has, nothing where there are none."""
@@ -105,7 +110,8 @@ class Comparison(ShownResult):
         heads = ("quantity", "experiment", "runs", "mean", f"difference to {self.first}", "95 % interval")
         none = self.measured()[1]
         cautions = (f"{name}: {said}" for name, said in self.cautions.items())
-        answer = [*map(self.verdict, list(self.values)[1:]), *cautions, *([none] if none else [])]
+        shorter = SHORTER if self.stopped else ""
+        answer = [*map(self.verdict, list(self.values)[1:]), *cautions, *filter(None, (none, shorter))]
         paint = paint_distributions(self.values, asked(self.quantities, quantity))
         return Result(line=self._line(), answer=answer, columns=heads, rows=self.rows(), paint=paint)
 

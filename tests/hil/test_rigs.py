@@ -21,7 +21,7 @@ def test_published_fault_tolerant_gains_are_refused_and_with_leave_stopped_by_sa
     session = run_session(load_experiment("vtol-fault-published"), path=tmp_path / "a.mcap")
     assert session.status == 3
     assert session.run.certificate["state"] == session.run.certificate["verdict"] == "refused"
-    assert "multiplied by at least 1" in session.run.certificate["reason"]
+    assert "in the long run second moments are multiplied by at least 1" in session.run.certificate["reason"]
 
 
 @pytest.mark.parametrize("name", ["smjls-robust", "vtol-delayed", "vtol-fault"])
@@ -31,6 +31,9 @@ def test_our_gains_bring_their_certificate_into_the_log_and_the_log_verifies(tmp
     assert session.run.certificate["continuous_time"] == "certified" and session.run.certificate["sound"]
     assert session.run.certificate["state"] == session.run.certificate["verdict"] == "certified"
     assert session.run.resolved["controller"]["kind"] == "scheduled"
+    ideal = {"smjls-robust": "decay_rate alone is", "vtol-delayed": "gamma alone is"}
+    said = f"{ideal.get(name, 'gamma and decay_rate alone are')} of the feedback that acts at every instant, without delays"
+    assert said in session.run.certificate["assumptions"], "what is not claimed of the sampled loop is said"
     assert (DELAYED in session.run.certificate["assumptions"]) == (name == "vtol-delayed"), "the run compares no delay inside"
     assert verify(session.run).difference is None
 

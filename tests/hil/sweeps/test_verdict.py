@@ -48,7 +48,10 @@ def test_the_same_experiment_shows_no_difference(both: hil.Comparison) -> None:
 def test_whom_safety_stops_is_the_answer(both: hil.Comparison, own: int, other: int, said: str) -> None:
     first = both.values["dc-motor-ours-h2"]
     stopped = {name: dict(first) | {"stopped": (np.arange(30) < n).astype(float)} for name, n in (("a", other), ("b", own))}
-    assert replace(both, values=stopped).verdict("b") == said
+    found = replace(both, values=stopped)
+    assert found.verdict("b") == said
+    assert "means are over the shorter runs too" in found._repr_html_()
+    assert "Means are over the shorter runs too" in compare_page(found)
 
 
 @pytest.mark.parametrize("worst", [np.inf, np.nan])
