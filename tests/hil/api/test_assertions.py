@@ -12,6 +12,7 @@ from hil.compose.loop import compose
 from hil.measure.network_paths import network_metrics
 from hil.session import simulated_session
 from transport import MarkovAge
+from transport.law_tests import law_p_value
 
 
 def test_a_condition_that_always_holds_passes_in_the_fewest_runs() -> None:
@@ -90,6 +91,20 @@ def test_the_assertion_on_a_law_errs_as_rarely_as_it_says() -> None:
         except AssertionError:
             failed += 1
     assert binom.ppf(5e-7, 100, 0.05) <= failed <= binom.isf(5e-7, 100, 0.05)
+
+
+@pytest.mark.parametrize(("off", "slots", "least"), [(0.2, 1000, 0.9), (0.1, 5000, 0.9), (0.2, 200, 0.0), (0.1, 1000, 0.0)])
+def test_the_assertion_on_a_law_has_the_power_that_it_states(off: float, slots: int, least: float) -> None:
+    """At 1e-6, 30 chains of which one probability is off: the binomial's 1e-6 quantiles of 0.9 below, or of 0.3 above."""
+    rows = ((0.5, 0.5, 0.0), (0.6, 0.3, 0.1), (0.3, 0.6, 0.1))
+    other = np.cumsum(((0.5 - off, 0.5 + off, 0.0), *rows[1:]), axis=1)
+    rng, seen = np.random.default_rng(0), 0
+    for _ in range(30):
+        modes = [0]
+        for chance in rng.random(slots - 1).tolist():
+            modes.append(int((chance >= other[modes[-1], :2]).sum()))
+        seen += law_p_value(MarkovAge(matrix=rows), np.array(modes)) < 1e-6
+    assert seen >= binom.ppf(1e-6, 30, least) if least else seen <= binom.isf(1e-6, 30, 0.3)
 
 
 def test_the_assertion_on_a_law_finds_another_law() -> None:
