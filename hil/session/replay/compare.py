@@ -156,6 +156,9 @@ def _difference(
     a, b = recorded[:n], now[:n]
     names = [name for name in now.dtype.names or () if name != "tick"] if n else []
     differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["tick", *names]}
+    for name in names if largest is None else ():
+        if a[name].dtype.kind == "f":  # zeros of both signs are equal, and other bits
+            differs[name] |= (a[name] == b[name]) & (np.signbit(a[name]) != np.signbit(b[name]))
     if largest is not None:
         for name in names:
             for i in np.flatnonzero(differs[name]).tolist():

@@ -138,6 +138,15 @@ def test_a_gap_in_the_log_is_a_difference(tmp_path: Path) -> None:
         verify(run)
 
 
+def test_a_zero_of_the_other_sign_is_not_the_same_bits(tmp_path: Path) -> None:
+    run = run_session(load_experiment("dc-motor-hinf", ["duration=1"]), path=tmp_path / "a.mcap").run
+    values = writable(run, "/plant/state")["speed"]
+    assert values[0] == 0.0
+    values[0] = -values[0]
+    found = verify(run)
+    assert found.likeness == "same within 1e-9" and "/plant/state of slot 0: speed = -0.0 recorded" in (found.difference or "")
+
+
 @pytest.mark.parametrize("topic", ["/plant/state", "/plant/measurement", "/reference", "/controller/rows", "/network/sc"])
 def test_a_log_without_a_topic_of_its_run_is_not_verified(tmp_path: Path, topic: str) -> None:
     run_session(load_experiment("dc-motor-hinf", ["duration=1"]), path=tmp_path / "a.mcap")
