@@ -184,7 +184,7 @@ def inequality_at(
         symmetric; negative definite where (3.41) holds.
     """
     found = certificate.matrices
-    targets = [j for j, rate in enumerate(rates) if j != mode and rate > 0]
+    targets = [j for j in range(system.modes) if j != mode]
     held = 1.0 + eta * system.delay_max_s
     g2 = np.array([[(certificate.scale * (certificate.gamma or math.inf)) ** 2]])
     return _delayed_block(

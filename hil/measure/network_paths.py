@@ -168,15 +168,13 @@ def _stated_paths(view: RunView) -> tuple[NetworkPath, ...]:
 
 
 def medium_in_words(medium: Medium) -> str:
-    """Return what nodes share, in words; empty where each has all of it.
+    """Return in words what nodes share in turns.
 
     >>> medium_in_words(Medium(kind="can", nodes=("a",), bitrate=500_000, dbitrate=2_000_000))
     'CAN FD bus, 500 and 2000 kbit/s'
     >>> medium_in_words(Medium(kind="can-arbitration", nodes=("a", "b"), loss=0.1))
     'CAN arbitration, loss 0.1'
     """
-    if medium.kind == "independent":
-        return ""
     if medium.kind == "can":
         rates = " and ".join(f"{rate / 1000:g}" for rate in (medium.bitrate, medium.dbitrate) if rate)
         words = f"CAN{' FD' if medium.dbitrate else ''} bus, {rates} kbit/s"

@@ -51,7 +51,7 @@ _TIMES: Final = MESSAGE_OVERHEAD - TIMES_AT
 BEGIN: Final = np.uint64(40)
 """Bits of a place, see `places`, that say where in its chunk a message begins: chunks are shorter than a TB."""
 
-WITHIN: Final = np.uint64((1 << 40) - 1)
+WITHIN: Final = np.uint64((1 << int(BEGIN)) - 1)
 
 Integers = npt.NDArray[np.uint64]
 Voids = npt.NDArray[np.void]

@@ -200,7 +200,7 @@ def _delay_panel(view: RunView, side: str) -> Figure | None:
     if draws is not None and not numbered and any((piece["age"][_own(piece)] >= 0).any() for piece in pieces(draws)):
         law = "sent" not in view.once(page_summary)["network"][side]["fates"]  # a packet law sends each
         look: tuple[str, LineStyle] = ("drawn by the law", "step") if law else ("age at arrival, by packet", "points")
-        series.append(curve(draws, _drawn_age, label=look[0], style=look[1], where=_own, colour=1, halo=law))
+        series.append(curve(draws, partial(_age, "age", "age"), label=look[0], style=look[1], where=_own, colour=1, halo=law))
     if measured is not None and len(measured):
         where = "measured by the controller" if side == "sc" else "measured at the actuator"
         series.append(curve(measured, partial(_age, field, known), label=where, style="step", colour=0))
@@ -233,10 +233,6 @@ SECTIONS = (tracking, states, delays, lateness)
 def _own(draws: Records) -> npt.NDArray[np.bool_]:
     chosen: npt.NDArray[np.bool_] = draws["mode"] >= 0
     return chosen
-
-
-def _drawn_age(draws: Records) -> npt.NDArray[np.float64]:
-    return np.where(draws["age"] >= 0, draws["age"], np.nan).astype(np.float64)
 
 
 def _age(field: str, known: str, records: Records) -> npt.NDArray[np.float64]:

@@ -194,8 +194,8 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
             Figure(
                 title="Root mean square error", y_label="error", y_unit="kn", y_log=True, sync=None,
                 series=(
-                    Series(label="published gains", x=t, y=np.sqrt(predicted.square_mean) + 1e-12),
-                    Series(label="local gain: diverges", x=t[:60], y=np.sqrt(local.square_mean) + 1e-12),
+                    Series(label="published gains", x=t, y=np.sqrt(predicted.square_mean)),
+                    Series(label="local gain: diverges", x=t[:60], y=np.sqrt(local.square_mean)),
                 ),
             ),
         )  # fmt: skip
