@@ -19,10 +19,11 @@ FUNCTIONS: list[tuple[Callable[..., np.ndarray], Callable[..., np.ndarray], np.n
     (elementary.exp, np.exp, SIGNED, 1e-15),
     (elementary.expm1, np.expm1, SIGNED, 1e-15),
     (lambda x: elementary.power(x, 2.0), lambda x: x**2.0, POSITIVE, 1e-15),
+    (lambda x: elementary.power(x, -2.0), lambda x: x**-2.0, np.geomspace(1e-150, 1e150, 997), 1e-15),
     (lambda x: elementary.power(x, -0.3), lambda x: x**-0.3, POSITIVE, 1e-13),
     (lambda x: elementary.power(x, 1.7), lambda x: x**1.7, POSITIVE, 3e-13),
 ]
-NAMES = ["log", "log1p", "exp", "expm1", "square", "root", "power"]
+NAMES = ["log", "log1p", "exp", "expm1", "square", "inverse square", "root", "power"]
 
 
 @pytest.mark.parametrize(("ours", "numpys", "x", "rel"), FUNCTIONS, ids=NAMES)

@@ -90,8 +90,10 @@ def test_what_was_between_the_sides_is_decided_as_small_steps_of_time_say(monkey
     assert between >= 6 and left <= 2 and compared >= 3
 
 
-def test_both_sides_hold_the_exact_growth_of_constant_rates():
-    """x' = a x in two modes that take turns: the growth per period is that of a matrix of order 2."""
+def test_both_sides_hold_the_exact_growth_of_constant_rates(monkeypatch):
+    """x' = a x in two modes that take turns: the growth per period is that of a matrix of order 2, and soon settles."""
+    asked, after = [], sojourn_cells._Side.after
+    monkeypatch.setattr(sojourn_cells._Side, "after", lambda side, X: asked.append(0) or after(side, X))
     for fast in (0.2, 1.4):
         a = np.array([[[fast]], [[-1.0]]])
         process = SemiMarkov(rates=((None, constant_rate(1.0)), (constant_rate(2.0), None)))
@@ -100,8 +102,10 @@ def test_both_sides_hold_the_exact_growth_of_constant_rates():
             period_s=0.1, tau=0, d=0,
         )  # fmt: skip
         exact = math.exp(0.1 * np.linalg.eigvals([[2 * fast - 1.0, 2.0], [1.0, -2.0 - 2.0]]).real.max())
+        asked.clear()
         found = refined(loop, [0, 1])
         assert found is not None and found.state == ("certified" if exact < 1.0 else "refused")
+        assert len(asked) < (600 if exact < 1.0 else 60), "periods that are followed, of at most 400 a search"
         assert (exact <= found.growth < 1.0) if exact < 1.0 else (exact >= found.growth > 1.0)
 
 

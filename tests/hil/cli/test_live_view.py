@@ -49,7 +49,7 @@ def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Ex
     text = written(console)
     for part in ("dc-motor-hinf", "can:hil:rig0", "19.9", "of 20 s", "reference 3", "error", "τ = ", "d = "):
         assert part in text
-    assert "max 119 µs" in text and "1 late, 0 overruns" in text and "no control packet" in text
+    assert "p50 70 µs   p99 118 µs   max 119 µs" in text and "1 late, 0 overruns" in text and "no control packet" in text
 
 
 def test_nothing_is_drawn_or_tapped_without_a_terminal(recorded: tuple[Experiment, MemorySink]) -> None:

@@ -12,6 +12,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import APPLIED, ROWS
 from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages
 from hil.rig.can_bus import can_bus_of
+from hil.rig.loop_chains import loop_chains
 from hil.rig.normal_form import rig_of
 from hil.runtime.virtual import simulate
 
@@ -107,3 +108,11 @@ def test_ages_grow_from_slot_to_slot_of_a_cycle_until_its_packet_comes() -> None
     assert steps(chain_of_ages(((0, 0), None, None), at)) == {(0, 1), (1, 2), (2, 0)}
     assert steps(chain_of_ages(((1, 1), None, None), at)) == {(1, 2), (2, 3), (3, 1)}
     assert steps(chain_of_ages(((0, 1), None, None), at)) == {(0, 1), (1, 2), (2, 0), (2, 3), (3, 1)}
+
+
+@pytest.mark.parametrize(("matrix", "begins"), [([[0.5, 0.5], [0.5, 0.5]], None), ([[0, 1], [1, 0]], [True, False])])
+def test_beside_a_bus_a_law_may_be_in_any_mode_unless_it_repeats_as_the_bus_does(matrix: object, begins: object) -> None:
+    law = f'network.ca.law={{kind="markov", matrix={matrix}, initial=[1, 0]}}'
+    loop = compose(load_experiment(NAME, ("network.media.bus.control=false", law)), certify=False)
+    ca = loop_chains(loop.rig, loop.chains, loop.controller, loop.model).ca
+    assert ca is not None and (ca.begins if ca.begins is None else ca.begins.tolist()) == begins

@@ -50,6 +50,7 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
     assert outputs.get_ylabel() == "angle (rad)" and inputs.get_xlabel() == "time (s)"
     measured = next(line for line in outputs.lines if line.get_label() == "angle")
     assert np.array_equal(measured.get_ydata(), session.arrays["/plant/measurement"]["angle"])
+    assert measured.get_linewidth() == 1.0 < matplotlib.rcParamsDefault["lines.linewidth"], "in points, for a column in print"
     assert ElementTree.parse(tmp_path / "step.svg").getroot().get("width") == f"{100 / 25.4 * 72:.6f}pt"
     session.plot(tmp_path / "step.png", width_mm=100, height_mm=60)
     head = (tmp_path / "step.png").read_bytes()[16:24]

@@ -258,6 +258,11 @@ def test_a_geometric_weibull_is_the_geometric_law() -> None:
     assert shares(weibull)[:50] == pytest.approx(shares(geometric)[:50])
 
 
+def test_a_law_that_is_written_in_lists_is_one_written_in_tuples() -> None:
+    listed = SemiMarkovAge(matrix=[[0, 1], [1, 0]], sojourn=[Geometric(p=0.5)] * 2)  # type: ignore[arg-type]
+    assert len({listed, SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.5),) * 2)}) == 1
+
+
 BURSTY = SemiMarkovAge(
     matrix=((0, 1, 0), (0.6, 0, 0.4), (0.5, 0.5, 0)),
     sojourn=(DiscreteWeibull(q=0.9, beta=0.7), Uniform(low=1, high=3), Table(probabilities=(0.2, 0.0, 0.8))),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from transport import CanFraming, Link, LinkTraits, Role, TransportError
 from transport.installed import Folder, Point
-from transport.links.traits import traits_of
+from transport.links.traits import on_zenoh, traits_of
 
 
 @pytest.mark.parametrize(
@@ -27,6 +29,14 @@ from transport.links.traits import traits_of
 )
 def test_a_link_says_who_could_command_a_rig(uri: str, commanders: str) -> None:
     assert traits_of(uri).commanders == commanders
+
+
+@pytest.mark.parametrize(
+    ("mode", "who"), [(0o700, "of this user"), (0o770, "that may write in {}"), (0o707, "that may write in {}")]
+)
+def test_a_socket_lets_in_who_may_write_in_its_folder(tmp_path: Path, mode: int, who: str) -> None:
+    tmp_path.chmod(mode)
+    assert on_zenoh(f"unixsock-stream/{tmp_path}/rig", {}) == f"any process {who.format(tmp_path)}"
 
 
 def test_a_link_says_whether_it_has_frames_threads_keys_and_another_process() -> None:
