@@ -104,7 +104,7 @@ def certify_cost(
             S = loop.stable_cost_to_go()
             details["cost"] = start.mean(S)
             details["residual"] = _residual(loop, S)
-            if past and history is not None:
+            if history is not None:
                 details["cost"] = cost_from(plant, gains, history, start.phases, transition, renewed)
             if noisy and deviation is not None:
                 details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases, renewed)

@@ -162,6 +162,10 @@ def test_the_verdict_turns_with_the_gains() -> None:
     good = certify_cost(PLANT, historical_gains(), AVERAGE)
     assert good.certified and good.number == pytest.approx(0.72671**0.5, abs=1e-5)
     assert good.details["residual"] < 1e-12  # type: ignore[operator]
+    x0 = np.array([1.0, -2.0, 0.0, 3.0])
+    known = certify_cost(PLANT, historical_gains(), AVERAGE, history=x0[None])
+    each = [cost(close(PLANT, historical_gains()), start_at(x0, 4, phase)) for phase in range(4)]
+    assert known.details["cost"] == pytest.approx(np.mean(each)) and known.details["cost"] != pytest.approx(good.details["cost"])
     bad = certify_cost(PLANT, 200 * newest_gains(), AVERAGE)
     assert bad.state == "refused" and bad.number is not None and bad.number > 1
     with pytest.raises(NotStable):
