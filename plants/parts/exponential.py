@@ -226,12 +226,10 @@ def phi_many(x: Array) -> tuple[Array, Array]:
     (array([1.]), array([0.5]))
     """
     halvings = np.zeros(x.shape, dtype=np.intp)
-    large = ~((x >= -0.5) & (x <= 0.5))
-    while large.any():
+    while (large := ~((x >= -0.5) & (x <= 0.5)) & (halvings <= MOST_HALVINGS)).any():
         x = np.where(large, x * 0.5, x)
         halvings += large
         x = np.where(halvings > MOST_HALVINGS, np.nan, x)
-        large = ~((x >= -0.5) & (x <= 0.5)) & (halvings <= MOST_HALVINGS)
     p2 = np.ones_like(x)
     for k in range(15, 2, -1):
         p2 = 1.0 + x * p2 / k

@@ -216,7 +216,7 @@ def _overtaking(lost: Sequence[float], comes: Sequence[float], late: Sequence[fl
 
 
 def _waiting(lost: Sequence[float], comes: Sequence[float], late: Sequence[float]) -> list[float]:
-    """The same where packets wait for those before them, first in, first out."""
+    """Pr(none has come by the slot before) times the same, where packets wait for those before them, first in, first out."""
     oldest = len(lost) - 1
 
     def stays(ages: range) -> float:
@@ -227,13 +227,6 @@ def _waiting(lost: Sequence[float], comes: Sequence[float], late: Sequence[float
             through *= lost[i]
         return total + through
 
-    before, gone = 0.0, 1.0  # none has come by the slot before
-    for i in range(oldest, 0, -1):
-        before += gone * (1.0 - lost[i]) * late[i - 1]
-        gone *= lost[i]
-    before += gone
-    if before <= 0.0:
-        return [0.0] * len(lost) + [1.0]
     found = []
     for j in range(oldest + 1):
         comes_j = 0.0
@@ -243,5 +236,5 @@ def _waiting(lost: Sequence[float], comes: Sequence[float], late: Sequence[float
                 leads *= (1.0 - lost[j]) * (1.0 - late[j])
                 leads *= prod(lost[i] + (1.0 - lost[i]) * (1.0 - late[i]) for i in range(j + 1, b))
             comes_j += leads
-        found.append(comes_j * stays(range(j - 1, -1, -1)) / before)
-    return [*found, stays(range(oldest, -1, -1)) / before]
+        found.append(comes_j * stays(range(j - 1, -1, -1)))
+    return [*found, stays(range(oldest, -1, -1))]

@@ -188,8 +188,7 @@ def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], 
             links[role].send(data)
             while links["controller" if role == "rig" else "rig"].receive(0) is not None:
                 pass  # our own other end receives what we play; keep its queue short
-            if i % 50 == 0:
-                progress(i, count)
+            progress(i, count)
             if len(found) == BATCH:
                 errors.extend(np.array(found))
                 found.clear()

@@ -124,8 +124,8 @@ def reached(problem: Problem, controller: str, runs: int) -> Reached:
 def measured(problem: Problem, controller: str, loop: Loop, runs: int) -> Reached:
     """Return what a composed loop reaches over seeds 0 ... runs - 1."""
     rows = run_seeds(loop, list(range(runs)))
-    stopped = sum(row["stopped"] > 0.0 for row in rows)
-    interval = mean_interval(np.array([row[OBJECTIVE] for row in rows if not row["stopped"]]))
+    went = [row[OBJECTIVE] for row in rows if not row["stopped"]]
+    interval, stopped = mean_interval(np.array(went)), runs - len(went)
     known = interval.n > 1 and not stopped
     ends = (interval.low, interval.high) if known and np.isfinite(interval.half_width) else (None, None)
     return Reached(

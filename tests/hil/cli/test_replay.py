@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.log.read.run import read_run
+from hil.session.replay.over_link import onto
 from tests.hil.cli.conftest import Hil
 
 
@@ -38,6 +40,12 @@ def test_another_controller_gives_a_series(cli: Hil, hil_log: Path, tmp_path: Pa
 def test_frames_go_onto_a_bus(cli: Hil, hil_log: Path) -> None:
     status, out, _ = cli("replay", hil_log, "--onto", "can:hil:replaycli", "--speed", "50", "--json")
     assert status == 0 and json.loads(out)["frames"] == 160
+
+
+def test_every_frame_that_is_put_on_a_bus_is_counted(hil_log: Path) -> None:
+    counted: list[tuple[int, int]] = []
+    onto(read_run(hil_log), "can:hil:replaycounted", 50.0, lambda done, total: counted.append((done, total)))
+    assert counted == [(n, 160) for n in range(160)]
 
 
 @pytest.mark.parametrize(

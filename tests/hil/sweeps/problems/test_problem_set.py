@@ -45,6 +45,12 @@ def test_what_is_stored_is_computed_again(name: str) -> None:
     assert best.mean == pytest.approx(entry["mean"], rel=1e-6)
 
 
+def test_no_mean_is_given_where_safety_stopped_a_run() -> None:
+    problem = next(problem for problem in problems() if problem.name == "motor-bursty")
+    found = reached(problem, "{kind='local',gain=[[-0.5]]}", 4)
+    assert (found.runs, found.stopped, found.mean, found.said) == (4, 1, None, "safety stopped 1 of 4 runs")
+
+
 @pytest.fixture
 def own_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A copy of the set in which nothing is stored yet, of four runs each."""
