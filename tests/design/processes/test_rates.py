@@ -85,6 +85,7 @@ def test_weibull_of_scale_1_and_shape_2_is_2h_and_not_h() -> None:
         (lambda: constant_rate(-1.0), r"values\[0\]: -1.0"),
         (lambda: constant_rate(math.nan), r"values\[0\]: nan"),
         (lambda: clip_rate(2.0, 1.0), "upper: 1.0 is not above lower = 2.0: the rate crosses its bounds"),
+        (lambda: clip_rate(0.1, 1.0, slope=0.0), "slope: 0.0"),
         (
             lambda: PiecewiseLinearRate(times_s=(0.0, 2.0, 1.0), values=(1.0, 1.0, 1.0)),
             "times_s: expected finite nodes",

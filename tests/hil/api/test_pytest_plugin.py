@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.api.pytest_plugin import Runner, has_vcan
+from hil.api.pytest_plugin import Runner, folder_of, has_vcan
 from hil.errors import HilError
 from hil.experiment import shipped
 from tests.warm_hil import hil_command
@@ -33,6 +33,13 @@ WARM = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
 def pytest_of(pytester: pytest.Pytester, *words: str) -> pytest.RunResult:
     done = hil_command("-p", "no:cacheprovider", *WARM, *words, cwd=pytester.path, program="pytest")
     return pytest.RunResult(done.returncode, done.stdout.splitlines(), done.stderr.splitlines(), 0.0)
+
+
+def test_a_name_of_over_100_characters_ends_in_a_digest() -> None:
+    most = "t" * 100
+    assert folder_of(f"a.py::{most}").name == most
+    first, second = (folder_of(f"a.py::{most}{more}").name for more in "uv")
+    assert first != second and {first[:101], second[:101]} == {f"{most}-"} and len(first) == len(second) == 109
 
 
 def test_an_interface_that_no_machine_has_is_not_there() -> None:

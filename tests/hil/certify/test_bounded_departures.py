@@ -185,6 +185,14 @@ def test_what_signals_within_a_slot_move_is_the_sum_of_its_parts() -> None:
         assert rest < 0.1 * np.abs(row) @ np.abs(response).sum(axis=0)
 
 
+def test_a_plant_that_moves_in_slots_is_moved_by_what_an_input_adds_in_one() -> None:
+    from hil.certify.bounded_departures import _moved
+
+    loop = compose(load_experiment("multisensor-event"))
+    forces = np.arange(1.0, 1.0 + loop.model.B.shape[1])
+    np.testing.assert_array_equal(_moved(loop.experiment.plant, loop.model, forces), loop.model.B * forces)
+
+
 def test_the_bound_of_a_scalar_loop_is_that_of_its_worst_signal() -> None:
     """|x| ends within 1 / (1 - a) for x' = a x + e, where a constant e comes; of two modes by chance a is that of E x^2."""
     one = ultimate_bound(np.array([[[0.9]]]), np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 1)))

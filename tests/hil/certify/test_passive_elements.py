@@ -137,15 +137,17 @@ class Bearing:
 
 
 def test_a_device_of_ones_own_that_gives_energy_is_refused():
-    def judged(device):
-        changes = {"controller.coupler.damping_n_s_per_m": 1.9857, "limits.state": {}, "allow_uncertified": True}
-        return compose(experiment_of("omni-push", plant=device, **changes)).verdict
+    def judged(device, **limits):
+        changes = {"controller.coupler.damping_n_s_per_m": 1.9857, "allow_uncertified": True}
+        return compose(experiment_of("omni-push", plant=device, **changes | (limits or {"limits.state": {}}))).verdict
 
     devices = Bearing(damping=2.5), Bearing(damping=1.7), Bearing(damping=2.5, pushed=True)
     honest, lying, pushed = map(judged, devices)
     assert honest.certified and any("takes what its damping takes" in text for text in honest.assumptions)
     assert lying.state == "refused" and "does not take energy as it says" in lying.reason
     assert pushed.certified and any("is not compared, for it has a hand" in text for text in pushed.assumptions)
+    free = judged(devices[0], limits={})
+    assert free.certified and any("random forces up to 1 N" in text for text in free.assumptions)
 
 
 def test_the_damping_of_a_device_that_swings_faster_than_half_the_rate_is_not_read_from_its_samples():

@@ -15,9 +15,12 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
+from hil.pages.analyses import _section
+from hil.pages.html.figures import Figure
 from tests.hil.cli.conftest import Hil
 from tests.transport.law_fit.synthetic_laws import DEADLINE, LAWS, T, record_of
 from transport.law_fit import fit_law
+from transport.law_fit.packet_record import PacketRecord
 
 N = 2000
 
@@ -61,6 +64,18 @@ def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_pat
     assert cli("replay", "run.mcap", "--verify")[0] == 0  # the log holds the law, and needs no file
     status, _, err = cli("identify", "law", *both_ways, "-o", "law.toml")
     assert status == 2 and "exists already" in err
+
+
+def test_the_tail_of_the_fitted_law_is_drawn_down_to_a_tenth_of_a_packet() -> None:
+    """A normal law, which is above hardly any of what it shows at the last packet; on a logarithmic axis nothing is 0."""
+    latency = np.append(np.random.default_rng(0).normal(5e-3, 1e-4, 2000), 0.04)
+    fit = fit_law(PacketRecord(sent_s=0.05 * np.arange(2001), latency_s=latency), 0.05, 0.03)
+    said = {"packets": 2001, "lost": 0, "notes": [], "intervals": {}}
+    tail = _section("sc", fit, said, []).blocks[1]
+    assert isinstance(tail, Figure)
+    measured, fitted = (np.asarray(line.y) for line in tail.series)
+    assert measured[-1] > 0.0 and fitted.min() >= 0.1 / 2001 and (np.diff(fitted) <= 0.0).all()
+    assert (fitted < 0.5).any() and fitted[0] > 0.99
 
 
 @pytest.mark.parametrize(("text", "said"), [

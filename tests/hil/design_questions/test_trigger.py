@@ -28,6 +28,8 @@ from hil.design_questions.trigger_gains import (
 )
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.pages.designs import trigger_page
+from hil.pages.html.figures import Figure
 from hil.runtime.virtual import simulate
 from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of
@@ -111,6 +113,10 @@ def test_the_front_keeps_certified_points_that_none_beats() -> None:
     points = [point(20, 1), point(9, 2), point(9, 3), point(8, 2.5), point(5, 1.5, "undecided"), point(4, 0.5, stopped=1)]
     points += [point(7, 4), point(8.5, 2.5)]  # the last costs as much as one that sends less
     assert front(points) == [points[6], points[3], points[1], points[0]]
+    shown = trigger_page("dc-motor", "dead-band", points, front(points)).sections[0]
+    (figure,) = (block for block in shown.blocks if isinstance(block, Figure))
+    drawn = {line.label: [*line.x] for line in figure.series}
+    assert drawn["not certified"] == [5.0] and drawn["best certified"] == [7.0, 8.0, 9.0, 20.0]
     assert points[0].bound == 2.0 and points[4].bound is None and points[5].to_json()["cost"] is None
 
 

@@ -119,7 +119,9 @@ def test_rows_beyond_the_chapter_say_what_was_found_of_each(monkeypatch: pytest.
         ("cone_complementarity", lambda plant, mask, x0, bound: proof._replace(bounds=(bound,))),
     ):  # fmt: skip
         monkeypatch.setattr(f"hil.thesis.chapter5.further.{name}", answer)
-    found = further(PLANT, lambda text, done=0, total=0, /: None)
+    steps: list[str] = []
+    found = further(PLANT, lambda text, done=0, total=0, /: steps.append(text))
+    assert steps[0] == "input weight" and len(steps) == 4
     assert asked == [(True, mask.sum(), tuple(X0), 0)] * 2 and found["missing"] > 0 == found["shifted"]
     assert found["J"] == pytest.approx(J) and found["share"] == pytest.approx([10.0 / each for each in J])
     assert found["peaks"] == pytest.approx([15.93, 2.59], rel=2e-3) or found["peaks"] == pytest.approx([2.59, 15.93], rel=2e-3)

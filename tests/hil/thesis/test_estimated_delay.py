@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 from design.tracking.synthesis import TrackingProblem
+from hil.thesis.chapter7.designs import PLANTS
 from hil.thesis.chapter7.estimate import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
 from hil.thesis.chapter7.models import NETWORK, motor
 from hil.thesis.statements import judge
@@ -27,7 +28,9 @@ def test_rows_on_the_estimate_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("scipy.optimize.minimize", partial(minimize, options={"maxiter": 2}))
     monkeypatch.setattr("hil.thesis.chapter7.estimate.packet_by_packet", partial(packet_by_packet, runs=4000))
     monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
-    values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: None))
+    steps: list[tuple[int, int]] = []
+    values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: steps.append((done, total))))
+    assert steps == [(n, len(PLANTS) + 1) for n in range(len(PLANTS) + 1)]
     rows = judge(ESTIMATED, values)
     assert [row.verdict for row in rows] == ["reproduced"] * 4
     assert_every_number_decides(rows)

@@ -114,7 +114,8 @@ def test_longer_delays_are_judged_one_after_the_other_and_gains_beside_the_print
     monkeypatch.setattr(section, "analyse_delayed", analysed)
     said: list[tuple[str, int, int]] = []
     values = further(lambda text, done=0, total=0, /: said.append((text, done, total)))
-    assert [(done, total) for _, done, total in said] == [(n, 11) for n in range(11)] and said[7][0] == "slope 0"
+    assert [(done, total) for _, done, total in said] == [(n, 11) for n in range(11)]
+    assert (said[6][0], said[7][0]) == ("delays up to 2 s", "slope 0")
     steepest = 10.0 * chapter3_system().delay_slopes.max()
     assert values["delays"] == pytest.approx([delay + steepest for delay in section.DELAYS_S])
     assert values["slopes"] == pytest.approx([chapter3_system().delay_max_s + 10.0 * slope for slope in section.SLOPES])

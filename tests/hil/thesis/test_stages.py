@@ -129,6 +129,18 @@ ROWS: dict[tuple[str, str], Found] = {
 """Of a stage: each row's verdict, and the values of its checks, of its witness and beside them."""
 
 DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
+    ("chapter4", "lifetimes"): [
+        ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one component", 400, 0.101),
+        ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one of two", 400, 0.066482),
+        ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one of three", 400, 0.05981),
+        ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one and a cold spare", 400, 0.049738),
+        ("Figures 4.1 and 4.2", "4.2: transition rate", "one component", 400, 1.0),
+        ("Figures 4.1 and 4.2", "4.2: transition rate", "one of two", 400, 0.78474),
+        ("Figures 4.1 and 4.2", "4.2: transition rate", "one of three", 400, 0.68608),
+        ("Figures 4.1 and 4.2", "4.2: transition rate", "one and a cold spare", 400, 0.44971),
+        ("Figure 4.3", "4.3: fault occurrence", "eta (fault)", 7, 2.7143),
+        ("Figure 4.3", "4.3: fault occurrence", "r (detection)", 39, 2.5385),
+    ],
     ("chapter4", "simulations"): [
         ("Figures 4.4 and 4.5", "x1", "(4.30), fault known", 301, 0.0074453),
         ("Figures 4.4 and 4.5", "x1", "(4.31), fault known", 301, 0.029552),

@@ -36,6 +36,11 @@ def test_class_is_found(number: int) -> None:
         assert next(each for each in fit.candidates if each.fitted_to == kind).name == best
 
 
+def test_a_constant_latency_is_one_number() -> None:
+    fit = fit_law(record(np.full(N, 3e-3)), T, DEADLINE)
+    assert (fit.latencies.name, fit.latencies.spec, fit.latencies.parameters) == ("constant", 3e-3, 1)
+
+
 @pytest.mark.parametrize("number", [0, 6, 13])
 def test_numbers_of_a_law_are_written_as_a_person_would(number: int) -> None:
     written = str(fit_law(record_of(LAWS[number][1], 2000, [number, 1]), T, DEADLINE).spec)

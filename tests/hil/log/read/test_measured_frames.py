@@ -15,13 +15,13 @@ from hil.log.read.run import Run
 MS = 1_000_000
 
 
-def run_of(slots: Sequence[int], late_us: float = 0.0) -> Run:
-    """Answers of slots in the order of the log; a slot of an odd number was timed late."""
+def run_of(slots: Sequence[int], late_us: float = 0.0, timed: Sequence[int] = ()) -> Run:
+    """Answers of slots in the order of the log; a slot of an odd number was timed late; `timed`: the order of the timings."""
     answers = np.empty(len(slots), [("t_ns", "<i8"), ("tick", "<i8"), ("data", object)])
     answers["tick"], answers["t_ns"] = slots, np.array(slots) * MS
     answers["data"] = [k.to_bytes(4, "little") for k in slots]
     timing = np.zeros(len(slots), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("tick", "<i8")])
-    timing["tick"] = np.sort(slots)
+    timing["tick"] = timed or np.sort(slots)
     timing["lateness_us"] = np.where(timing["tick"] % 2, late_us, 0.0)
     return Run(arrays={"/link/control": answers, "/timing/tick": timing}, schemas={})
 
@@ -37,6 +37,12 @@ def test_frames_stand_in_the_order_of_time(late_us: float) -> None:
     found = [*measured_frames(run_of(slots, late_us), "/link/control")]
     expected = sorted((k * MS + (k % 2) * int(late_us * 1000), k.to_bytes(4, "little")) for k in slots)
     assert found == expected
+
+
+@pytest.mark.parametrize("timed", [(2, 3, 0, 1), (0, 1, 3, 2), (3, 2, 1, 0)])
+def test_timings_in_any_order_are_those_of_their_slots(timed: tuple[int, ...]) -> None:
+    found = [t for t, _ in measured_frames(run_of(range(4), 300.0, timed), "/link/control")]
+    assert found == [0, MS + 300_000, 2 * MS, 3 * MS + 300_000]
 
 
 def test_few_frames_wait_for_one_that_came_late(monkeypatch: pytest.MonkeyPatch) -> None:
