@@ -172,6 +172,12 @@ def test_the_verdict_turns_with_the_gains() -> None:
         cost(close(PLANT, 200 * newest_gains()), AVERAGE)
 
 
+@pytest.mark.parametrize(("pole", "state"), [(1.0 - 1e-9, "certified"), (1.0, "undecided"), (1.0 + 1e-9, "refused")])
+def test_what_neither_falls_nor_grows_is_undecided(pole: float, state: str) -> None:
+    plant = DelayedPlant(A=np.array([[pole]]), delayed=np.zeros((1, 1, 1)), B=np.ones((1, 1)), weight=np.eye(1))
+    assert certify_cost(plant, np.zeros((1, 2, 1, 1)), start_at([1.0], 1, 0)).state == state
+
+
 @pytest.mark.parametrize("pole", [0.9, 1.3, 3.0])
 def test_gains_are_found_for_a_plant_that_is_not_stable_by_itself(pole: float) -> None:
     """All is known and steered: x(k+1) = 0 costs least, whatever the start."""
