@@ -158,9 +158,9 @@ def _from_zero(root: Callable[[float], float], at: float, spread: float) -> tupl
     def far(_: float) -> float:
         return FAR
 
-    at_zero = math.inf if at > 4.0 * spread else root(0.0)
+    at_zero = math.inf if at > 4.0 * FAR * spread else root(0.0)
     high = bound(at + FAR * spread, RIGHT, far)
-    if at_zero > 1.5 * FAR:
+    if at_zero > 2.0 * FAR:
         return _square(bound(at - FAR * spread, 0.0, far)), _square(high)
     bend = root(high) ** 2 - 2.0 * root(math.asin(math.sin(high) / math.sqrt(2.0))) ** 2 + at_zero**2
     error = _square(high) / math.sqrt(2.0 * max(bend, 1e-9))
