@@ -53,7 +53,7 @@ test-slow: $(INSTALLED) ## the long computations: whole chapters, studies of hun
 	$(BIN)/pytest -n auto --dist worksteal --hil-slow -m "slow and not realtime" $(PYTEST_ARGS)
 	$(BIN)/pytest -n 0 --hil-slow -m "slow and realtime" $(PYTEST_ARGS)
 
-mutations: $(INSTALLED) ## put every known fault in and see its tests fail (some ten minutes)
+mutations: $(INSTALLED) ## put every known fault in and see its tests fail (a quarter of an hour)
 	$(BIN)/python -m tests.mutations $(MUTATIONS)
 
 # Only the files with vcan tests: importing all the others inside a user-mode kernel takes longer than the tests.
