@@ -47,7 +47,7 @@ TOLERANCE = 1e-6
 MARGIN = 1e-3
 """The least fall of V per second that counts, for P up to 1e5 I: rounding and quadrature stay below it."""
 _SLACKS = (2.0, 1.0, 4.0, 0.5, 8.0, 0.25)
-LONG = "in the long run second moments"
+LONG = "in the long run "
 _ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact and no sample or packet is lost")
 
 
@@ -132,31 +132,31 @@ def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, perio
             if upper < 1.0 - TOLERANCE:
                 break
     if upper < 1.0 - TOLERANCE:
-        return _decided("certified", f"{LONG} are multiplied by at most {upper:.6g}", upper, assumed, modes)
+        return _decided("certified", "", f"at most {upper:.6g}", upper, assumed, modes)
     lower, which = 0.0, ""
     for name, plant in _constant_plants(system):
         own = renewal_radius(replace(loop, system=plant), modes, upper=False)
         if own > lower:
             lower, which = own, name
         if lower > 1.0 + TOLERANCE:
-            return _decided("refused", f"{LONG}{which} are multiplied by at least {lower:.6g}", lower, assumed, modes)
+            return _decided("refused", which, f"at least {lower:.6g}", lower, assumed, modes)
+    both = f"at least {lower:.6g}, and by at most {upper:.6g}"
     if system.uncertainty is not None:
-        why = f"{LONG}{which} are multiplied by at least {lower:.6g}, and by at most {upper:.6g}"
+        why = f"{LONG}second moments{which} are multiplied by {both}"
         return _uncertain(loop, f"{why} from one seen change of the mode to the next", assumed)
     try:
         finer = refined(loop, modes)
     except np.linalg.LinAlgError:  # moments of too many sizes
         finer = None
     if finer is not None:
-        side = "most" if finer.state == "certified" else "least"
+        factor = f"at {'most' if finer.state == 'certified' else 'least'} {finer.growth:.6g}"
         return Verdict(
             kind="mean-square stability", state=finer.state, number=finer.growth, limit=1.0, assumptions=assumed,
             quantity="growth of the second moments per period", details={"modes": [mode + 1 for mode in modes]},
-            reason=f"{LONG} are multiplied by at {side} {finer.growth:.6g} a period (ages in {finer.parts} parts of it)",
+            reason=f"{LONG}second moments are multiplied by {factor} a period (ages in {finer.parts} parts of it)",
             method="sampled jump loop: ages in parts of a period, between proved sides",
         )  # fmt: skip
-    why = f"{LONG}{which} are multiplied by at least {lower:.6g}"
-    return _decided("undecided", f"{why}, and by at most {upper:.6g}", upper, assumed, modes)
+    return _decided("undecided", which, both, upper, assumed, modes)
 
 
 def _searched(search: Callable[[], LmiSolution]) -> tuple[bool, float | None, str]:
@@ -201,11 +201,13 @@ def _slacks(system: JumpSystem) -> list[float]:
     return [factor * max(size, 1e-6) for factor in _SLACKS]
 
 
-def _decided(state: State, what: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]) -> Verdict:
-    whose = what.partition(" are multiplied")[0].removeprefix("in the long run ")
-    what = f"{what} from one seen change of the mode to the next" if math.isfinite(number) else (
-        f"{whose} have no finite mean at the end of a stay in a mode: they grow faster than it is left"
-    )
+def _decided(
+    state: State, which: str, factor: str, number: float, assumed: tuple[str, ...], modes: Iterable[int]
+) -> Verdict:  # fmt: skip
+    moments = f"second moments{which}"
+    what = f"{moments} have no finite mean at the end of a stay in a mode: they grow faster than it is left"
+    if math.isfinite(number):
+        what = f"{LONG}{moments} are multiplied by {factor} from one seen change of the mode to the next"
     return Verdict(
         kind="mean-square stability", state=state, reason=what, number=number,
         quantity="spectral radius of the second moments per seen sojourn", limit=1.0, assumptions=assumed,
@@ -235,7 +237,7 @@ def _growing(
     return Verdict(
         kind="mean-square stability", state="refused", number=growth, limit=1.0, assumptions=_ASSUMED,
         quantity="lower bound of the growth of the second moments per period",
-        reason=f"{LONG} are multiplied by at least {growth:.6g} per period, by the paths on which the mode stays",
+        reason=f"{LONG}second moments are multiplied by at least {growth:.6g} per period, by the paths on which the mode stays",
         method="sampled jump loop: a quadratic form that grows while the mode stays",
     )  # fmt: skip
 
@@ -293,7 +295,7 @@ def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain,
         )  # fmt: skip
     growth = slowest_growth(loop)
     state: State = "refused" if growth > 1.0 + TOLERANCE else "undecided"
-    reason = f"{LONG} are multiplied by at least {growth:.6g} per period"
+    reason = f"{LONG}second moments are multiplied by at least {growth:.6g} per period"
     return Verdict(
         kind="mean-square stability", state=state, number=growth, limit=1.0, method=method, assumptions=_ASSUMED,
         quantity="lower bound of the spectral radius of the second moments per period",
