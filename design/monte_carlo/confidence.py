@@ -65,6 +65,11 @@ class Interval(NamedTuple):
         """Half the length of the interval."""
         return 0.5 * (self.high - self.low)
 
+    @property
+    def bounded(self) -> bool:
+        """Whether the sample gives an interval: both ends are finite."""
+        return math.isfinite(self.half_width)
+
 
 def mean_interval(values: npt.ArrayLike, level: float = 0.95) -> Interval:
     """Interval for the mean of independent values, see the module; infinitely wide for fewer than two and for equal ones.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -114,8 +113,7 @@ def _numbers(found: dict[str, Any], metric: str, first: bool) -> tuple[str, ...]
 
 def _as_json(gap: Interval) -> dict[str, float | None]:
     """Return n, mean, low and high; no numbers where there are fewer than two pairs."""
-    known = isfinite(gap.half_width)
-    return {"n": gap.n, "mean": gap.value, "low": gap.low, "high": gap.high} if known else {
+    return {"n": gap.n, "mean": gap.value, "low": gap.low, "high": gap.high} if gap.bounded else {
         "n": gap.n, "mean": None, "low": None, "high": None
     }  # fmt: skip
 

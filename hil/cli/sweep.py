@@ -6,7 +6,6 @@ import json
 import sys
 import time
 from contextlib import ExitStack
-from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -137,7 +136,7 @@ def command(
             "half_width": rule[1].half_width,
             "level": level,
             "reached": found.reached,
-            "interval": None if seen is None or not isfinite(seen.half_width) else seen._asdict(),
+            "interval": None if seen is None or not seen.bounded else seen._asdict(),
         }
     if table is not None:
         write_output(table, csv_of(as_points(found)), replace=force)

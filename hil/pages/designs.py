@@ -168,7 +168,7 @@ def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> Page:
 
 
 def _half(interval: Interval) -> str:
-    return f" ± {interval.half_width:.2g}" if np.isfinite(interval.half_width) else ""
+    return f" ± {interval.half_width:.2g}" if interval.bounded else ""
 
 
 def trigger_page(

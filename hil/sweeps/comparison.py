@@ -85,7 +85,7 @@ class Comparison(ShownResult):
         gap = difference_interval(*pairs)
         if gap.n < 2:
             return f"{undecided} is a number in {gap.n} runs of both, 2 are needed"
-        if not np.isfinite(gap.half_width):
+        if not gap.bounded:
             return f"{undecided} differs by the same {gap.value:+.4g} in all {gap.n} runs, and {EQUAL} are needed to show that"
         numbers = f"{judged.title} {_change(*pairs, judged.unit)}, {gap.n} runs"
         if gap.low <= 0.0 <= gap.high:
@@ -144,7 +144,7 @@ def _loop(stopped: NDArray[np.bool_]) -> str:
 def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
     """The difference of the means, in per cent where the first mean is above 0 with certainty."""
     share = ratio_interval(a, b)
-    if a.mean() > 0.0 and np.isfinite(share.half_width):
+    if a.mean() > 0.0 and share.bounded:
         value, low, high = (f"{100.0 * (q - 1.0):+.1f}" for q in (share.value, share.low, share.high))
         return f"{value} %, 95 % interval {low} to {high} %"
     gap = difference_interval(a, b)

@@ -120,18 +120,18 @@ def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
 def within(interval: Interval) -> str | None:
     """Return an interval in words, None where it is infinitely wide."""
     said = f"{interval.low:.5g} to {interval.high:.5g}".replace("-", "−")
-    return said if np.isfinite(interval.half_width) else None
+    return said if interval.bounded else None
 
 
 def as_plain(interval: Interval) -> dict[str, float | int | None]:
     """Return mean, ends and number of runs as JSON has them: no ends where the interval is infinitely wide."""
-    low, high = (interval.low, interval.high) if np.isfinite(interval.half_width) else (None, None)
+    low, high = (interval.low, interval.high) if interval.bounded else (None, None)
     return {"n": interval.n, "mean": interval.value, "low": low, "high": high}
 
 
 def ends_of(interval: Interval) -> tuple[float, float]:
     """Return the ends of an interval, the value alone where it is infinitely wide."""
-    return (interval.low, interval.high) if np.isfinite(interval.half_width) else (interval.value, interval.value)
+    return (interval.low, interval.high) if interval.bounded else (interval.value, interval.value)
 
 
 def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:

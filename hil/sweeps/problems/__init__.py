@@ -127,10 +127,9 @@ def measured(problem: Problem, controller: str, loop: Loop, runs: int) -> Reache
     went = [row[OBJECTIVE] for row in rows if not row["stopped"]]
     interval, stopped = mean_interval(np.array(went)), runs - len(went)
     known = interval.n > 1 and not stopped
-    ends = (interval.low, interval.high) if known and np.isfinite(interval.half_width) else (None, None)
     return Reached(
         problem=problem.name, controller=controller, runs=runs, stopped=stopped, mean=interval.value if known else None,
-        low=ends[0], high=ends[1],
+        low=interval.low if known and interval.bounded else None, high=interval.high if known and interval.bounded else None,
         verdict="undecided" if loop.verdict is None else loop.verdict.state,
         said="" if known else f"safety stopped {stopped} of {runs} runs",
     )  # fmt: skip
