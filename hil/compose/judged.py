@@ -23,9 +23,9 @@ from hil.plugins.user_modules import is_ours
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
-from hil.rig.schedules import as_one, cuts_of, whole_again
+from hil.rig.schedules import whole_again
 from hil.rig.spec import RigSpec
-from hil.rig.watchdog_trips import STOPPED, chance_behind, watchdog_chance
+from hil.rig.watchdog_trips import STOPPED, chance_behind_cuts, watchdog_chance
 from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
 
@@ -68,7 +68,7 @@ def judge(
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
             assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
-        behind = chance_behind(chains, as_one(cuts_of(experiment)), experiment, model.d_max)
+        behind = chance_behind_cuts(chains, experiment, model.d_max)
         if behind > STOPPED:
             said = f"by its faults the watchdog stops about {100.0 * behind:.2g} % of the runs"
             assumed += (f"{said}, of which nothing is claimed",)
@@ -157,7 +157,7 @@ def _problem(
 def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:
     """Return the smallest and the largest age of a command that the law draws, and the largest that rows cover.
 
-    Where commands may be missing anyhow, the cuts alone count: what they leave has a chance, see `chance_behind`.
+    Where commands may be missing anyhow, the cuts alone count: what they leave has a chance, see `chance_behind_cuts`.
     """
     if ca is None or ca.holds.any():
         return d_max, d_max, d_max

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.experiment import Experiment
 from hil.rig.delay_chains import Chains, begun
+from hil.rig.schedules import as_one, cuts_of
 from transport.laws import AgeChain
 
 STOPPED = 1e-3
@@ -43,7 +44,7 @@ def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float
     return max(0.0, 1.0 - goes_on)
 
 
-def chance_behind(chains: Chains, cuts: Sequence[tuple[int, int]], experiment: Experiment, d_max: int) -> float:
+def chance_behind_cuts(chains: Chains, experiment: Experiment, d_max: int) -> float:
     """Return about the probability that the watchdog trips by cuts of the way to the actuator, 0 over an age law.
 
     So many slots are without a command: those before a cut that lacked one already, the cut, and those behind it in which none
@@ -51,12 +52,11 @@ def chance_behind(chains: Chains, cuts: Sequence[tuple[int, int]], experiment: E
 
     Args:
         chains: of the rig.
-        cuts: first slot of each, and the one in which it is over; none overlap.
-        experiment: with its watchdog.
+        experiment: with its watchdog and its faults.
         d_max: largest delay that a packet has a row for.
     """
-    law = chains.applied.ages
-    if not isinstance(law, AgeChain):
+    law, cuts = chains.applied.ages, as_one(cuts_of(experiment))
+    if not cuts or not isinstance(law, AgeChain):
         return 0.0
     ages, matrix, most = np.array(law.mode_ages), law.transition_matrix(), experiment.limits.watchdog_slots
 
