@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from msgspec import Struct
@@ -35,10 +36,10 @@ def changed_fields(run: Run) -> tuple[ChangedField, ...]:
     )
 
 
-def law_was_changed(run: Run, side: str, node: str) -> bool:
-    """Return whether the network law of a direction, or of a sensor node, was changed in a run."""
+def law_was_changed(changes: Iterable[ChangedField], side: str, node: str) -> bool:
+    """Return whether the network law of a direction, or of a sensor node, is among the changes of a run."""
     paths = (f"network.{side}.", f"network.nodes.{node}.")
-    return any(f"{each.path}.".startswith(paths) for each in changed_fields(run))
+    return any(f"{each.path}.".startswith(paths) for each in changes)
 
 
 def claimed_to_the_end(run: Run) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from hil.experiment.nodes import Medium
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.run import Run
 from hil.log.topics import CA, SC
-from hil.measure.changed_runs import law_was_changed
+from hil.measure.changed_runs import changed_fields, law_was_changed
 from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
@@ -137,8 +137,8 @@ class NetworkPath(Struct, frozen=True, kw_only=True):
 
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
-    run, paths = view.run, _stated_paths(view)
-    return tuple(replace(path, law=None, changed=True) if law_was_changed(run, path.side, path.node) else path for path in paths)
+    paths, changes = _stated_paths(view), changed_fields(view.run)
+    return tuple(replace(p, law=None, changed=True) if law_was_changed(changes, p.side, p.node) else p for p in paths)
 
 
 def _stated_paths(view: RunView) -> tuple[NetworkPath, ...]:
