@@ -52,7 +52,6 @@ RUNNER: Final = pytest.StashKey["Runner"]()
 """The runner of a test, also where another fixture asked for it and failed."""
 
 
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the ``--hil-*`` options."""
     group = parser.getgroup("hil", "hardware-in-the-loop")

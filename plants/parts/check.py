@@ -67,7 +67,7 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
     runs = [plant.start(np.random.default_rng(_SEED)) for _ in range(3)]
     for what, meaning in _RUN.items():
         _demand(hasattr(runs[0], what), f"what {name}.start(rng) returns needs `{what}` ({meaning})")
-    for given in ("tu", "tuw"):
+    for given in (("dt_ns", "u"), ("dt_ns", "u", "w")):
         _takes(runs[0].advance, f"what {name}.start(rng) returns: advance(dt_ns, u, w=()) must work with and without w", *given)
     first, second, cut = runs
     commands = np.random.default_rng(_SEED + 1).uniform(-0.01, 0.01, (100, m)).tolist()
