@@ -96,7 +96,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.files import check_output, write_output
     from hil.log.read.run import read_run
     from hil.log.topics import channels_of
-    from hil.pages.layouts import foxglove, plotjuggler
+    from hil.pages.viewers import foxglove, plotjuggler
 
     if output is not None:
         check_output(output, fresh=not force, remedy="choose another -o or add --force")

@@ -156,12 +156,12 @@ def foxglove_beside(onlooker: Onlooker | None, port: int | None) -> Iterator[Onl
     """Give an onlooker with Foxglove beside it, or it alone where no port is asked for.
 
     Raises:
-        HilError: see `hil.pages.live.foxglove.Foxglove`.
+        HilError: see `hil.pages.viewers.Foxglove`.
     """
     if port is None:
         yield onlooker
         return
-    from hil.pages.live.foxglove import Beside, Foxglove
+    from hil.pages.viewers import Beside, Foxglove
 
     with Foxglove(port) as server:
         click.echo(f"Foxglove: open connection {server.url}", err=True)

@@ -42,7 +42,7 @@ class Series:
         faint: thin and pale, for the many runs behind a mean.
         halo: broad and pale, to lie beneath a curve that ought to coincide.
         marked: a point at every x, for a curve of which nothing is known between them.
-        samples: how many it had before it was reduced (`hil.pages.html.decimation.reduced`); None: it is whole.
+        samples: how many it had before it was reduced (`hil.pages.html.payload.reduced`); None: it is whole.
     """
 
     label: str

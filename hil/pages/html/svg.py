@@ -1,4 +1,4 @@
-"""Bars, histograms, areas and ways in a plane as SVG: drawn here, once, so that they need no script and print sharp."""
+"""Bars, histograms, areas and ways in a plane as SVG, matrices as tables: drawn here, so that they need no script."""
 
 from __future__ import annotations
 
@@ -9,11 +9,37 @@ from html import escape
 import numpy as np
 
 from hil.measure.signals import with_unit
-from hil.pages.html.figures import Bars, Histogram, Marker, Scene, Shape
-from hil.pages.html.numbers import text_of
+from hil.pages.html.figures import Bars, Histogram, Marker, Matrix, Scene, Shape
+from hil.pages.html.numbers import share_text, text_of
+from hil.pages.html.payload import Still
 
 WIDTH, HEIGHT = 560, 250
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 18, 44
+
+
+def still_html(plot: Still) -> str:
+    """Return a plot that needs no script to be seen, below its legend."""
+    if isinstance(plot, Bars):
+        legend, drawn = _legend_of_bars(plot), draw_bars(plot)
+    elif isinstance(plot, Scene):
+        legend, drawn = scene_legend(plot), draw_scene(plot)
+    else:
+        legend, drawn = "", draw_histogram(plot) if isinstance(plot, Histogram) else _matrix(plot)
+    return f'{legend}<div class="scroll">{drawn}</div>'
+
+
+def _legend(swatches: Sequence[tuple[str, str]]) -> str:
+    """Return labels beside swatches: the attributes of each, and its label."""
+    items = "".join(f"<span><i {swatch}></i>{escape(label)}</span>" for swatch, label in swatches)
+    return f'<div class="legend">{items}</div>' if items else ""
+
+
+def _legend_of_bars(bars: Bars) -> str:
+    swatches = [
+        (f'class="swatch c{(g if group.colour is None else group.colour) % 8}{" hollow" if group.hollow else ""}"', group.label)
+        for g, group in enumerate(bars.groups)
+    ]
+    return _legend(swatches) if len(swatches) > 1 else ""
 
 
 def draw_bars(bars: Bars) -> str:
@@ -196,10 +222,7 @@ def scene_legend(scene: Scene) -> str:
     for shape in scene.shapes:
         if shape.label:
             seen.setdefault(shape.label, shape.colour)
-    items = [
-        f'<span><i class="swatch" style="background:{_ink(colour)}"></i>{escape(label)}</span>' for label, colour in seen.items()
-    ]
-    return f'<div class="legend">{"".join(items)}</div>' if items else ""
+    return _legend([(f'class="swatch" style="background:{_ink(colour)}"', label) for label, colour in seen.items()])
 
 
 def _ink(colour: int | None) -> str:
@@ -225,3 +248,21 @@ def _shape(shape: Shape, at: Callable[[float, float], tuple[float, float]]) -> s
         )
     tip = f"<title>{escape(shape.label)}</title>" if shape.label else ""
     return f'<path d="{"".join(path)}" style="{style}">{tip}</path>'
+
+
+def _matrix(matrix: Matrix) -> str:
+    corner = escape(f"{matrix.row_label} \\ {matrix.column_label}" if matrix.row_label else "")
+    head = "".join(f'<th scope="col">{escape(str(c))}</th>' for c in matrix.columns)
+    lines = []
+    for i, name in enumerate(matrix.rows):
+        cells = []
+        for j, value in enumerate(matrix.values[i]):
+            expected = matrix.expected[i][j] if matrix.expected is not None else None
+            small = "" if expected is None else f"<small>{share_text(float(expected))}</small>"
+            number = float("nan") if value is None else float(value)
+            share = (number - matrix.low) / ((matrix.high - matrix.low) or 1.0)
+            shade = min(max(share, 0.0), 1.0) if np.isfinite(share) else 0.0
+            cells.append(f'<td style="--shade:{shade:.3f}">{share_text(number)}{small}</td>')
+        lines.append(f'<tr><th scope="row">{escape(str(name))}</th>{"".join(cells)}</tr>')
+    top = f"<thead><tr><th>{corner}</th>{head}</tr></thead>"
+    return f'<table class="matrix">{top}<tbody>{"".join(lines)}</tbody></table>'

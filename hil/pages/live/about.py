@@ -1,23 +1,29 @@
-"""What the page reads once: the runs, their signals and fields, and what can be tried by a click."""
+"""What the page reads: once, of the runs, their signals and fields, and what can be tried by a click; and what its scopes show.
+
+Of a time window that is the smallest and the largest value of each column, so that no spike is lost.
+"""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from functools import cache, reduce
 from operator import getitem
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
-from hil.pages.live.side import Side
+from hil.pages.live.side import Records, Side, Trace
 from hil.rig.loop import Loop
 from plants.parts.protocols import GoesOn, Plant
 from transport.laws import ChainLaw, NetworkLaw
+
+Array = NDArray[np.float64]
 
 
 def about(sides: Sequence[Side], where: str) -> dict[str, Any]:
@@ -141,3 +147,58 @@ def _wall(loop: Loop) -> dict[str, Any] | None:
         return None
     wall = loop.experiment.resolved()["controller"].get("wall", {})
     return dict(wall) if isinstance(wall, dict) else None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """Slots [first, end) in columns of so many slots.
+
+    Args:
+        first: slot of the first column's beginning, a multiple of `slots`, so that columns do not flicker as time goes on.
+        columns: their number.
+        slots: of one column.
+    """
+
+    first: int
+    columns: int
+    slots: int
+
+    @classmethod
+    def over(cls, first: int, end: int, most: int) -> Window:
+        """Return the window over some slots in as many columns as are asked for, or fewer.
+
+        >>> Window.over(7, 27, 10)
+        Window(first=6, columns=11, slots=2)
+        """
+        slots = max(-(-(end - first) // max(most, 1)), 1)
+        begin = first - first % slots
+        return cls(first=begin, columns=max(-(-(end - begin) // slots), 1), slots=slots)
+
+
+def thinned(records: Records, field: str, window: Window) -> tuple[Array, Array]:
+    """Return the smallest and the largest value of a field in every column, (columns,) each; NaN where there is none.
+
+    Args:
+        records: of a topic, in the order of slots, with the field ``tick``.
+        field: of numbers.
+        window: the columns.
+    """
+    low, high = np.full(window.columns, np.nan), np.full(window.columns, np.nan)
+    edges = np.arange(window.columns + 1, dtype=np.int64) * window.slots + window.first
+    places = np.searchsorted(records["tick"], edges)
+    there = np.flatnonzero(places[1:] > places[:-1])
+    if len(there):
+        values = np.asarray(records[field][places[0] : places[-1]], dtype=float)
+        starts = places[:-1][there] - places[0]
+        low[there], high[there] = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
+    return low, high
+
+
+def picture(records: Mapping[str, Records], traces: Sequence[Trace], window: Window) -> bytes:
+    """Return the lows and highs of every trace, one behind the other, as float32 of little endian."""
+    none: Any = np.full(window.columns, np.nan)
+    rows: list[Array] = []
+    for trace in traces:
+        found = records.get(trace.topic)
+        rows += [none, none] if found is None or not len(found) else thinned(found, trace.field, window)
+    return np.array(rows, dtype="<f4").tobytes() if rows else b""

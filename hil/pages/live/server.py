@@ -28,9 +28,8 @@ import msgspec
 
 from hil.errors import HilError
 from hil.log.events import plain
-from hil.pages.live.about import controllers_of
+from hil.pages.live.about import Window, controllers_of, picture
 from hil.pages.live.desk import Desk, Wish
-from hil.pages.live.scopes import Window, picture
 from hil.pages.live.script import script_of
 
 HOST: Final = "127.0.0.1"

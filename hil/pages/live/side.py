@@ -5,17 +5,18 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import count
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.log.events import CHANGE, decode_event
-from hil.log.records import EVENTS_TOPIC, Channel, Schema
+from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
-from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING
+from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING, panels
 from hil.log.write.sinks import PayloadWriter
-from hil.pages.live.scopes import Records, Tail, Trace, traces_of
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, LATE, Change, Changes
 from hil.runtime.time.clock import PacedClock
@@ -30,6 +31,70 @@ GIVEN: Final = "given"
 """State that is the passivity observer, see `plants.omni.Omni`."""
 QUIET: Final = ("repeated", "sent", "delivered", "none-yet")
 """Fates of packets that are no news."""
+KEPT: Final = 16_000_000
+"""Bytes that are kept of a topic, at least; twice as many at most."""
+
+_SKIP: Final = len(CDR_HEADER)
+Records = NDArray[np.void]
+
+
+class Tail:
+    """Records of a topic of numbers, as they come; the oldest are forgotten.
+
+    A reader keeps the buffer with which it began: the writer never changes a byte that it has handed out.
+
+    Args:
+        schema: of the topic; it has no raw frames.
+        most: bytes that are kept, at least.
+    """
+
+    def __init__(self, schema: Schema, most: int = KEPT) -> None:
+        self._dtype, self._size = schema.dtype, schema.dtype.itemsize
+        self._room = max(most // self._size, 2) * self._size
+        self._state = bytearray(2 * self._room), 0
+
+    def put(self, t_ns: int, payload: bytes) -> None:
+        """Take a record."""
+        buffer, end = self._state
+        if end == len(buffer):
+            fresh = bytearray(len(buffer))
+            fresh[: self._room] = buffer[end - self._room :]
+            buffer, end = fresh, self._room
+        after = end + self._size
+        buffer[end:after] = payload[_SKIP : _SKIP + self._size]
+        self._state = buffer, after
+
+    def records(self) -> Records:
+        """Return the newest records, a structured array; it costs no copy."""
+        buffer, end = self._state
+        found: Any = np.frombuffer(buffer, self._dtype, end // self._size)
+        return found  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trace:
+    """One curve of a scope.
+
+    Args:
+        panel: title of the scope.
+        topic, field: where its values stand.
+        unit: of its values.
+    """
+
+    panel: str
+    topic: str
+    field: str
+    unit: str
+
+
+def traces_of(schemas: Mapping[str, Schema]) -> tuple[Trace, ...]:
+    """Return the curves of a session's scopes, from its registry of topics, scope by scope."""
+    units = {(topic, f.name): f.unit for topic, schema in schemas.items() for f in schema.fields}
+    return tuple(
+        Trace(panel=panel, topic=topic, field=curve.field, unit=units[topic, curve.field])
+        for panel, curves in panels(schemas).items()
+        for topic, curve in curves
+    )
 
 
 class Side:

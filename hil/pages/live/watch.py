@@ -14,9 +14,9 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.pages.live.about import about
 from hil.pages.live.desk import Desk
-from hil.pages.live.foxglove import Beside
 from hil.pages.live.server import LivePage
 from hil.pages.live.side import Side
+from hil.pages.viewers import Beside
 from hil.runtime.real.ending import StopSignals
 from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Onlooker, Session, run_session

@@ -2,25 +2,46 @@
 
 A section comes from a function of the run, ours, or from a plug-in of the experiment with the method `section(view)`: a measure,
 the plant, the controller or a network law (`DrawsSection`). `Section.place` says where it stands.
+
+What a plug-in gives is taken as plain data: every field is of the type that `figures` states, copied, and bounded in size. The
+renderer escapes text, and writes numbers and words of a list (`colour`, `state`, `height_px`) as they are. So a field that is
+not of its type, or a text with methods of its own, would stand in the page as markup: such a section is refused.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import types
+from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import fields, is_dataclass
+from functools import cache
 from importlib import import_module
+from numbers import Integral, Real
 from pkgutil import iter_modules
-from typing import Final, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Final, Literal, Protocol, TypeAlias, Union, get_args, get_origin, get_type_hints, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 from hil.measure.measure import run_measures
 from hil.measure.view import RunView
-from hil.pages.html.figures import Badge, Section
-from hil.pages.html.plain_section import plain_section
+from hil.pages.html.figures import Badge, Figure, Section
+from hil.pages.html.page import block_html
+from hil.pages.html.payload import Payload
 from hil.plugins.user_plugins import asked, words
 
 Draw: TypeAlias = Callable[[RunView], Section | None]
 
 MOST_WORDS = 2000
 """Characters of an error's message on a page."""
+
+MOST_VALUES = 2_000_000
+"""Numbers and characters of a section."""
+
+MOST_BYTES = 4_000_000
+"""Of a section in the page; long curves are reduced before."""
+
+HEIGHTS = (50, 1000)
 
 
 @runtime_checkable
@@ -80,6 +101,95 @@ def drawn(plug_in: DrawsSection, view: RunView) -> Section | None:
         name = type(plug_in).__name__
         failed = Badge(label=f"{name} draws no section", state="bad", detail=words(error)[:MOST_WORDS])
         return Section(title=name, blocks=(failed,))
+
+
+def plain_section(given: object) -> Section:
+    """Return a section whose fields are what they are said to be.
+
+    Raises:
+        TypeError: a field is of another type, with its path.
+        ValueError: it is too large, or cannot be drawn.
+    """
+    section: Section = _Copy().of(given, Section, "section")
+    for i, block in enumerate(section.blocks):
+        if isinstance(block, Figure) and not HEIGHTS[0] <= block.height_px <= HEIGHTS[1]:
+            raise ValueError(f"section.blocks[{i}].height_px: {block.height_px}, expected {HEIGHTS[0]} to {HEIGHTS[1]}")
+    payload = Payload()
+    size = sum(len(block_html(block, payload)) for block in section.blocks) + len(payload.json())
+    if size > MOST_BYTES:
+        raise ValueError(f"section: {size / 1e6:.1f} MB in the page, at most {MOST_BYTES / 1e6:g}: reduce its tables and bars")
+    return section
+
+
+class _Copy:
+    """Copies values after their types and counts them."""
+
+    def __init__(self) -> None:
+        self._values = 0
+
+    def of(self, value: Any, hint: Any, path: str) -> Any:
+        origin, options = get_origin(hint), get_args(hint)
+        if origin in (Union, types.UnionType):
+            return self._one_of(value, options, path)
+        if origin is Literal:
+            text = self.of(value, str, path)
+            return text if text in options else self._refuse(value, hint, path)
+        if origin is tuple and Ellipsis not in options:
+            if not isinstance(value, tuple | list) or len(value) != len(options):
+                return self._refuse(value, hint, path)
+            return tuple(self.of(item, each, f"{path}[{i}]") for i, (item, each) in enumerate(zip(value, options)))
+        if origin in (tuple, Sequence, frozenset):
+            wanted = AbstractSet if origin is frozenset else Sequence | np.ndarray
+            if isinstance(value, str) or not isinstance(value, wanted):
+                return self._refuse(value, hint, path)
+            self._count(len(value), path)
+            items = [self.of(item, options[0], f"{path}[{i}]") for i, item in enumerate(value)]
+            return frozenset(items) if origin is frozenset else tuple(items)
+        if isinstance(hint, type) and is_dataclass(hint) and isinstance(value, hint):
+            hints = _hints(hint)
+            return hint(**{f.name: self.of(getattr(value, f.name), hints[f.name], f"{path}.{f.name}") for f in fields(hint)})
+        if hint is str and isinstance(value, str):
+            self._count(len(value), path)
+            return str.__str__(value)  # of a text with methods of its own, the text alone
+        if hint is bool and isinstance(value, bool | np.bool_):
+            return bool(value)
+        if isinstance(value, bool | np.bool_):
+            return self._refuse(value, hint, path)
+        if hint is int and isinstance(value, Integral):
+            return int(value)
+        if hint is float and isinstance(value, Real):
+            return float(value)
+        return self._refuse(value, hint, path)
+
+    def _one_of(self, value: Any, options: tuple[Any, ...], path: str) -> Any:
+        if any(get_origin(option) in (np.ndarray, NDArray) for option in options):  # two names since numpy 2.5
+            self._count(np.size(value) if isinstance(value, np.ndarray) else len(value), path)
+            return np.array(value, dtype=np.float64)
+        if value is None and types.NoneType in options:
+            return None
+        for option in options:
+            if isinstance(option, type) and is_dataclass(option) and isinstance(value, option):
+                return self.of(value, option, path)
+        for option in options:
+            try:
+                return self.of(value, option, path)
+            except TypeError:
+                continue
+        return self._refuse(value, " or ".join(getattr(option, "__name__", str(option)) for option in options), path)
+
+    def _count(self, more: int, path: str) -> None:
+        self._values += more
+        if self._values > MOST_VALUES:
+            raise ValueError(f"{path}: more than {MOST_VALUES} numbers and characters in one section")
+
+    def _refuse(self, value: Any, hint: Any, path: str) -> Any:
+        wanted = getattr(hint, "__name__", str(hint))
+        raise TypeError(f"{path}: {type(value).__name__} {value!r:.60}, expected {wanted:.200}")
+
+
+@cache
+def _hints(made: type) -> dict[str, Any]:
+    return get_type_hints(made)
 
 
 def _registered() -> tuple[Draw, ...]:

@@ -37,7 +37,7 @@ from hil.log.read.export import export
 from hil.log.topics import MissingTopic
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.pages.layouts import foxglove
+from hil.pages.viewers import foxglove
 from hil.pages.run_page import render_report
 
 old, folder = hil.read_run(sys.argv[1]), Path(sys.argv[2])

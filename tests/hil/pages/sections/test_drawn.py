@@ -18,9 +18,8 @@ from hil.files import PAGE
 from hil.measure import measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
-from hil.pages.html.plain_section import plain_section
 from hil.pages.run_page import render_report
-from hil.pages.sections import sections_of
+from hil.pages.sections import plain_section, sections_of
 from hil.rig import delay_chains, normal_form
 from hil.rig.loop import Loop
 from hil.session.replay import avatar

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.pages.html.decimation import bucket_extremes, reduced
+from hil.pages.html.payload import bucket_extremes, reduced
 
 WHOLE, BUCKETS, N = 200, 30, 1000
 
