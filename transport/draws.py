@@ -51,19 +51,19 @@ class Draw(NamedTuple):
     absent ones.
 
     Attributes:
-        tick: slot k in which it was decided.
-        packet_tick: slot g in which the packet was sent, -1 when there is no packet; on a bus with arbitration the slot of its
+        slot: slot k in which it was decided.
+        packet_slot: slot g in which the packet was sent, -1 when there is no packet; on a bus with arbitration the slot of its
             newest sample, from which on it waited for the bus.
         mode: mode of the law, or `NO_MODE`.
-        age: slots; in a draw of an age law the age that the law demands, otherwise `tick - packet_tick`
+        age: slots; in a draw of an age law the age that the law demands, otherwise `slot - packet_slot`
             (for "sent" and "copied": at arrival; on a bus with arbitration: since the bus carried it); -1 where it has no
             meaning.
         latency_s: seconds on the way; for age laws age times T; NaN where it has no meaning.
         reason: index into `REASONS`.
     """
 
-    tick: int
-    packet_tick: int
+    slot: int
+    packet_slot: int
     mode: int
     age: int
     latency_s: float

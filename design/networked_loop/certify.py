@@ -153,16 +153,16 @@ def informed_probability(sc: DelayChain, ca: DelayChain, mode: int) -> list[floa
     """
     newest = sc.delay if sc.ages is None else np.min(sc.ages, axis=1)
     last = 1 + sc.max_delay + ca.max_delay
-    # weight of each (tick at which the controller came to know, or 0; tau mode; d mode)
+    # weight of each (slot at which the controller came to know, or 0; tau mode; d mode)
     weights = np.zeros((last + 1, sc.modes, ca.modes))
     weights[0, mode // ca.modes, mode % ca.modes] = 1.0
-    ticks = np.arange(last + 1)[:, None]
+    slots = np.arange(last + 1)[:, None]
     done, probabilities = 0.0, []
     for k in range(1, last + 1):
         weights = sc.matrix.T @ weights @ ca.matrix
         receives = k - newest >= 1
         weights[k, receives], weights[0, receives] = weights[0, receives], 0.0
-        acts = (ticks >= 1) & (k - ca.delay >= ticks)
+        acts = (slots >= 1) & (k - ca.delay >= slots)
         done += float(weights.sum(axis=1)[acts].sum())
         weights = np.where(acts[:, None, :], 0.0, weights)
         probabilities.append(min(done, 1.0))

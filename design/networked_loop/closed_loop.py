@@ -4,9 +4,9 @@ In the coordinates of deviations from the ideal plant response (7.8) the loop is
 
     x(k+1) = A x(k) + B [u(k) + w(k)],   u(k) = v_{d_k}(k - d_k),   v_j(k) = K[t_k, row(k, j)] Y(k)
 
-where Y(k) is what the controller knows at tick k (the sample C x(k - tau_k), by choice also the one before it and the
-integral of the measured error) and v_j(k) is the row of the send-all packet of tick k that is applied if the packet
-is j ticks old. The information pattern is the row index:
+where Y(k) is what the controller knows at slot k (the sample C x(k - tau_k), by choice also the one before it and the
+integral of the measured error) and v_j(k) is the row of the send-all packet of slot k that is applied if the packet
+is j slots old. The information pattern is the row index:
 
     constant   0                        one row, the C-A delay is not used
     generated  d_k                      as printed, (7.9)-(7.13): d when the packet was generated

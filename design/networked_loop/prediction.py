@@ -5,7 +5,7 @@ are jumps of X, and everything random is the mode. With xi = [X; 1] and eta = th
 
     eta(k+1) = W_i eta(k),      s(k+1) = s(k) + T |e(k)|^2      (linear in eta)
 
-is a jump-linear system again, so one second-moment recursion of [eta; s] gives, at every tick, the mean of the error
+is a jump-linear system again, so one second-moment recursion of [eta; s] gives, at every slot, the mean of the error
 (through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2.
 
 Before slot 0 the plant was at rest in its first state: the samples that the first packet carries beside the newest are
@@ -39,12 +39,12 @@ SPARSE = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Prediction:
-    """Exact moments of the tracking error e = y - target at ticks k = 0..K-1 over the randomness of the network.
+    """Exact moments of the tracking error e = y - target at slots k = 0..K-1 over the randomness of the network.
 
     Args:
         error_mean, error_sd: (K, p) in output units.
         square_mean, square_sd: (K,) of |e(k)|^2, e over the tracked outputs.
-        sum_mean, sum_sd: (sums,) of T sum |e(k)|^2 from each start tick on, output units squared times s.
+        sum_mean, sum_sd: (sums,) of T sum |e(k)|^2 from each start slot on, output units squared times s.
     """
 
     error_mean: Array
@@ -92,7 +92,7 @@ def predict_tracking(
         drive: (K, n), f(k) in x(k+1) = A x(k) + B (u(k) + w(k)) + f(k), states' units; default none.
         tracked: outputs whose squares are summed, of one unit; default all.
         samples, integral: as the gains were designed.
-        sums_from: start ticks of the sums.
+        sums_from: start slots of the sums.
 
     Raises:
         ValueError: wrong shapes.
@@ -194,7 +194,7 @@ class _Recursion:
         self.M = W @ self.M @ W.transpose(0, 2, 1)
 
     def step(self, k: int, w: Array, f: Array, hold: Array) -> None:
-        """One tick under the disturbance w and the drive f; `hold` is u*, from which the silent first packets deviate."""
+        """One slot under the disturbance w and the drive f; `hold` is u*, from which the silent first packets deviate."""
         silent = bool((self.tau > k).any())
         counted = tuple(k >= first for first in self.sums_from)
         rows, early = self._rows(k)
@@ -248,7 +248,7 @@ class _Recursion:
         return full
 
     def read(self) -> tuple[Array, Array, float, float]:
-        """E e, E e^2 per output, E |e|^2, E |e|^4 at this tick."""
+        """E e, E e^2 per output, E |e|^2, E |e|^4 at this slot."""
         M = self.M.sum(axis=0)
         moment = to_matrix(M[: self.size, self.size - 1], self.d)  # the last coordinate of eta is 1 * 1
         return (
@@ -286,7 +286,7 @@ def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) ->
 def _initial_modes(
     structure: LoopStructure, sc: DelayChain, ca: DelayChain, initial: tuple[npt.ArrayLike, npt.ArrayLike] | None
 ) -> Array:
-    """Distribution of the joint mode at k = 0; the C-A delay of the tick before counts as that of the first one."""
+    """Distribution of the joint mode at k = 0; the C-A delay of the slot before counts as that of the first one."""
     laws = [sc.stationary, ca.stationary] if initial is None else [np.asarray(v, dtype=np.float64) for v in initial]
     for name, law, chain in zip(("initial[0]", "initial[1]"), laws, (sc, ca), strict=True):
         if law.shape != (chain.modes,) or (law < 0).any() or abs(law.sum() - 1.0) > 1e-9:
@@ -294,7 +294,7 @@ def _initial_modes(
     weights = laws[0][structure.sc_mode] * laws[1][structure.ca_mode]
     if structure.selection != "previous":
         return np.asarray(weights)
-    # of the modes that differ in the tick before only, one carries the weight
+    # of the modes that differ in the slot before only, one carries the weight
     for s in range(sc.modes):
         for c in range(ca.modes):
             same = np.flatnonzero((structure.sc_mode == s) & (structure.ca_mode == c))

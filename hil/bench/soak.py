@@ -226,13 +226,13 @@ def _long(folder: Path, duration_s: float) -> Row:
     t, log = np.array(seen.t_s), np.array(seen.log, dtype=float)
     if len(t) < 4 * BATCHES:
         raise HilError(f"only {len(t)} samples were taken (status {status}): let it run longer")
-    timing, ticks = summary["timing"], summary["slots"]
+    timing, slots = summary["timing"], summary["slots"]
     size = (folder / "0.mcap").stat().st_size
-    predicted = _predicted(t, log, ticks * float(experiment.period))  # of one that was stopped: until then
+    predicted = _predicted(t, log, slots * float(experiment.period))  # of one that was stopped: until then
     return {
-        "status": status, "safety": summary["safety"], "slots": ticks,
+        "status": status, "safety": summary["safety"], "slots": slots,
         "slots_expected": round(duration_s / float(experiment.period)), "dropped": summary["log"]["dropped"],
-        "late": timing["late"], "overrun_share": timing["overruns"] / max(ticks, 1), "lateness_us": timing["lateness_us"],
+        "late": timing["late"], "overrun_share": timing["overruns"] / max(slots, 1), "lateness_us": timing["lateness_us"],
         "timing_why": timing["why"], "cyclictest_us": beside_us, "cyclictest_missed_share": missed,
         "log_bytes": size, "log_predicted": predicted, "log_ratio": size / predicted,
         "memory": [_memory(name, t, np.array(seen.kb[name])) for name in PROCESSES],

@@ -49,10 +49,10 @@ def start_cyclictest(priority: int, period_us: int, duration_s: float, output: P
 
 
 def read_cyclictest(output: Path, period_us: int) -> tuple[Array, int]:
-    """Return the wake-up lateness of every tick in us, (n,), and how many of them were missed.
+    """Return the wake-up lateness of every cycle in us, (n,), and how many of them were missed.
 
-    After a stall cyclictest leaves out the ticks that have gone by, the rig runs them all. They are put in here with the
-    lateness that they would have had (the correction for coordinated omission), so that both are judged over every tick.
+    After a stall cyclictest leaves out the cycles that have gone by, the rig runs them all. They are put in here with the
+    lateness that they would have had (the correction for coordinated omission), so that both are judged over every slot.
     """
     histogram = json.loads(output.read_text())["thread"]["0"]["histogram"]
     late = [int(us) for us, times in histogram.items() for _ in range(times)]
@@ -65,7 +65,7 @@ class Turn:
     """One session, with cyclictest beside it or without."""
 
     period_s: float
-    ticks: Array  # the records of /timing/tick
+    timed: Array  # the records of /timing/slot
     cyclictest_us: Array
     missed: int
     summary: dict[str, Any]
@@ -101,20 +101,20 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
         if reference is not None and reference.poll() is None:
             reference.kill()
             reference.wait()
-    ticks = session.run.arrays[TIMING.name]
+    timed = session.run.arrays[TIMING.name]
     log.unlink()
     if reference is None:
-        return Turn(float(experiment.period), ticks, np.array([]), 0, session.summary)
+        return Turn(float(experiment.period), timed, np.array([]), 0, session.summary)
     if not output.exists():
         raise HilError(f"cyclictest gave no result: {(reference.stderr.read() if reference.stderr else b'').decode()!r}")
     cyclictest_us, missed = read_cyclictest(output, period_us)
     output.unlink()
-    return Turn(float(experiment.period), ticks, cyclictest_us, missed, session.summary)
+    return Turn(float(experiment.period), timed, cyclictest_us, missed, session.summary)
 
 
 def _row(name: str, uri: str, affinity: str, turns: Sequence[Turn]) -> dict[str, Any]:
-    ticks = np.concatenate([turn.ticks for turn in turns])
-    columns = [ticks[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
+    timed = np.concatenate([turn.timed for turn in turns])
+    columns = [timed[name] for name in ("lateness_us", "round_trip_us", "late", "overrun")]
     timing = timing_metrics(*columns, period_s=turns[0].period_s)
     beside_us = np.concatenate([turn.cyclictest_us for turn in turns])
     lateness, beside = timing["lateness_us"], percentiles(beside_us)
@@ -123,17 +123,17 @@ def _row(name: str, uri: str, affinity: str, turns: Sequence[Turn]) -> dict[str,
         "period_s": turns[0].period_s,
         "link": uri,
         "affinity": affinity,
-        "slots": len(ticks),
+        "slots": len(timed),
         "turns": len(turns),
         "lateness_us": lateness,
         "cyclictest_us": beside,
         "ratio": {q: _ratio(us, beside[q]) for q, us in lateness.items()},
         "round_trip_us": timing["round_trip_us"],
         "overruns": timing["overruns"],
-        "overrun_share": timing["overruns"] / len(ticks),
+        "overrun_share": timing["overruns"] / len(timed),
         "cyclictest_missed_share": sum(turn.missed for turn in turns) / len(beside_us),
         "late": timing["late"],
-        "late_share": timing["late"] / len(ticks),
+        "late_share": timing["late"] / len(timed),
         "dropped_records": sum(turn.summary["log"]["dropped"] for turn in turns),
         "valid": timing["valid"],
         "scheduler": turns[0].summary["timing"]["scheduler"],
@@ -248,7 +248,7 @@ def bench_live(
 
 
 def _session(readers: int, name: str, uri: str, duration_s: float, log: Path) -> tuple[Any, int, int, int]:
-    """Return the lateness of every slot in us, slots without an answer or over their time, records dropped, and pictures read."""
+    """Return the lateness of every slot in us, slots without an answer or over their time, records dropped, pictures read."""
     urls: list[str] = []
     processes = []
     with ExitStack() as stack:
@@ -263,7 +263,7 @@ def _session(readers: int, name: str, uri: str, duration_s: float, log: Path) ->
             for process in processes:
                 process.kill()
             raise
-    ticks = session.run.arrays[TIMING.name]
+    timed = session.run.arrays[TIMING.name]
     log.unlink()
     read = sum(int(process.communicate(timeout=30)[0] or 0) for process in processes)
-    return ticks["lateness_us"], int(ticks["late"].sum() + ticks["overrun"].sum()), session.summary["log"]["dropped"], read
+    return timed["lateness_us"], int(timed["late"].sum() + timed["overrun"].sum()), session.summary["log"]["dropped"], read

@@ -101,11 +101,11 @@ class LiveView:
             if topic == APPLIED.name and (d := int(self._record(topic, payload)["d"])) >= 0:
                 self._ds.append(d)
             elif topic == TIMING.name:
-                tick = self._record(topic, payload)
-                self._lateness.append(float(tick["lateness_us"]))
-                self._worst = max(self._worst, float(tick["lateness_us"]))
-                self._late += int(tick["late"])
-                self._overruns += int(tick["overrun"])
+                slot = self._record(topic, payload)
+                self._lateness.append(float(slot["lateness_us"]))
+                self._worst = max(self._worst, float(slot["lateness_us"]))
+                self._late += int(slot["late"])
+                self._overruns += int(slot["overrun"])
 
     def __enter__(self) -> LiveView:
         if self._on:
@@ -200,8 +200,8 @@ class LiveView:
         if not self._lateness:
             return []
         lateness = percentiles(np.array(self._lateness))
-        tick = self._decoded(TIMING.name)
-        trip = float(tick["round_trip_us"]) if tick is not None else float("nan")
+        slot = self._decoded(TIMING.name)
+        trip = float(slot["round_trip_us"]) if slot is not None else float("nan")
         known = {name: us for name, us in lateness.items() if name in ("p50", "p99") and us is not None}
         text = "   ".join(f"{name} {us:.0f} µs" for name, us in (known | {"max": self._worst}).items())
         missed = f"{self._late} late, {self._overruns} overruns"

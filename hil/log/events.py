@@ -82,21 +82,21 @@ def to_json(value: object, *, indent: int | None = None) -> bytes:
 
 
 def encode_event(
-    t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", data: Mapping[str, object]
+    t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", data: Mapping[str, object]
 ) -> bytes:
     """Payload of one ``/events`` record, CDR; see ``records.EVENT_SCHEMA``.
 
     Args:
         t_ns: nominal session time in ns.
         kind, message: a short name to filter by, and one sentence for people.
-        tick: slot in which it happened, -1 outside of slots.
+        slot: slot in which it happened, -1 outside of slots.
         severity: one of ``records.SEVERITIES``; others are kept as they are, an event is never lost for its form.
         data: values that belong to it.
 
     >>> decode_event(encode_event(1_000_000_000, "stop", "done", data={"u": math.nan}))
-    {'t_s': 1.0, 'tick': -1, 'kind': 'stop', 'severity': 'info', 'message': 'done', 'data': {'u': 'nan'}}
+    {'t_s': 1.0, 'slot': -1, 'kind': 'stop', 'severity': 'info', 'message': 'done', 'data': {'u': 'nan'}}
     """
-    parts = [CDR_HEADER, _NUMBERS.pack(t_ns / 1e9, tick)]
+    parts = [CDR_HEADER, _NUMBERS.pack(t_ns / 1e9, slot)]
     for text in (kind, severity, message):
         parts.append(_string(text.replace("\0", "\\0").encode("utf-8", "backslashreplace")))
     return b"".join((*parts, _string(to_json(data)))).rstrip(b"\0") + b"\0"  # nothing stands behind the last text
@@ -114,7 +114,7 @@ def decode_event(payload: bytes) -> dict[str, Any]:
     try:
         if payload[: len(CDR_HEADER)] != CDR_HEADER:
             raise ValueError("no little-endian CDR")
-        t_s, tick = _NUMBERS.unpack_from(payload, len(CDR_HEADER))
+        t_s, slot = _NUMBERS.unpack_from(payload, len(CDR_HEADER))
         at, texts = len(CDR_HEADER) + _NUMBERS.size, []
         for _ in range(4):
             (size,) = _LENGTH.unpack_from(payload, at)
@@ -127,7 +127,7 @@ def decode_event(payload: bytes) -> dict[str, Any]:
         found = json.loads(data)
     except (ValueError, RecursionError, struct.error) as error:
         raise HilError(f"is no event: {error!s:.200}") from error
-    return {"t_s": t_s, "tick": tick, "kind": kind, "severity": severity, "message": message, "data": found}
+    return {"t_s": t_s, "slot": slot, "kind": kind, "severity": severity, "message": message, "data": found}
 
 
 def _string(text: bytes) -> bytes:

@@ -39,7 +39,7 @@ SEVERITIES: Final = ("debug", "info", "warning", "error")
 EVENT_SCHEMA_NAME: Final = "hil/msg/Event"
 EVENT_SCHEMA: Final = f"""\
 float64 t_s  # s, nominal session time
-int64 tick  # 1, slot in which it happened, -1 outside of slots
+int64 slot  # 1, slot in which it happened, -1 outside of slots
 string kind  # 1, short name to filter by
 string severity  # 1, one of {', '.join(SEVERITIES)}
 string message  # 1, one sentence for people

@@ -28,7 +28,7 @@ class ChangedField(Struct, frozen=True, kw_only=True):
 
 def changed_fields(run: Run) -> tuple[ChangedField, ...]:
     """Return the changes of a run, in order; that it was ended is none."""
-    said = [(event.get("tick"), event.get("data")) for event in run.events if event.get("kind") == CHANGE]
+    said = [(event.get("slot"), event.get("data")) for event in run.events if event.get("kind") == CHANGE]
     return tuple(
         ChangedField(slot=int(slot or 0), path=str(data.get("path")), certificate=data["certificate"])
         for slot, data in said

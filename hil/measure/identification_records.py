@@ -106,15 +106,15 @@ def _of_run(path: Path, run: Run, plant: dict[str, Any], u_name: str, y_name: st
             raise HilError(f"{path}: topic {topic} has no signal {name!r}; it has {', '.join(run.schemas[topic].floats)}")
     if not len(applied) or not len(measured):
         raise HilError(f"{path}: holds no slot")
-    first, slots = int(applied["tick"][0]), int(applied["tick"][-1]) - int(applied["tick"][0]) + 1
-    if slots != len(applied) or (np.diff(applied["tick"]) != 1).any():
-        last = int(applied["tick"][int(np.flatnonzero(np.diff(applied["tick"]) != 1)[0])])
+    first, slots = int(applied["slot"][0]), int(applied["slot"][-1]) - int(applied["slot"][0]) + 1
+    if slots != len(applied) or (np.diff(applied["slot"]) != 1).any():
+        last = int(applied["slot"][int(np.flatnonzero(np.diff(applied["slot"]) != 1)[0])])
         raise HilError(f"{path}: the input after slot {last} is missing; a fit needs every input")
     u = np.asarray(applied[u_name], dtype=np.float64)
     if f"w_{u_name}" in (applied.dtype.names or ()):
         u = u + applied[f"w_{u_name}"]
     y = np.full(slots, math.nan)
-    row = measured["tick"] - first
+    row = measured["slot"] - first
     kept = (row >= 0) & (row < slots)
     y[row[kept]] = measured[y_name][kept]
     return AxisRecord(path=str(path), period_s=view_of(run).period_s, u=u, y=y, plant=plant)
@@ -200,9 +200,9 @@ def read_mode_record(path: Path, names: tuple[str, str] = (FAULT, DETECTED)) -> 
         if name not in (table.dtype.names or ()):
             known = ", ".join(run.schemas[STATE.name].floats)
             raise HilError(f"{path}: {STATE.name} has no mode {name!r}, as a log of vtol-fault has; it has {known}")
-    gaps = np.flatnonzero(np.diff(table["tick"]) != 1)
+    gaps = np.flatnonzero(np.diff(table["slot"]) != 1)
     if gaps.size:
-        raise HilError(f"{path}: the modes after slot {int(table['tick'][gaps[0]])} are missing; a rate needs every slot")
+        raise HilError(f"{path}: the modes after slot {int(table['slot'][gaps[0]])} are missing; a rate needs every slot")
     fault, detected = (_modes(path, name, np.asarray(table[name], dtype=np.float64)) for name in names)
     restarts = bool(run.resolved.get("plant", {}).get("failure_restarts_detection_clock", False))
     return ModeRecord(fault, detected, view_of(run).period_s), restarts

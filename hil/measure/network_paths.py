@@ -227,7 +227,7 @@ def loads(view: RunView) -> tuple[Load, ...]:
     draws, rig = view.run.arrays.get(SC.name), view.rig
     if draws is None or rig is None or not len(draws):
         return ()
-    slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
+    slots = len(view.run.arrays.get(MEASUREMENT, ())) or max(int(piece["slot"].max()) for piece in pieces(draws)) + 1
     fates = [sent_packets(path.draws) for path in view.once(network_paths) if path.side == "sc" and path.draws is not None]
     return node_loads(rig, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
 

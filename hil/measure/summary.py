@@ -43,7 +43,7 @@ def timing_metrics(lateness_us: Array, round_trip_us: Array, late: Array, overru
     """Return the timing part of a summary, with its verdict.
 
     A run is valid when at most 0.1 % of its slots overran, at most 0.1 % had no answer in time, and the p99 of the lateness (of
-    fewer than 100 slots the largest) is at most a tenth of the period. A virtual run (no ticks timed) is valid: its times are
+    fewer than 100 slots the largest) is at most a tenth of the period. A virtual run (no slots timed) is valid: its times are
     exact.
 
     Args:
@@ -114,7 +114,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         failed: takes what a measure raised; see `hil.measure.measure.measured`.
     """
     run = view.run
-    ticks = _ticks(run)
+    slots = _slots(run)
     timing = run_timing(view)
     measures = view.once(run_measures)
     quantities = quantities_of(measures, view.signals)
@@ -124,8 +124,8 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
         "clock": run.metadata.get("clock", ""),
         "link": run.metadata.get("link", ""),
         "controller": controller_of(run),
-        "slots": ticks,
-        "duration_s": round(ticks * view.period_s, 9),
+        "slots": slots,
+        "duration_s": round(slots * view.period_s, 9),
         "metrics": measured(view, measures, failed),
         "titles": {q.name: q.title for q in quantities},
         "units": {q.name: q.unit for q in quantities},
@@ -222,13 +222,13 @@ def run_metrics(run: Run, experiment: Experiment | None = None, rig: RigSpec | N
 def run_timing(view: RunView) -> dict[str, Any]:
     """Return the timing metrics of a run; see `timing_metrics`."""
     run = view.run
-    ticks = run.arrays.get(TIMING)
+    timed = run.arrays.get(TIMING)
     empty = np.zeros(0)
-    columns = [empty] * 4 if ticks is None else [ticks[n] for n in ("lateness_us", "round_trip_us", "late", "overrun")]
+    columns = [empty] * 4 if timed is None else [timed[n] for n in ("lateness_us", "round_trip_us", "late", "overrun")]
     found = timing_metrics(*columns, period_s=view.period_s)
-    if found["first_late_slot"] is not None and ticks is not None:
-        found["first_late_slot"] = int(ticks["tick"][found["first_late_slot"]])
-    if run.metadata.get("clock") == "real" and (ticks is None or not len(ticks)):
+    if found["first_late_slot"] is not None and timed is not None:
+        found["first_late_slot"] = int(timed["slot"][found["first_late_slot"]])
+    if run.metadata.get("clock") == "real" and (timed is None or not len(timed)):
         found |= {"valid": False, "why": ["no slot was timed"]}
     said = [e["data"]["scheduler"] for e in run.events if "scheduler" in e.get("data", {})]
     found["scheduler"] = str(said[0]) if said else ("virtual time" if run.metadata.get("clock") == "virtual" else None)
@@ -240,9 +240,9 @@ def safety_of(run: Run) -> str | None:
     return next((str(e["message"]) for e in run.events if e.get("kind") == "safety"), None)
 
 
-def _ticks(run: Run) -> int:
-    ticks = run.arrays[APPLIED]["tick"]  # a slot that was cut off by a signal was measured, and nothing was applied
-    return int(ticks[-1]) + 1 if len(ticks) else 0
+def _slots(run: Run) -> int:
+    slots = run.arrays[APPLIED]["slot"]  # a slot that was cut off by a signal was measured, and nothing was applied
+    return int(slots[-1]) + 1 if len(slots) else 0
 
 
 def page_summary(view: RunView) -> dict[str, Any]:

@@ -128,8 +128,8 @@ class RunView:
         measurement, reference = self.run.arrays[MEASUREMENT], self.run.arrays[REFERENCE]
         if _same_slots(measurement, reference):
             return measurement, reference
-        # A torn log may hold a sample without its reference: what belongs together has one tick.
-        _, i, j = np.intersect1d(measurement["tick"], reference["tick"], assume_unique=True, return_indices=True)
+        # A torn log may hold a sample without its reference: what belongs together has one slot.
+        _, i, j = np.intersect1d(measurement["slot"], reference["slot"], assume_unique=True, return_indices=True)
         return measurement[i], reference[j]
 
     def applied(self) -> npt.NDArray[np.float64]:
@@ -143,15 +143,15 @@ class RunView:
 
 
 def _same_slots(a: npt.NDArray[np.void], b: npt.NDArray[np.void]) -> bool:
-    """Return whether two series of records have the same ticks, each once and in order."""
+    """Return whether two series of records have the same slots, each once and in order."""
     last = -1
     if len(a) != len(b):
         return False
     for one, other in zip(pieces(a), pieces(b)):
-        ticks = one["tick"]
-        if not np.array_equal(ticks, other["tick"]) or (ticks[1:] <= ticks[:-1]).any() or ticks[0] <= last:
+        slots = one["slot"]
+        if not np.array_equal(slots, other["slot"]) or (slots[1:] <= slots[:-1]).any() or slots[0] <= last:
             return False
-        last = ticks[-1]
+        last = slots[-1]
     return True
 
 

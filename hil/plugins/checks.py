@@ -94,7 +94,7 @@ def check_law(law: NetworkLaw) -> list[str]:
         for k in range(SLOTS):
             impairment.offer(k, k)
             draws, arrived = asked(f"draw() of slot {k}", impairment.collect, k)
-            assert all(d.tick == k for d in draws), "a draw is booked in another slot"
+            assert all(d.slot == k for d in draws), "a draw is booked in another slot"
             assert all(packet == g <= k for g, packet in arrived), "a packet came from the future, or under another number"
             if bound is not None and arrived:
                 newest = max(newest, *(g for g, _ in arrived))

@@ -237,7 +237,7 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     while True:
         k = len(carried)
         if k % common == 0:
-            state = tuple(sorted((node, k - waiting.tick) for node, waiting in bus.waiting.items()))
+            state = tuple(sorted((node, k - waiting.slot) for node, waiting in bus.waiting.items()))
             if state in seen:
                 first = seen[state]
                 break
@@ -245,7 +245,7 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
         for node, clock in enumerate(running):
             if clock.due(k):
                 bus.offer(rank[node], k, None)
-        carried.append(tuple((order[place], k - waiting.tick) for place, waiting in bus.winners()))
+        carried.append(tuple((order[place], k - waiting.slot) for place, waiting in bus.winners()))
     period = len(carried) - first
     if period > MOST_PHASES:
         return f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots"

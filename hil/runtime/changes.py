@@ -54,7 +54,7 @@ def take(change: Change, rig: Rig, node: ControlNode | None) -> None:
 def log_late(sink: Sink, change: Change, t_ns: int, k: int, slot: int) -> None:
     """Log a change that came behind its slot: it does not act, as its certificate is on a run in which it had."""
     message = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
-    sink.event(t_ns, LATE, message, tick=k, severity="warning", path=change.path, slot=slot)
+    sink.event(t_ns, LATE, message, slot=k, severity="warning", path=change.path, due=slot)
 
 
 def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
@@ -62,4 +62,4 @@ def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
     verdict = None if change.loop is None else change.loop.verdict
     claimed = {} if verdict is None else {"kind": verdict.kind, "state": verdict.state, "reason": verdict.reason}
     text = RUN_ENDED if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
-    sink.event(t_ns, CHANGE, text, tick=k, path=change.path, value=change.value, certificate=claimed)
+    sink.event(t_ns, CHANGE, text, slot=k, path=change.path, value=change.value, certificate=claimed)

@@ -117,7 +117,7 @@ def run_in_real_time(
     if real.controller_departed is not None:
         k, by = real.controller_departed
         message = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
-        sink.event(real.pump.last_ns, WITHDRAWN, message, tick=k, severity="error")
+        sink.event(real.pump.last_ns, WITHDRAWN, message, slot=k, severity="error")
     unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)
     if unwanted:
         out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"

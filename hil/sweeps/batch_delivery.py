@@ -231,7 +231,7 @@ def _one_run(
                 medium.offer(node, k, None)
         for node, (draws, arrived) in enumerate(medium.collect(k)):
             for draw in draws:
-                last = max(last, draw.tick)
+                last = max(last, draw.slot)
                 packets[node, run] += draw.reason in _TOLD
             came[k] += [(run, node, sent) for sent, _ in arrived]
     return last

@@ -60,7 +60,7 @@ class _Calls:
 
         return note
 
-    def event(self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object) -> None:
+    def event(self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object) -> None:
         """Events are rare."""
 
     def commit(self) -> None:

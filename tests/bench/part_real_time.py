@@ -109,12 +109,12 @@ def _session(uri: str, length_s: float, folder: str, sets: Sequence[str], *, bes
 
 
 def _late(turns: Sequence[Turn]) -> tuple[int, int]:
-    late = np.concatenate([turn.ticks["late"] for turn in turns])
+    late = np.concatenate([turn.timed["late"] for turn in turns])
     return int(late.sum()), len(late)
 
 
 def _p50(turns: Sequence[Turn]) -> float:
-    return float(np.nanmedian(np.concatenate([turn.ticks["round_trip_us"] for turn in turns])))
+    return float(np.nanmedian(np.concatenate([turn.timed["round_trip_us"] for turn in turns])))
 
 
 def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
@@ -127,7 +127,7 @@ def _rates(tell: Tell, quick: bool) -> Iterator[Found]:
                 tell(f"turn {turn + 1} of {turns}: {figure.name}, for {length_s:g} s")
                 taken[figure].append(_session(link.format(pid=os.getpid()), length_s, folder, sets, beside=beside))
     for figure, found in taken.items():
-        ours = 100 * float(np.mean(np.concatenate([turn.ticks["overrun"] for turn in found])))
+        ours = 100 * float(np.mean(np.concatenate([turn.timed["overrun"] for turn in found])))
         woken = sum(len(turn.cyclictest_us) for turn in found)
         peer = 100 * sum(turn.missed for turn in found) / woken if woken else None
         reported = f"{turns} sessions of {length_s:g} s" if beside else "cyclictest is not installed: apt-get install rt-tests"

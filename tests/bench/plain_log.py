@@ -53,12 +53,12 @@ class PlainSink:
         return put
 
     def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
     ) -> None:
         """See `Sink`."""
         put = self.channel(EVENTS_TOPIC)
         assert put is not None
-        put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
+        put(t_ns, encode_event(t_ns, kind, message, slot=slot, severity=severity, data=data))
 
     def commit(self) -> None:
         """See `Sink`."""

@@ -211,7 +211,7 @@ def test_log_page_and_json_say_that_the_certificate_is_withdrawn(tmp_path: Path)
     why = said(session)
     run = read_run(tmp_path / "late.mcap")
     event = next(event for event in run.events if event["kind"] == "certificate withdrawn")
-    assert event["message"] == why and event["tick"] == int(why.split(" slot ")[1].split()[0]) and event["severity"] == "error"
+    assert event["message"] == why and event["slot"] == int(why.split(" slot ")[1].split()[0]) and event["severity"] == "error"
     assert run.certificate["state"] == "certified"  # what was claimed before stands in the log
     assert why in json.dumps(session.summary)
     badge = next(badge for badge in verdicts(run, session.summary) if badge.detail == why)

@@ -1,4 +1,4 @@
-"""Runs of the rig itself, seed by seed, agree with the prediction at every tick."""
+"""Runs of the rig itself, seed by seed, agree with the prediction at every slot."""
 
 import numpy as np
 import pytest
@@ -13,16 +13,16 @@ from hil.sweeps.lockstep import run_batch
 QUANTISED = 6e-7  # rad: packets carry float32, on both sides of the loop; the prediction knows nothing of it
 
 
-def predicted_of(loop, ticks, **options):
+def predicted_of(loop, slots, **options):
     from design.networked_loop.prediction import predict_tracking
 
     reference, disturbance, chains = loop.reference().at, loop.disturbance().at, (loop.chains.sc, loop.chains.ca)
     return predict_tracking(
         loop.model.A, loop.model.B, loop.model.C, *chains,
         gains_over(loop.controller, loop.model, *chains), loop.controller.selection,
-        np.array([reference(k) for k in range(ticks)]),
+        np.array([reference(k) for k in range(slots)]),
         period_s=loop.model.period_s, samples=loop.samples,
-        disturbance=np.array([disturbance(k) for k in range(ticks)]), **options,
+        disturbance=np.array([disturbance(k) for k in range(slots)]), **options,
     )  # fmt: skip
 
 
@@ -35,9 +35,9 @@ def squared_errors(loop, seeds):
     return np.array(found)
 
 
-def assert_in_bands(squares, predicted, ticks):
+def assert_in_bands(squares, predicted, slots):
     runs = len(squares)
-    z = -ndtri(0.001 / 4 / ticks)  # 99.9 % for means and variances of all ticks at once
+    z = -ndtri(0.001 / 4 / slots)  # 99.9 % for means and variances of all slots at once
     spread, size = predicted.square_sd / np.sqrt(runs), np.sqrt(predicted.square_mean) + QUANTISED
     rounding = 2 * QUANTISED * size
     assert np.all(np.abs(squares.mean(axis=0) - predicted.square_mean) <= z * spread + rounding)
@@ -56,10 +56,10 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize("name, ticks", CASES)
-def test_eighty_runs_lie_in_the_bands(name, ticks):
-    loop = compose(load_experiment(name, (f"duration={0.05 * ticks} s",)))
-    assert_in_bands(squared_errors(loop, range(80)), predicted_of(loop, ticks), ticks)
+@pytest.mark.parametrize("name, slots", CASES)
+def test_eighty_runs_lie_in_the_bands(name, slots):
+    loop = compose(load_experiment(name, (f"duration={0.05 * slots} s",)))
+    assert_in_bands(squared_errors(loop, range(80)), predicted_of(loop, slots), slots)
 
 
 @pytest.mark.slow

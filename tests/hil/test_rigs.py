@@ -50,7 +50,7 @@ def test_fault_that_the_controller_does_not_see_is_in_the_log_only() -> None:
 @pytest.mark.parametrize(
     "name", ["smjls-robust", *(pytest.param(name, marks=pytest.mark.slow) for name in ("vtol-fault", "vtol-delayed"))]
 )
-def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, name: str) -> None:
+def test_rig_with_random_modes_in_real_time_is_the_virtual_run_up_to_the_first_late_slot(tmp_path: Path, name: str) -> None:
     experiment = load_experiment(name, ["duration=1", "period=10 ms", "limits.watchdog_slots=50", "allow_uncertified=true"])
     real = run_session(experiment, clock="real", link=f"can:hil:rigs{os.getpid()}", path=tmp_path / "real.mcap")
     virtual = simulate(compose(experiment, certify=False), experiment.seed)

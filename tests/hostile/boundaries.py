@@ -328,7 +328,7 @@ CHANGES = [
 ]  # fmt: skip
 KEYS = [b"00112233445566778899aabbccddeeff\n", b"0f" * 32]
 TOLD = json.dumps({"experiment": "x", "period_ns": 5, "session": "s"}).encode()
-EVENT = encode_event(5, "safety", "limit", tick=3, severity="error", data={"x": [1, 2.5, None]})
+EVENT = encode_event(5, "safety", "limit", slot=3, severity="error", data={"x": [1, 2.5, None]})
 SHOWN = b"hil: \x1b[2Jx.toml: [red]plant[/]: 5"
 CALLED = (HilError, ValueError)
 """`design` and `transport` promise a ValueError of a file; what calls them in hil adds the field's path to it."""

@@ -25,7 +25,7 @@ from hil.pages.run_page import render_report
 from hil.session.replay.replay import verify
 from tests.hil.log.recording import TABLE, provenance, record
 
-EVENT = {"tick": 0, "t_s": 0.0, "kind": "safety", "severity": "error", "message": "limit", "data": {"scheduler": "x"}}
+EVENT = {"slot": 0, "t_s": 0.0, "kind": "safety", "severity": "error", "message": "limit", "data": {"scheduler": "x"}}
 
 
 
@@ -44,7 +44,7 @@ def write_log(path: Path, words: dict[str, Any]) -> None:
 def _event(event: Any) -> bytes:
     """Return the payload of an event; of what none can be made, some other bytes."""
     try:
-        return encode_event(round(1e9 * event["t_s"]), event["kind"], event["message"], tick=event["tick"],
+        return encode_event(round(1e9 * event["t_s"]), event["kind"], event["message"], slot=event["slot"],
                             severity=event["severity"], data=event["data"])  # fmt: skip
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError, struct.error):
         return json.dumps(event).encode()

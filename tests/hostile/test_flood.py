@@ -79,11 +79,11 @@ def under_flood(tmp_path: Path, senders: int, run_s: float, flood_s: float, *cha
     came = sum(counted[name] for name in ("received", "dropped", "malformed", "foreign"))
     assert came > counted["sent"] + 50, counted  # the flood was there
     assert (session.returncode != 0) == bool(summary["problems"] or summary["safety"]), summary
-    trips = run.arrays["/timing/tick"]["round_trip_us"]
+    trips = run.arrays["/timing/slot"]["round_trip_us"]
     deadline_us = run.resolved["timing"]["deadline"] * run.resolved["period"] * 1e6
     assert not (trips > deadline_us).any(), np.nanmax(trips)  # no late answer was applied as if it were in time
-    ticks = run.arrays["/timing/tick"]["tick"]
-    assert (np.diff(ticks) == 1).all()  # no slot was skipped
+    slots = run.arrays["/timing/slot"]["slot"]
+    assert (np.diff(slots) == 1).all()  # no slot was skipped
     return session.returncode, summary, run
 
 
@@ -109,7 +109,7 @@ def test_eight_senders_for_ten_seconds_make_no_slot_late_and_are_said(tmp_path: 
     finally:
         beside.communicate(timeout=LIMIT_S)
     assert status == 6 and summary["safety"] is None and "flood" in summary["problems"], summary
-    timed = run.arrays["/timing/tick"]
+    timed = run.arrays["/timing/slot"]
     assert len(timed) == summary["slots"] == 260  # 13 s: it ran to its end
     assert np.isfinite(timed["round_trip_us"][-10:]).any()  # behind the flood answers come again
     theirs_us, _ = read_cyclictest(tmp_path / "cyclictest.json", 1000)
@@ -170,7 +170,7 @@ def test_the_watchdog_keeps_its_time_under_every_flood_at_1_khz(
     if flooded and (aim == "rig" or over.startswith("can")):
         assert summary["problems"].keys() & {"flood", "refused", "second_controller"}, summary["problems"]
     promised_s = run.resolved["limits"]["watchdog_slots"] * run.resolved["period"]
-    timed, applied = run.arrays["/timing/tick"], run.arrays["/actuator/applied"]
+    timed, applied = run.arrays["/timing/slot"], run.arrays["/actuator/applied"]
     woken_s = timed["t_ns"] / 1e9 + timed["lateness_us"] / 1e6
     taken, most, slots = _to_safe_state_s(woken_s, applied["status"][: len(woken_s)])
     record_property("ratio", round(taken / promised_s, 3))

@@ -186,5 +186,5 @@ def test_what_comes_next_is_composed_upon_what_runs() -> None:
     side.begin(loop, channels_of(loop))
     after = changed(loop, 10, "reference", [2.0])
     assert side.arm(10, Change(path="reference", value=[2.0], loop=after)) and side.loop is after
-    side._note({"kind": "change late", "tick": 12, "data": {"slot": 10, "path": "reference"}})
+    side._note({"kind": "change late", "slot": 12, "data": {"due": 10, "path": "reference"}})
     assert side.loop is loop

@@ -40,7 +40,7 @@ def test_a_rig_that_is_off_the_bus_for_a_while_sends_nothing_and_comes_back(tmp_
     done = session(tmp_path, "{at=0.5, for=0.2, kind='bus-off', link='sc'}")
     states = behind(done, "fault: bus-off")
     assert states[:2] == ["the rig on its link is off the bus", "the rig on its link is error active"]
-    late = done.run.arrays["/timing/tick"]["late"]
+    late = done.run.arrays["/timing/slot"]["late"]
     assert done.status == 0 or late.any()  # on a machine that stalls the watchdog may trip
 
 

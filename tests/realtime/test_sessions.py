@@ -1,4 +1,4 @@
-"""Sessions in real time over real links: the injected modes, states and inputs are the virtual run's, up to a late tick."""
+"""Sessions in real time over real links: the injected modes, states and inputs are the virtual run's, up to a late slot."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def links() -> list[str]:
 
 
 @pytest.mark.parametrize("which", [0, 1, 2], ids=["can-hil", "zenoh", "local"])
-def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Path, which: int) -> None:
+def test_real_run_equals_the_virtual_run_up_to_the_first_late_slot(tmp_path: Path, which: int) -> None:
     changes = ["duration=1.5", "reference.0.at=0.25", "seed=11"]
     experiment = load_experiment("dc-motor-hinf", changes)
     begun_ns = time.time_ns()
@@ -57,7 +57,7 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
     for topic, fields in (("/plant/state", ("angle", "speed")), ("/actuator/applied", ("voltage", "d", "row"))):
         for name in fields:
             np.testing.assert_array_equal(real.run.arrays[topic][name][:end], virtual.arrays[topic][name][:end])
-    assert len(real.run.arrays["/timing/tick"]) == real.summary["slots"]
+    assert len(real.run.arrays["/timing/slot"]) == real.summary["slots"]
     assert real.summary["log"]["dropped"] == 0
     said = [set(real.run.arrays[topic]["can_id"]) for topic in FRAME_TOPICS if "can_id" in real.run.arrays[topic].dtype.names]
     assert said == ([{0x100}, {0x140}] if which == 0 else [])
@@ -65,7 +65,7 @@ def test_real_run_equals_the_virtual_run_up_to_the_first_late_tick(tmp_path: Pat
         assert verify(real.run).difference is None
         with open(tmp_path / "real.mcap", "rb") as file:
             published = {(c.topic, m.log_time): m.publish_time for _, c, m in make_reader(file).iter_messages()}
-        for t_ns, round_trip_us in real.run.arrays["/timing/tick"][["t_ns", "round_trip_us"]].tolist():
+        for t_ns, round_trip_us in real.run.arrays["/timing/slot"][["t_ns", "round_trip_us"]].tolist():
             sent, received = (published[topic, real.run.start_ns + t_ns] for topic in ("/link/sensor", "/link/control"))
             assert abs((received - sent) / 1e3 - round_trip_us) < 0.01
 
@@ -77,7 +77,7 @@ def test_the_haptic_rig_at_1_khz_is_the_virtual_one_up_to_the_first_late_packet(
     late = real.summary["timing"]["first_late_slot"]
     assert real.status == 0 or late is not None, real.summary
     assert real.summary["log"]["dropped"] == 0 and not real.summary.get("problems"), real.summary
-    assert len(real.run.arrays["/timing/tick"]) == real.summary["slots"]
+    assert len(real.run.arrays["/timing/slot"]) == real.summary["slots"]
     virtual, end = simulate(compose(experiment), experiment.seed), real.summary["slots"] if late is None else late
     for topic, fields in (
         ("/actuator/applied", ("force", "d", "row")), ("/plant/state", ("position", "speed", "y", "z", "push", "given")),
@@ -101,7 +101,7 @@ class Running:
         )  # fmt: skip
 
     def child(self, name: str) -> int:
-        """Pid of the rig's or the controller's process, once the log has ticks in it."""
+        """Pid of the rig's or the controller's process, once the log has slots in it."""
         until(lambda: self.process.poll() is not None or (self.log.exists() and self.log.stat().st_size > 12_000), "the session")
         assert self.process.poll() is None, self.process.communicate()
         for line in subprocess.run(["ps", "-wweo", "pid,ppid,args"], capture_output=True, text=True).stdout.splitlines():

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.vcan
 
 FRAMES = pytest.mark.parametrize("uri", ["can:socketcan:vcan0", "can:socketcan:vcan0?fd=0"], ids=["fd", "classic"])
 CHANGES = ["duration=6", "reference.0.at=0.5", "seed=11"]
-TICKS, PERIOD_S = 120, 0.05
+SLOTS, PERIOD_S = 120, 0.05
 FROM_THE_RIG = {derived(fd=fd).sensors[0][0] for fd in (True, False)}  # of its first frame, which holds the slot in bytes 4 to 7
 
 
@@ -37,7 +37,7 @@ def session(uri: str, folder: Path) -> Session:
 
 
 def assert_equals_the_virtual_run(run: Run, end: int) -> None:
-    """Injected modes to the end; plant states and applied inputs, bit for bit, in the first `end` ticks."""
+    """Injected modes to the end; plant states and applied inputs, bit for bit, in the first `end` slots."""
     virtual = simulate(compose(load_experiment("dc-motor-hinf", CHANGES)), 11)
     for side in ("/network/sc", "/network/ca"):
         a, b = run.arrays[side], virtual.arrays[side]
@@ -67,18 +67,18 @@ def test_session_in_virtual_time_equals_the_one_process_run_to_the_end(uri: str,
     assert done.status == 0, done.summary
     assert done.summary["timing"]["valid"]
     assert done.summary["timing"]["first_late_slot"] is None
-    assert_equals_the_virtual_run(done.run, TICKS)
+    assert_equals_the_virtual_run(done.run, SLOTS)
     assert verify(done.run).difference is None
 
 
 @FRAMES
 @pytest.mark.realtime
-def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_tick(uri: str, tmp_path: Path) -> None:
+def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_slot(uri: str, tmp_path: Path) -> None:
     done = session(uri, tmp_path)
     late = done.summary["timing"]["first_late_slot"]
     assert done.status == 0 or late is not None, done.summary  # a machine that stalls for long may trip the watchdog
     assert late is None or late > 0
-    assert_equals_the_virtual_run(done.run, TICKS if late is None else late)
+    assert_equals_the_virtual_run(done.run, SLOTS if late is None else late)
     assert done.summary["log"]["dropped"] == 0
 
 
@@ -113,12 +113,12 @@ def down_after(slot: int, seconds: float) -> Iterator[None]:
 
 @FRAMES
 @pytest.mark.usefixtures("virtual_time")
-def test_link_down_for_two_ticks_costs_packets_and_nothing_else(uri: str, tmp_path: Path) -> None:
+def test_link_down_for_two_slots_costs_packets_and_nothing_else(uri: str, tmp_path: Path) -> None:
     with down_after(slot=40, seconds=2 * PERIOD_S):
         done = session(uri, tmp_path)
     assert done.status == 0, done.summary
     assert done.summary["timing"]["first_late_slot"] == 41
-    assert np.flatnonzero(done.run.arrays["/timing/tick"]["late"]).tolist() == [41, 42]
+    assert np.flatnonzero(done.run.arrays["/timing/slot"]["late"]).tolist() == [41, 42]
     assert_equals_the_virtual_run(done.run, 41)
     assert abs(done.summary["metrics"]["steady_state_error"]) < 0.01
 
@@ -150,4 +150,4 @@ def test_foreign_traffic_on_the_bus_changes_nothing(tmp_path: Path) -> None:
         for sender in senders:
             sender.stop()
     assert done.status == 0, done.summary
-    assert_equals_the_virtual_run(done.run, TICKS)
+    assert_equals_the_virtual_run(done.run, SLOTS)

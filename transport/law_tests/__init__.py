@@ -65,7 +65,7 @@ def law_p_value(law: NetworkLaw, modes: Modes, draws: Records | None = None, slo
     Args:
         law: parameters of the law.
         modes: mode of every slot from slot 0, (slots,).
-        draws: packet laws only: the records of the whole run from slot 0, with the fields `tick`, `mode`, `latency_s` and
+        draws: packet laws only: the records of the whole run from slot 0, with the fields `slot`, `mode`, `latency_s` and
             `reason`; one of the arrays is in memory at a time.
         slot: its length and when it closes, s; of a packet law that discards old packets losses and latencies are tested only
             with it.
@@ -237,7 +237,7 @@ def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] 
         found.copied += int((table["reason"] == COPIED).sum())
         found.overflow |= bool((table["reason"] == OVERFLOW).any())
         if isinstance(recorded, LatencyTrace):
-            due = trace[table["tick"] % len(trace)]
+            due = trace[table["slot"] % len(trace)]
             found.possible &= bool((observed == due[sent]).all() and not sent[np.isinf(due)].any())
             fate &= np.isfinite(due) & (due <= latest)  # the others are lost by the trace, whatever the channel does
         else:
@@ -258,5 +258,5 @@ def _packet_evidence(law: ChannelLaw, draws: Records, slot: tuple[float, float] 
 
 
 def _columns(draws: NDArray[np.void]) -> dict[str, NDArray[Any]]:
-    columns: dict[str, NDArray[Any]] = {name: draws[name].astype(np.int64) for name in ("tick", "mode", "reason")}
+    columns: dict[str, NDArray[Any]] = {name: draws[name].astype(np.int64) for name in ("slot", "mode", "reason")}
     return columns | {"latency_s": draws["latency_s"].astype(np.float64)}

@@ -13,7 +13,7 @@ from transport.errors import FieldError
 from transport.medium.independent import Arrivals, Impairment
 
 Delivery = tuple[list[Draw], Arrivals]
-"""Of one node in one slot: the decisions that were drawn, and the arrivals as (packet_tick, packet)."""
+"""Of one node in one slot: the decisions that were drawn, and the arrivals as (packet_slot, packet)."""
 
 
 class Medium(Protocol):

@@ -80,7 +80,7 @@ class FaultyPath:
         broken, lost = self._broken(k), self._lost
         fate = next((code for kind, code in _FATES.items() if kind in broken), None)
         gone: dict[int, int] = {}
-        for reason, g in [(draw.reason, draw.packet_tick) for draw in draws if draw.reason in _ARRIVED]:
+        for reason, g in [(draw.reason, draw.packet_slot) for draw in draws if draw.reason in _ARRIVED]:
             if fate is not None:
                 gone[g] = fate
                 if reason != REPEATED:
@@ -93,7 +93,7 @@ class FaultyPath:
                 lost.pop(g, None)  # a second copy has come
         self.mangled = arrivals if fate == CORRUPTED else []
         if gone:
-            draws = [d._replace(reason=gone.get(d.packet_tick, d.reason)) if d.reason in _ARRIVED else d for d in draws]
+            draws = [d._replace(reason=gone.get(d.packet_slot, d.reason)) if d.reason in _ARRIVED else d for d in draws]
             arrivals = [(g, packet) for g, packet in arrivals if g not in gone]
         if self._unsent:
             draws, self._unsent = [*draws, *self._unsent], []

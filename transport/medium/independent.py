@@ -46,7 +46,7 @@ class Impairment(Protocol):
         ...
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
-        """Return the decisions of slot k, and its arrivals as (packet_tick, packet) in order of arrival.
+        """Return the decisions of slot k, and its arrivals as (packet_slot, packet) in order of arrival.
 
         Slots that were skipped are drawn too, so that the mode sequence depends on nothing but the law and its stream.
 
@@ -159,31 +159,31 @@ class GappedAgeImpairment:
             if found is None:
                 return []
             mode = NO_MODE
-        tick, reason = found[0], REPEATED
-        if tick in self._unused:
-            reason = DELIVERED if tick > self._newest else DISORDERED
-            self._unused.remove(tick)
-        self._newest = max(self._newest, tick)
-        age = k - tick
-        draws.append(Draw(k, tick, mode, age, age * self._period_s, reason))
+        slot, reason = found[0], REPEATED
+        if slot in self._unused:
+            reason = DELIVERED if slot > self._newest else DISORDERED
+            self._unused.remove(slot)
+        self._newest = max(self._newest, slot)
+        age = k - slot
+        draws.append(Draw(k, slot, mode, age, age * self._period_s, reason))
         return [found]
 
     def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
         held, unused = self._held, self._unused
         while len(held) > 1 and held[1][0] <= floor:
-            tick, _ = held.popleft()
-            if tick in unused:
-                unused.remove(tick)
-                draws.append(Draw(k, tick, NO_MODE, k - tick, nan, SUPERSEDED))
+            slot, _ = held.popleft()
+            if slot in unused:
+                unused.remove(slot)
+                draws.append(Draw(k, slot, NO_MODE, k - slot, nan, SUPERSEDED))
 
 
 class _Offered:
     """A packet that was offered. Its copy shares it: whichever arrives second is the duplicate."""
 
-    __slots__ = ("arrived", "packet", "tick")
+    __slots__ = ("arrived", "packet", "slot")
 
-    def __init__(self, tick: int, packet: object) -> None:
-        self.tick, self.packet, self.arrived = tick, packet, False
+    def __init__(self, slot: int, packet: object) -> None:
+        self.slot, self.packet, self.arrived = slot, packet, False
 
 
 class PacketImpairment:
@@ -211,12 +211,12 @@ class PacketImpairment:
     @property
     def pending(self) -> int:
         """Number of offered packets that may still arrive for the first time."""
-        flying = {entry[4].tick for entry in self._flying if not entry[4].arrived}
+        flying = {entry[4].slot for entry in self._flying if not entry[4].arrived}
         return len(flying) + len(self._offered)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
-        _check_offer(k, self._next, self._offered[-1].tick if self._offered else -1)
+        _check_offer(k, self._next, self._offered[-1].slot if self._offered else -1)
         self._offered.append(_Offered(k, packet))
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
@@ -232,7 +232,7 @@ class PacketImpairment:
         return draws, arrivals
 
     def _send(self, k: int, draws: list[Draw]) -> None:
-        offered = self._offered.popleft() if self._offered and self._offered[0].tick == k else None
+        offered = self._offered.popleft() if self._offered and self._offered[0].slot == k else None
         for draw in self._process.draw(k):
             if offered is None:
                 if draw.mode != NO_MODE:
@@ -246,8 +246,8 @@ class PacketImpairment:
             draws.append(draw)
 
     def _fly(self, draw: Draw, offered: _Offered) -> None:
-        sent_s = draw.tick * self._period_s
-        due = (draw.tick + draw.age, sent_s + draw.latency_s)
+        sent_s = draw.slot * self._period_s
+        due = (draw.slot + draw.age, sent_s + draw.latency_s)
         if not self._reordering:
             due = self._last = max(due, self._last)
         heapq.heappush(self._flying, (*due, next(self._order), due[1] - sent_s, offered))
@@ -257,11 +257,11 @@ class PacketImpairment:
         if offered.arrived:
             reason = DUPLICATED
         else:
-            reason = DELIVERED if offered.tick > self._newest else DISORDERED
+            reason = DELIVERED if offered.slot > self._newest else DISORDERED
             offered.arrived = True
-        self._newest = max(self._newest, offered.tick)
-        draws.append(Draw(k, offered.tick, NO_MODE, k - offered.tick, latency_s, reason))
-        return offered.tick, offered.packet
+        self._newest = max(self._newest, offered.slot)
+        draws.append(Draw(k, offered.slot, NO_MODE, k - offered.slot, latency_s, reason))
+        return offered.slot, offered.packet
 
 
 def impair(

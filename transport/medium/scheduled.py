@@ -135,11 +135,11 @@ class Waiting(NamedTuple):
     """A packet that waits for the bus.
 
     Attributes:
-        tick: slot in which it was offered.
+        slot: slot in which it was offered.
         packet: what is sent.
     """
 
-    tick: int
+    slot: int
     packet: Any
 
 
@@ -176,33 +176,33 @@ class Behind:
 
     def __init__(self, channel: Impairment) -> None:
         self._channel = channel
-        self._ticks: dict[int, int] = {}  # slot of sampling by slot of sending
+        self._slots: dict[int, int] = {}  # slot of sampling by slot of sending
         self._newest = -1
         self._booked: list[Draw] = []
 
-    def book(self, k: int, ticks: Sequence[int], reason: int) -> None:
+    def book(self, k: int, slots: Sequence[int], reason: int) -> None:
         """Book in slot k that packets of some slots were lost or replaced."""
-        self._booked += [Draw(k, tick, NO_MODE, 0 if reason == LOST else k - tick, nan, reason) for tick in ticks]
+        self._booked += [Draw(k, slot, NO_MODE, 0 if reason == LOST else k - slot, nan, reason) for slot in slots]
 
     def carry(self, k: int, came: Sequence[tuple[int, object]]) -> None:
         """Send on the newest of the packets that the bus has carried in slot k, each with the slot of its sample."""
-        fresh = [(tick, packet) for tick, packet in came if tick > self._newest]
+        fresh = [(slot, packet) for slot, packet in came if slot > self._newest]
         newest = max(fresh, key=lambda each: each[0], default=None)
         self.book(k, [g for g, _ in came if newest is None or g != newest[0]], SUPERSEDED)
         if newest is None:
             return
         self._newest = newest[0]
-        self._ticks[k] = newest[0]
-        if len(self._ticks) > REMEMBERED:
-            del self._ticks[next(iter(self._ticks))]
+        self._slots[k] = newest[0]
+        if len(self._slots) > REMEMBERED:
+            del self._slots[next(iter(self._slots))]
         self._channel.offer(k, newest)
 
     def collect(self, k: int) -> Delivery:
         """Return what the channel lets arrive, and what was booked; see `Impairment.collect`."""
         draws, arrivals = self._channel.collect(k)
-        ticks, booked = self._ticks, self._booked
+        slots, booked = self._slots, self._booked
         self._booked = []
-        named = [draw._replace(packet_tick=ticks.get(draw.packet_tick, draw.packet_tick)) for draw in draws]
+        named = [draw._replace(packet_slot=slots.get(draw.packet_slot, draw.packet_slot)) for draw in draws]
         return [*named, *booked], [packet for _, packet in arrivals]  # type: ignore[misc]
 
 
@@ -241,10 +241,10 @@ class ArbitratedBus:
         if k < self._next:
             raise FieldError("k", f"slot {k} is offered a packet after it was collected")
         old = self._bus.offer(node, k, packet)
-        if old is not None and old.tick >= k:
-            raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old.tick}")
+        if old is not None and old.slot >= k:
+            raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old.slot}")
         if old is not None:
-            self._behind[node].book(k, [old.tick], REPLACED)
+            self._behind[node].book(k, [old.slot], REPLACED)
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what the bus has carried and each channel lets arrive, see `Medium.collect`."""
@@ -257,6 +257,6 @@ class ArbitratedBus:
         lost = (self._rng.random(self._frames) < self._loss).tolist()
         for (node, won), gone in zip(self._bus.winners(), lost):
             if gone:
-                self._behind[node].book(k, [won.tick], LOST)
+                self._behind[node].book(k, [won.slot], LOST)
             else:
-                self._behind[node].carry(k, [(won.tick, won.packet)])
+                self._behind[node].carry(k, [(won.slot, won.packet)])

@@ -48,7 +48,7 @@ class _Packet:
     """A packet of the rig on the bus: whose, of which slot, and its frames that are not sent yet."""
 
     sender: int
-    tick: int
+    slot: int
     content: Any
     frames: list[Waiting]
     begun: bool = False
@@ -82,7 +82,7 @@ class BusInSlots:
         """Replace the time line of nodes that are off the bus; what is past stays as it was."""
         self._outages.plan(faults, self._past_ns)
 
-    def send(self, sender: int, tick: int, at_ns: int, content: object, frames: Sequence[CanFrame]) -> list[int]:
+    def send(self, sender: int, slot: int, at_ns: int, content: object, frames: Sequence[CanFrame]) -> list[int]:
         """Queue a packet at an instant; return the slots of the older ones whose place it takes.
 
         An older packet of which a frame was sent, or is being sent, is not replaced.
@@ -94,8 +94,8 @@ class BusInSlots:
                 for behind in old.frames[1:]:
                     self._bus.abort(sender, behind)
                 waiting.remove(old)
-                replaced.append(old.tick)
-        packet = _Packet(sender, tick, content, [])
+                replaced.append(old.slot)
+        packet = _Packet(sender, slot, content, [])
         for frame in frames:
             packet.frames.append(Waiting(frame, BitRates.units(at_ns), packet))
             self._bus.queue(sender, packet.frames[-1])
@@ -131,7 +131,7 @@ class BusInSlots:
     def came(self, sender: int) -> list[tuple[int, object]]:
         """Return (slot, packet) of what has come of a sender since it was last asked, in order."""
         found, self._came[sender] = self._came[sender], []
-        return [(packet.tick, packet.content) for packet in found]
+        return [(packet.slot, packet.content) for packet in found]
 
 
 class TimedBusWay:

@@ -116,7 +116,7 @@ def _records(run: Run, topic: str) -> Iterator[Sequence[Any]]:
 
 
 def _events(run: Run) -> Iterator[Sequence[Any]]:
-    names = ["tick", "t_s", "kind", "severity", "message"]
+    names = ["slot", "t_s", "kind", "severity", "message"]
     yield [*names, "data"]
     for event in run.events:
         yield [*(event.get(name, "") for name in names), json.dumps(event.get("data", {}))]

@@ -21,7 +21,7 @@ TOGETHER: Final = 4096
 MOST_HELD: Final = 200_000
 """Frames that wait in memory for one that stands behind them in the log and before them in time."""
 
-Ticks: TypeAlias = npt.NDArray[np.int64]
+Slots: TypeAlias = npt.NDArray[np.int64]
 
 
 def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
@@ -42,7 +42,7 @@ def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
     held: list[tuple[int, int, bytes]] = []
     newest, number = -(1 << 62), 0
     for piece in run.pieces(topic, TOGETHER):
-        for t_ns, data in zip((piece[TIME_FIELD] + measured(piece["tick"])).tolist(), piece["data"].tolist()):
+        for t_ns, data in zip((piece[TIME_FIELD] + measured(piece["slot"])).tolist(), piece["data"].tolist()):
             newest = max(newest, t_ns)
             heapq.heappush(held, (t_ns, number, bytes(data)))
             number += 1
@@ -59,38 +59,38 @@ def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
         yield t, frame
 
 
-def _farthest_behind(run: Run, topic: str, measured: Callable[[Ticks], Ticks]) -> int:
+def _farthest_behind(run: Run, topic: str, measured: Callable[[Slots], Slots]) -> int:
     """Return how far an instant lies before the latest of those that stand before it in the log, ns."""
     newest, most = -(1 << 62), 0
     for piece in pieces(run.numbers(topic), TOGETHER):
-        at = piece[TIME_FIELD] + measured(piece["tick"])
+        at = piece[TIME_FIELD] + measured(piece["slot"])
         latest = np.maximum(np.maximum.accumulate(at), newest)
         most = max(most, int((latest - at).max()))
         newest = int(latest[-1])
     return most
 
 
-def _lateness(run: Run, topic: str) -> Callable[[Ticks], Ticks]:
+def _lateness(run: Run, topic: str) -> Callable[[Slots], Slots]:
     """Return how much after its nominal instant a frame of a slot came, ns; 0 for a slot that was not timed."""
-    slots, delays, last, ordered = AppendColumn(np.int64), AppendColumn(np.int64), -(1 << 62), True
+    numbers, delays, last, ordered = AppendColumn(np.int64), AppendColumn(np.int64), -(1 << 62), True
     for piece in pieces(run.numbers(TIMING.name), TOGETHER):
         late_us: npt.NDArray[np.float64] = piece["lateness_us"]
         if topic == CONTROL.name:
             late_us = late_us + np.nan_to_num(piece["round_trip_us"])
         delays.extend(np.round(late_us * 1e3).astype(np.int64))
-        own = piece["tick"].astype(np.int64)
-        slots.extend(own)
+        own = piece["slot"].astype(np.int64)
+        numbers.extend(own)
         ordered = ordered and own[0] > last and not (own[1:] <= own[:-1]).any()
         last = int(own[-1])
-    ticks, late_ns = slots.array(), delays.array()
+    slots, late_ns = numbers.array(), delays.array()
     if not ordered:
-        order = np.argsort(ticks, kind="stable")
-        late_ns, ticks = late_ns[order], ticks[order]
+        order = np.argsort(slots, kind="stable")
+        late_ns, slots = late_ns[order], slots[order]
 
-    def of(asked: Ticks) -> Ticks:
-        if not len(ticks):
+    def of(asked: Slots) -> Slots:
+        if not len(slots):
             return np.zeros(len(asked), np.int64)
-        at = np.maximum(np.searchsorted(ticks, asked, side="right") - 1, 0)
-        return np.where(ticks[at] == asked, late_ns[at], 0)
+        at = np.maximum(np.searchsorted(slots, asked, side="right") - 1, 0)
+        return np.where(slots[at] == asked, late_ns[at], 0)
 
     return of

@@ -57,7 +57,7 @@ def check_events(events: Sequence[Mapping[str, Any]]) -> None:
     for index, event in enumerate(events):
         if not isinstance(event["data"], dict):
             raise HilError(f"event {index}: data: {event['data']!r:.60} is not of the type that events have")
-        for name in ("tick", "t_s"):
+        for name in ("slot", "t_s"):
             if not _number(event[name]):
                 raise HilError(f"event {index}: {name}: {event[name]!r:.60} is no instant of a run")
 

@@ -97,18 +97,18 @@ def _emulated(draws: StructuredArray, period_s: float) -> Way:
     """A packet law says the latency of every packet; under an age law what was superseded has not come by then."""
     own = draws["mode"] != NO_MODE
     if np.isin(draws["reason"][own], (SENT, LOST, OVERFLOW)).all():
-        ticks = draws["packet_tick"][own]
+        slots = draws["packet_slot"][own]
         latency = np.where(draws["reason"][own] == SENT, draws["latency_s"][own], np.nan)
-        return Way(sent_s=ticks * period_s, difference_s=latency)
-    slots = int(draws["tick"].max(initial=-1)) + 1
+        return Way(sent_s=slots * period_s, difference_s=latency)
+    slots = int(draws["slot"].max(initial=-1)) + 1
     latency, until = np.full(slots, np.nan), np.arange(slots, 0, -1, dtype=np.float64) * period_s
-    arrived = draws[(draws["reason"] == DELIVERED) & (draws["packet_tick"] >= 0)]
+    arrived = draws[(draws["reason"] == DELIVERED) & (draws["packet_slot"] >= 0)]
     newest = -1
-    for tick, packet in zip(arrived["tick"].tolist(), arrived["packet_tick"].tolist()):
+    for slot, packet in zip(arrived["slot"].tolist(), arrived["packet_slot"].tolist()):
         if packet > newest:
-            latency[packet] = (tick - packet) * period_s
+            latency[packet] = (slot - packet) * period_s
             overtaken = np.arange(newest + 1, packet)
-            until[overtaken] = (tick - overtaken) * period_s
+            until[overtaken] = (slot - overtaken) * period_s
             newest = packet
     return Way(sent_s=np.arange(slots, dtype=np.float64) * period_s, difference_s=latency, until_s=until)
 

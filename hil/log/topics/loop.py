@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from msgspec.structs import replace
 
 from hil.log.records import STATUS, Field
-from hil.log.topics.topic import PACKET_TICK, TICK, Curve, Logged, Topic, f64, floats, i32, i64, u8
+from hil.log.topics.topic import PACKET_SLOT, SLOT, Curve, Logged, Topic, f64, floats, i32, i64, u8
 
 
 def _states(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
@@ -26,20 +26,20 @@ def _outputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
 
 STATE = Topic(
     name="/plant/state", order=1, schema="PlantState", filled_by="rig, every slot", since="0.1.0", paged=True,
-    fields=lambda logged: (*floats(logged.states), TICK), curves=_states,
+    fields=lambda logged: (*floats(logged.states), SLOT), curves=_states,
 )  # fmt: skip
 MEASUREMENT = Topic(
     name="/plant/measurement", order=2, schema="PlantMeasurement", filled_by="rig, every slot", since="0.1.0", paged=True,
-    fields=lambda logged: (*floats(logged.outputs), TICK), curves=_outputs,
+    fields=lambda logged: (*floats(logged.outputs), SLOT), curves=_outputs,
 )  # fmt: skip
 REFERENCE = Topic(
     name="/reference", order=3, schema="Reference", filled_by="rig, every slot", since="0.1.0", paged=True,
-    fields=lambda logged: (*floats(logged.outputs), TICK), curves=_outputs,
+    fields=lambda logged: (*floats(logged.outputs), SLOT), curves=_outputs,
 )  # fmt: skip
 
 
 _DRAW: tuple[Field, ...] = (
-    f64("latency_s", "s", "drawn latency, NaN for an age law"), TICK, PACKET_TICK,
+    f64("latency_s", "s", "drawn latency, NaN for an age law"), SLOT, PACKET_SLOT,
     i32("mode", "1", "mode of the law"), i32("age", "samples", "age of the newest packet, -1 if none"),
     u8("reason", "code of the fate, names in the metadata"),
 )  # fmt: skip
@@ -66,7 +66,7 @@ def _frame_schema(logged: Logged) -> str:
 
 
 def _frame_fields(logged: Logged) -> tuple[Field, ...]:
-    return (TICK, *((_CAN_ID,) if logged.on_can else ()), *_FRAME)
+    return (SLOT, *((_CAN_ID,) if logged.on_can else ()), *_FRAME)
 
 
 SENSOR = Topic(
@@ -84,7 +84,7 @@ def _row_fields(logged: Logged) -> tuple[Field, ...]:
     rows = (Field(type="float64", name=f"row{i}_{f.name}", unit=f.unit) for i in range(max(logged.n_rows, 1)) for f in u)
     return (
         *rows, i64("sample_ns", "ns", "nominal time of the sample that was used"),
-        i64("control_ns", "ns", "when the controller answered"), TICK,
+        i64("control_ns", "ns", "when the controller answered"), SLOT,
         i32("tau", "samples", "sensor delay that the controller measured"),
         i32("selection", "1", "code of the selection rule"),
     )  # fmt: skip
@@ -106,7 +106,7 @@ def _inputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
 APPLIED = Topic(
     name="/actuator/applied", order=4, schema="ActuatorApplied", filled_by="rig, every slot", since="0.1.0", paged=True,
     fields=lambda logged: (
-        *(u := floats(logged.inputs)), *(replace(f, name=f"w_{f.name}", doc="input disturbance") for f in u), TICK, PACKET_TICK,
+        *(u := floats(logged.inputs)), *(replace(f, name=f"w_{f.name}", doc="input disturbance") for f in u), SLOT, PACKET_SLOT,
         i32("d", "samples", "age of the packet at the actuator"), i32("row", "1", "index of the row that was applied"),
         u8("status", ", ".join(STATUS)),
     ),
@@ -118,17 +118,17 @@ PASSIVITY = Topic(
     fields=lambda logged: (
         f64("energy", "J", "given by the motor beyond what damping takes"),
         f64("damping", "1", "injected, force per speed of the device"),
-        f64("force", floats(logged.inputs)[0].unit if logged.inputs else "1", "injected on top of the command"), TICK,
+        f64("force", floats(logged.inputs)[0].unit if logged.inputs else "1", "injected on top of the command"), SLOT,
     ),
 )  # fmt: skip
 
 
 TIMING = Topic(
-    name="/timing/tick", order=10, schema="TickTiming", filled_by="rig process, in real time", since="0.1.0", paged=True,
+    name="/timing/slot", order=10, schema="SlotTiming", filled_by="rig process, in real time", since="0.1.0", paged=True,
     fields=lambda logged: (
         f64("lateness_us", "us", "wake-up after the nominal time"),
         f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
-        f64("work_us", "us", "time spent in the slot, waiting excluded"), TICK,
+        f64("work_us", "us", "time spent in the slot, waiting excluded"), SLOT,
         u8("late", "no packet before the deadline"), u8("overrun", "the slot ended after its period"),
     ),
     curves=lambda names, outputs: [Curve(panel="timing, us", field=name, place=6) for name in ("lateness_us", "round_trip_us")],
@@ -144,7 +144,7 @@ BUS = Topic(
         i64("queued_ns", "ns", "session time of Transmit: since when it waited"),
         i64("start_ns", "ns", "session time of its start of frame"),
         i64("end_ns", "ns", "session time of the end of its EOF or of the error delimiter"),
-        i64("idle_ns", "ns", "session time at which the bus is idle again"), TICK,
+        i64("idle_ns", "ns", "session time at which the bus is idle again"), SLOT,
         i32("can_id", "1", "identifier, 11 or 29 bits"),
         i32("node", "1", "number of the node that sent it: nodes of the rig, controller, actuator, others"),
         i32("lost", "1", "arbitrations that it has lost (Arbitration Lost)"),
@@ -161,7 +161,7 @@ PROBE = Topic(
     fields=lambda logged: (
         i64("sent_ns", "ns", "sensor frame out, since the first one"),
         i64("answered_ns", "ns", "when the other end answered, by its clock, since that instant of ours; 0 if never"),
-        i64("received_ns", "ns", "control frame in, 0 if none came"), TICK,
+        i64("received_ns", "ns", "control frame in, 0 if none came"), SLOT,
     ),
 )  # fmt: skip
 TOPICS = (STATE, MEASUREMENT, REFERENCE, SC, CA, SENSOR, CONTROL, ROWS, APPLIED, PASSIVITY, TIMING, BUS, PROBE)

@@ -145,5 +145,5 @@ def u8(name: str, doc: str) -> Field:
     return Field(type="uint8", name=name, doc=doc)
 
 
-TICK: Final = i64("tick", "1", "slot k")
-PACKET_TICK: Final = i64("packet_tick", "1", "slot in which the packet was sent, -1 if none")
+SLOT: Final = i64("slot", "1", "slot k")
+PACKET_SLOT: Final = i64("packet_slot", "1", "slot in which the packet was sent, -1 if none")

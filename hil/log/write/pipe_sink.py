@@ -1,6 +1,6 @@
 """Records from a loop into a pipe, for which the loop never waits.
 
-Writes of up to ``PIPE_BUF`` bytes are all or nothing, so a full pipe costs whole ticks and never the framing; a killed writer
+Writes of up to ``PIPE_BUF`` bytes are all or nothing, so a full pipe costs whole slots and never the framing; a killed writer
 leaves a torn frame at most at the very end. Reading end: `hil.log.write.pump`.
 """
 
@@ -25,12 +25,12 @@ MOST_TOGETHER: Final = 8
 
 
 class PipeSink:
-    """Writing end, in the loop's process: one ``write`` for some ticks, never waiting, never raising.
+    """Writing end, in the loop's process: one ``write`` for some slots, never waiting, never raising.
 
     Args:
         fd: writing end of a pipe; it is made non-blocking and belongs to the sink from now on.
         channels: the session's table (``hil.log.topics.channels``), the same as in the reading process.
-        period_ns: of a tick: as many leave together as begin in 8 ms, eight at most, and at once with an event. 0: each alone.
+        period_ns: of a slot: as many leave together as begin in 8 ms, eight at most, and at once with an event. 0: each alone.
     """
 
     def __init__(self, fd: int, channels: Mapping[str, Channel], period_ns: int = 0) -> None:
@@ -43,7 +43,7 @@ class PipeSink:
         self._rest = b""
         self._unreported = self._behind = 0
         self._together = min(MOST_TOGETHER, max(1, TOGETHER_NS // period_ns)) if period_ns else 1
-        self._left = self._together  # ticks until the next write
+        self._left = self._together  # slots until the next write
         os.set_blocking(fd, False)
         _widen(fd)
 
@@ -99,15 +99,15 @@ class PipeSink:
         self._behind = ns
 
     def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
     ) -> None:
         """See ``Sink``."""
-        payload = encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data)
+        payload = encode_event(t_ns, kind, message, slot=slot, severity=severity, data=data)
         self._records.append(HEAD.pack(len(payload), EVENTS_ID, t_ns, self._behind) + payload)
         self._left = 0
 
     def commit(self) -> None:
-        """See ``Sink``; hands the records of the last ticks to the pipe, or counts them as dropped."""
+        """See ``Sink``; hands the records of the last slots to the pipe, or counts them as dropped."""
         self._left -= 1
         if self._left <= 0:
             self._leave()

@@ -24,7 +24,7 @@ def loop_form() -> LoopForm:
 CHECKOUT: Final = Path(__file__).parents[3]
 """The folder of this package: the root of a checkout, or `site-packages`."""
 
-FORMAT: Final = "2"
+FORMAT: Final = "3"
 """Version of the log's layout: attachments, metadata and topics."""
 
 PACKAGES: Final = ("numpy", "scipy", "control", "cvxpy", "python-can", "eclipse-zenoh", "mcap", "zstandard", "msgspec")

@@ -1,6 +1,6 @@
 """Where a session's records go: the protocol, and the sinks that keep them in memory.
 
-A loop asks once for the function of every topic, calls it with time and payload, and commits once per tick. No sink
+A loop asks once for the function of every topic, calls it with time and payload, and commits once per slot. No sink
 ever raises into the loop: what it cannot keep it counts.
 """
 
@@ -28,15 +28,15 @@ class Sink(Protocol):
         """Function that takes the records of ``topic``; None if they are not kept, so that they are not packed."""
 
     def event(
-        self, t_ns: int, kind: str, message: str, *, tick: int = -1, severity: str = "info", **data: object
+        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
     ) -> None:
         """Take an event, as a record of ``/events``."""
         put = self.channel(EVENTS_TOPIC)
         if put is not None:
-            put(t_ns, encode_event(t_ns, kind, message, tick=tick, severity=severity, data=data))
+            put(t_ns, encode_event(t_ns, kind, message, slot=slot, severity=severity, data=data))
 
     def commit(self) -> None:
-        """Close the tick: everything since the last commit may now leave."""
+        """Close the slot: everything since the last commit may now leave."""
 
 
 @runtime_checkable

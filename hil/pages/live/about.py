@@ -179,13 +179,13 @@ def thinned(records: Records, field: str, window: Window) -> tuple[Array, Array]
     """Return the smallest and the largest value of a field in every column, (columns,) each; NaN where there is none.
 
     Args:
-        records: of a topic, in the order of slots, with the field ``tick``.
+        records: of a topic, in the order of slots, with the field ``slot``.
         field: of numbers.
         window: the columns.
     """
     low, high = np.full(window.columns, np.nan), np.full(window.columns, np.nan)
     edges = np.arange(window.columns + 1, dtype=np.int64) * window.slots + window.first
-    places = np.searchsorted(records["tick"], edges)
+    places = np.searchsorted(records["slot"], edges)
     there = np.flatnonzero(places[1:] > places[:-1])
     if len(there):
         values = np.asarray(records[field][places[0] : places[-1]], dtype=float)

@@ -167,10 +167,10 @@ class Side:
 
     def _note(self, event: dict[str, Any]) -> None:
         if event["kind"] == CHANGE:
-            self.done.append((event["tick"], event["data"]["path"], event["data"]["value"]))
+            self.done.append((event["slot"], event["data"]["path"], event["data"]["value"]))
         elif event["kind"] == LATE:
             with self._turn:  # what comes next is composed upon what runs
-                self.loop = self._before.get((event["data"]["slot"], event["data"]["path"]), self.loop)
+                self.loop = self._before.get((event["data"]["due"], event["data"]["path"]), self.loop)
         self._events.append((next(self._numbers), event))
 
     def arm(self, k: int, change: Change) -> bool:
@@ -224,7 +224,7 @@ class Side:
         measured = self.records().get(MEASUREMENT.name)
         if measured is None or not len(measured):
             return 0, 0
-        return int(measured["tick"][0]), int(measured["tick"][-1]) + 1
+        return int(measured["slot"][0]), int(measured["slot"][-1]) + 1
 
     def now(self, since: int, words: bool) -> dict[str, Any]:
         """Return what the page shows beside the scopes.
@@ -261,7 +261,7 @@ class Side:
         states = self.records().get(STATE.name)
         if states is None or not len(states):
             return {}
-        return {name: float(states[name][-1]) for name in states.dtype.names or () if name != "tick"}
+        return {name: float(states[name][-1]) for name in states.dtype.names or () if name != "slot"}
 
     def _given(self) -> float | None:
         """Return the most energy in J that the passivity observer of a held device has seen given; None without one."""

@@ -190,12 +190,12 @@ def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[Network
 
 def distribution(view: RunView) -> Section | None:
     """Return the histograms of lateness and round trip and their percentiles; nothing for a run in virtual time."""
-    ticks, timing = view.run.arrays.get(TIMING.name), view.once(page_summary)["timing"]
-    if ticks is None or not len(ticks):
+    timed, timing = view.run.arrays.get(TIMING.name), view.once(page_summary)["timing"]
+    if timed is None or not len(timed):
         return None
     blocks: list[Block] = []
     for field, title, colour in (("lateness_us", "Lateness", 0), ("round_trip_us", "Round trip", 2)):
-        histogram = _histogram(whole(ticks, field), timing[field], title, colour)
+        histogram = _histogram(whole(timed, field), timing[field], title, colour)
         if histogram is not None:
             blocks.append(histogram)
     columns = ["quantity", "p50", "p99", "p99.9", "max"]
@@ -203,7 +203,7 @@ def distribution(view: RunView) -> Section | None:
         [name, *(None if (v := timing[field][q]) is None else round(v, 1) for q in ("p50", "p99", "p99_9", "max"))]
         for name, field in (("lateness (µs)", "lateness_us"), ("round trip (µs)", "round_trip_us"))
     ]
-    few = "" if len(ticks) >= POINTS["p99_9"][1] else f"A p99.9 needs 1000 slots, a p99 100: {len(ticks)} show the largest."
+    few = "" if len(timed) >= POINTS["p99_9"][1] else f"A p99.9 needs 1000 slots, a p99 100: {len(timed)} show the largest."
     blocks.append(Table(title="Percentiles", columns=columns, rows=rows, note=few))
     counts: list[list[Any]] = [
         ["verdict", "valid" if timing["valid"] else "not valid: " + "; ".join(timing["why"])],

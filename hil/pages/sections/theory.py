@@ -19,7 +19,7 @@ from hil.session.replay.avatar import composed
 from hil.sweeps.lockstep import run_batch, supports_batch
 
 RUNS = 100
-TICKS = 120_000  # of emulation that a page may cost: some 3 s
+SLOTS = 120_000  # of emulation that a page may cost: some 3 s
 FEWEST = 20
 MOST_SLOTS = 100_000
 """Slots that are predicted at most: the first ones of a longer run."""
@@ -37,14 +37,14 @@ def section(view: RunView) -> Section | None:
     loop = None if another else view.once(composed)
     if loop is None:
         return None
-    slots = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
-    ticks = min(slots, MOST_SLOTS, MOST_MOMENTS // _modes(loop))
-    predicted = predict(loop, ticks) if ticks >= 2 else None
+    recorded = min(len(view.run.arrays[topic]) for topic in (MEASUREMENT, REFERENCE))
+    slots = min(recorded, MOST_SLOTS, MOST_MOMENTS // _modes(loop))
+    predicted = predict(loop, slots) if slots >= 2 else None
     if predicted is None:
         return None
     names = list(predicted.names)
-    y, r = (matrix(view.run.arrays[topic][:ticks], names) for topic in (MEASUREMENT, REFERENCE))
-    part = "" if ticks == slots else f" All numbers are of the first {ticks} slots of {slots}."
+    y, r = (matrix(view.run.arrays[topic][:slots], names) for topic in (MEASUREMENT, REFERENCE))
+    part = "" if slots == recorded else f" All numbers are of the first {slots} slots of {recorded}."
     left = f" It leaves out: {', '.join(predicted.left_out)}." if predicted.left_out else ""
     within = "A run lies in the band most of the time." if not left else "So a run may leave the band."
     return Section(
@@ -68,9 +68,9 @@ def _modes(loop: Loop) -> int:
 
 
 def _errors(loop: Loop, view: RunView, predicted: PredictedTracking, error: np.ndarray[Any, Any]) -> list[Block]:
-    ticks = len(error)
-    many = _emulate(loop, list(predicted.names), ticks)
-    t = np.arange(ticks) * loop.model.period_s
+    slots = len(error)
+    many = _emulate(loop, list(predicted.names), slots)
+    t = np.arange(slots) * loop.model.period_s
     blocks: list[Block] = []
     for c, name in enumerate(predicted.names):
         mean, sd = predicted.error_mean[:, c], predicted.error_sd[:, c]
@@ -113,9 +113,9 @@ def _sums(loop: Loop, predicted: PredictedTracking, error: np.ndarray[Any, Any],
     )
 
 
-def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] | None:
-    """Return the errors of more runs, (runs, ticks, outputs); None if the runs are too long to make many."""
-    count = min(RUNS, TICKS // ticks)
+def _emulate(loop: Loop, names: list[str], slots: int) -> np.ndarray[Any, Any] | None:
+    """Return the errors of more runs, (runs, slots, outputs); None if the runs are too long to make many."""
+    count = min(RUNS, SLOTS // slots)
     if count < FEWEST:
         return None
     seeds = [1_000_000 + i for i in range(count)]
@@ -124,12 +124,12 @@ def _emulate(loop: Loop, names: list[str], ticks: int) -> np.ndarray[Any, Any] |
     if supports_batch(loop):
         together = run_batch(loop, seeds, topics=())
         errors = np.moveaxis(together.outputs[columns], 0, -1) - together.reference[:, None, columns]  # (slots, runs, outputs)
-        found = {seed: errors[:ticks, i] for i, seed in enumerate(seeds) if together.known[i]}
+        found = {seed: errors[:slots, i] for i, seed in enumerate(seeds) if together.known[i]}
     for seed in seeds:
         if seed in found:
             continue
         run = simulate(loop, seed, (MEASUREMENT, REFERENCE))
         y, r = (matrix(run.arrays[topic], names) for topic in (MEASUREMENT, REFERENCE))
-        if len(y) >= ticks:  # one that safety stopped has no error to show
-            found[seed] = (y - r)[:ticks]
+        if len(y) >= slots:  # one that safety stopped has no error to show
+            found[seed] = (y - r)[:slots]
     return np.array([found[seed] for seed in seeds if seed in found]) if len(found) >= FEWEST else None

@@ -36,8 +36,8 @@ def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArr
     """
     newest = np.full(slots, -1, dtype=np.int64)
     for piece in pieces(draws):
-        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED)) & (piece["tick"] < slots)
-        np.maximum.at(newest, piece["tick"][came], piece["packet_tick"][came])
+        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED)) & (piece["slot"] < slots)
+        np.maximum.at(newest, piece["slot"][came], piece["packet_slot"][came])
     newest = np.maximum.accumulate(newest) if slots else newest
     return np.where(newest >= 0, np.arange(slots) - newest, np.nan)
 
@@ -51,7 +51,7 @@ def sensor_nodes(view: RunView) -> Section | None:
     if rig is None or draws is None or not len(draws) or "node" not in (draws.dtype.names or ()):
         return None
     marks, sensors, outputs = view.once(markers), rig.sensors, [signal.name for signal in rig.outputs]
-    names, slots = [sensor.name for sensor in sensors], max(int(piece["tick"].max()) for piece in pieces(draws)) + 1
+    names, slots = [sensor.name for sensor in sensors], max(int(piece["slot"].max()) for piece in pieces(draws)) + 1
     t = np.asarray(np.arange(slots) * view.period_s, dtype=np.float64)
     sent_by: list[Series] = []
     for reasons, label, colour in (((DELIVERED, DISORDERED), "received", 0), ((LOST,), "lost", 4)):
@@ -85,7 +85,7 @@ def _with_reason(reasons: tuple[int, ...], draws: Records) -> npt.NDArray[np.boo
 
 
 def _sent_s(period_s: float, draws: Records) -> npt.NDArray[np.float64]:
-    return np.asarray((draws["tick"] - draws["age"]) * period_s, dtype=np.float64)
+    return np.asarray((draws["slot"] - draws["age"]) * period_s, dtype=np.float64)
 
 
 def can_bus(view: RunView) -> Section | None:

@@ -56,7 +56,7 @@ class Applied(NamedTuple):
 
     Attributes:
         u: input that is held until the next slot, shape (m,).
-        packet_tick: slot in which the packet was generated, -1 if none has come.
+        packet_slot: slot in which the packet was generated, -1 if none has come.
         d: measured age of the packet, samples; -1 if none has come.
         row: index of the row, -1 if none was applied.
         status: OK, HOLD, NONE_YET or SAFE.
@@ -65,7 +65,7 @@ class Applied(NamedTuple):
     """
 
     u: tuple[float, ...]
-    packet_tick: int
+    packet_slot: int
     d: int
     row: int
     status: int
@@ -92,7 +92,7 @@ class ActuatorNode:
         self._command: tuple[float, ...] = (0.0,) * inputs  # without what the damper adds
         self._zero = (0.0,) * inputs
         self._held: ControlPacket | None = None
-        self._held_tick = -1
+        self._held_slot = -1
         self._measured_d: dict[int, int] = {}  # of the slots that a packet in use may refer to, no more
         self.u: tuple[float, ...] = self._zero
 
@@ -134,9 +134,9 @@ class ActuatorNode:
             now_ns: when the slot began, ns; the watchdog looks at it.
         """
         for g, arrived in arrivals:
-            if g >= self._held_tick:
-                self._held_tick, self._held = g, arrived
-        held, g = self._held, self._held_tick
+            if g >= self._held_slot:
+                self._held_slot, self._held = g, arrived
+        held, g = self._held, self._held_slot
         d = self._measured_d[k] = -1 if held is None else k - g
         self._measured_d.pop(k - self._remembered, None)
         row, status, reason = -1, SAFE, None

@@ -151,7 +151,7 @@ class AnswerMatcher:
             if self.first_late is None:
                 self.first_late = self._k
                 self._journal.event(
-                    self._t_ns, "late", "no control packet before the deadline: taken as lost", tick=self._k, severity="warning"
+                    self._t_ns, "late", "no control packet before the deadline: taken as lost", slot=self._k, severity="warning"
                 )
         return self._packet
 
@@ -175,7 +175,7 @@ class AnswerMatcher:
             fault = f"{shape}, expected {expected} of {self._inputs} for {SELECTIONS[packet.selection]!r}"
         self.refused += 1
         if self.refused == 1:
-            self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", tick=self._k, severity="error")
+            self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", slot=self._k, severity="error")
         return False
 
     def _answers_some(self, echoed: int) -> bool:
@@ -204,14 +204,14 @@ class AnswerMatcher:
             self.flooded = True
             self._journal.event(
                 self._t_ns, "flood", f"{FLOOD} frames that answer no sensor packet came within {FLOOD_NS // 1_000_000} ms or a "
-                "slot: they are thrown away and counted, and the answer may be lost among them", tick=self._k, severity="error",
+                "slot: they are thrown away and counted, and the answer may be lost among them", slot=self._k, severity="error",
             )  # fmt: skip
 
     def _contradict(self, what: str, seq: int) -> None:
         if not self.contradicted:
             self.contradicted = True
             self._journal.event(
-                self._t_ns, "second controller", f"second controller on the link: {what}", tick=seq, severity="error"
+                self._t_ns, "second controller", f"second controller on the link: {what}", slot=seq, severity="error"
             )
 
     def outcome(self) -> dict[str, int | None]:

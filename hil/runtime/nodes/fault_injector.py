@@ -75,7 +75,7 @@ class FaultInjector:
     def _event(self, journal: Journal, t_ns: int, k: int, kind: str, message: str, number: int, severity: str) -> None:
         first, end, fault = self._faults[number]
         journal.event(
-            t_ns, kind, message, tick=k, severity=severity, fault=number, broken=fault.kind, link=fault.link, node=fault.node,
+            t_ns, kind, message, slot=k, severity=severity, fault=number, broken=fault.kind, link=fault.link, node=fault.node,
             slots=end - first,
         )  # fmt: skip
 

@@ -89,7 +89,7 @@ class Journal:
         data: bytes,
     ) -> None:  # fmt: skip
         """Record what the actuator applied in slot k, what the network decided about it, and the answer, None if none came."""
-        u, packet_tick, d, row, status, _, injected = applied
+        u, packet_slot, d, row, status, _, injected = applied
         if self._filled:
             self._fill(t_ns, k, applied, w, data)
         at_once = self._answered_at_once.get(len(draws))
@@ -97,7 +97,7 @@ class Journal:
             _, sample_ns, control_ns, tau, selection, rows, _, _ = packet
             if rows and len(rows) * len(rows[0]) == self._row_values:  # the usual slot, see `slot_asked`
                 at_once(t_ns, (
-                    *u, *w, k, packet_tick, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
+                    *u, *w, k, packet_slot, d, row, status, *_values_of(draws), k, *self._control_id, 0, data,
                     *chain.from_iterable(rows), sample_ns, control_ns, k, tau, selection,
                 ))  # fmt: skip
                 return
@@ -145,14 +145,14 @@ class Journal:
         """Record the decisions of a network law, with the number of the node where the log has it."""
         log = self._log[topic]
         if log:
-            for tick, packet_tick, mode, age, latency_s, reason in draws:
-                log(t_ns, (latency_s, tick, packet_tick, mode, age, *number, reason))
+            for slot, packet_slot, mode, age, latency_s, reason in draws:
+                log(t_ns, (latency_s, slot, packet_slot, mode, age, *number, reason))
 
     def applied(self, t_ns: int, k: int, applied: Applied, w: Sequence[float]) -> None:
         """Record what the actuator applied in slot k, and the disturbance w that comes on top."""
         if self._u:
-            u, packet_tick, d, row, status, *_ = applied
-            self._u(t_ns, (*u, *w, k, packet_tick, d, row, status))
+            u, packet_slot, d, row, status, *_ = applied
+            self._u(t_ns, (*u, *w, k, packet_slot, d, row, status))
 
     def injected(self, t_ns: int, k: int, injected: Injected) -> None:
         """Record what the passivity controller saw and did in slot k."""
@@ -188,6 +188,6 @@ class Journal:
 def _values_of(draws: Sequence[Draw], number: tuple[int, ...] = ()) -> Sequence[float]:
     """Return the fields of the records of some decisions, one after the other."""
     values: tuple[float, ...] = ()
-    for tick, packet_tick, mode, age, latency_s, reason in draws:
-        values += (latency_s, tick, packet_tick, mode, age, *number, reason)
+    for slot, packet_slot, mode, age, latency_s, reason in draws:
+        values += (latency_s, slot, packet_slot, mode, age, *number, reason)
     return values

@@ -299,12 +299,12 @@ class Rig:
         message = f"{name} is {STATES[errors.state]}: TEC {errors.tec}, REC {errors.rec}"
         severity = "info" if errors.state == "active" else "warning"
         self._journal.event(
-            max(self.k, 0) * self._period_ns, "bus status", message, tick=self.k, severity=severity, node=name, at_ns=at_ns
+            max(self.k, 0) * self._period_ns, "bus status", message, slot=self.k, severity=severity, node=name, at_ns=at_ns
         )
 
     def _note_trip(self, t_ns: int, reason: str) -> None:
         self._end = self.k + self._after_trip
-        self._journal.event(t_ns, "safety", f"safe state (zero input, latched): {reason}", tick=self.k, severity="error")
+        self._journal.event(t_ns, "safety", f"safe state (zero input, latched): {reason}", slot=self.k, severity="error")
 
     def compare(self, answers: tuple[int, str] | None = None) -> None:
         """Say of a run that has ended whether plant and controller were what they say that they are.
@@ -321,7 +321,7 @@ class Rig:
                 k, by = departed
                 kind, claim = (WITHDRAWN, "certificate withdrawn: ") if self._claimed else (DEPARTED, "")
                 message = f"{claim}{what} at slot {k} by {by}"
-                self._journal.event(max(self.k, 0) * self._period_ns, kind, message, tick=k, severity="error")
+                self._journal.event(max(self.k, 0) * self._period_ns, kind, message, slot=k, severity="error")
 
     def outcome(self) -> dict[str, Any]:
         """Return the counters that the summary needs; a slot that was cut off by a signal is none."""

@@ -58,7 +58,7 @@ class NoRepeatMedium:
 
 def _new(delivery: Delivery) -> Delivery:
     draws, arrivals = delivery
-    return draws, [(g, packet) for g, packet in arrivals if any(d.packet_tick == g and d.reason in _CAME for d in draws)]
+    return draws, [(g, packet) for g, packet in arrivals if any(d.packet_slot == g and d.reason in _CAME for d in draws)]
 
 
 def _bus_of(loop: Loop, seed: int) -> CanNetwork:

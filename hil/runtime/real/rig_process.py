@@ -118,7 +118,7 @@ class RealLoop:
         for status in self._on_bus.statuses() if self._on_bus is not None else ():
             message = f"the rig on its link is {STATES[status.state]}: TEC {status.tec}, REC {status.rec}"
             severity = "info" if status.state == "active" else "warning"
-            self._sink.event(t_ns, "bus status", message, tick=rig.k, node="rig", severity=severity)
+            self._sink.event(t_ns, "bus status", message, slot=rig.k, node="rig", severity=severity)
         self._sink.commit()
         self._change(rig.k + 1)
 

@@ -102,16 +102,16 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
         return None
     answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
     measured = view.run.arrays[MEASUREMENT]
-    measured = measured[measured["tick"] <= answers["tick"].max(initial=-1)]
+    measured = measured[measured["slot"] <= answers["slot"].max(initial=-1)]
     outputs = list(view.signals.outputs)
     carried = matrix(measured, outputs).astype(np.float32).tolist()
-    samples: dict[int, list[float]] = dict(zip(measured["tick"].tolist(), carried))
+    samples: dict[int, list[float]] = dict(zip(measured["slot"].tolist(), carried))
     first = next((n for n in answers.dtype.names or () if n.startswith("row0_")), None)
     reference = loop.reference()
     found: list[tuple[float, float, int, float, float]] = []
     same = first is not None
     for k, sample_ns, tau, force in zip(
-        answers["tick"].tolist(), answers["sample_ns"].tolist(), answers["tau"].tolist(), answers[first or "tick"].tolist()
+        answers["slot"].tolist(), answers["sample_ns"].tolist(), answers["tau"].tolist(), answers[first or "slot"].tolist()
     ):
         taken = k - tau
         if sample_ns < 0 or taken not in samples:

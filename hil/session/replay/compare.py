@@ -21,7 +21,7 @@ NEAR: Final = 1e-9
 WIRE: Final = 2.0**-22
 """The same of what a frame carries, which is rounded to single precision: two units in its last place."""
 
-_NONE: Final[StructuredArray] = np.empty(0, [("tick", np.int64)])
+_NONE: Final[StructuredArray] = np.empty(0, [("slot", np.int64)])
 
 Difference = tuple[int, str]
 
@@ -78,7 +78,7 @@ class _Topic:
 
     def take(self, now: StructuredArray) -> None:
         if self.far is None:
-            now = now[now["tick"] < self._slots]
+            now = now[now["slot"] < self._slots]
             self._compare(self._recorded.next(len(now), self._slots), now)
 
     def finish(self, slots: int) -> _Topic:
@@ -114,7 +114,7 @@ class _Reader:
                 more = next(self._pieces, None)
                 if more is None:
                     break
-                self._rest = more[more["tick"] < slots]
+                self._rest = more[more["slot"] < slots]
                 continue
             found.append(self._rest[:n])
             self._rest = self._rest[n:]
@@ -154,8 +154,8 @@ def _difference(
     """
     n = min(len(recorded), len(now))
     a, b = recorded[:n], now[:n]
-    names = [name for name in now.dtype.names or () if name != "tick"] if n else []
-    differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["tick", *names]}
+    names = [name for name in now.dtype.names or () if name != "slot"] if n else []
+    differs = {name: (a[name] != b[name]) & ((a[name] == a[name]) | (b[name] == b[name])) for name in ["slot", *names]}
     for name in names if largest is None else ():
         if a[name].dtype.kind == "f":  # zeros of both signs are equal, and other bits
             differs[name] |= (a[name] == b[name]) & (np.signbit(a[name]) != np.signbit(b[name]))
@@ -171,9 +171,9 @@ def _difference(
     if not where.size and len(recorded) == len(now):
         return None
     i = int(where[0]) if where.size else n
-    if i >= n or differs["tick"][i]:
-        missing = i < len(now) and (i >= len(recorded) or recorded["tick"][i] > now["tick"][i])
-        slot = int((now if missing else recorded)["tick"][i])
+    if i >= n or differs["slot"][i]:
+        missing = i < len(now) and (i >= len(recorded) or recorded["slot"][i] > now["slot"][i])
+        slot = int((now if missing else recorded)["slot"][i])
         return slot, f"{topic}: a record of slot {slot} is {'missing' if missing else 'there that should not be'}"
-    name, slot = next(name for name in names if differs[name][i]), int(now["tick"][i])
+    name, slot = next(name for name in names if differs[name][i]), int(now["slot"][i])
     return slot, f"{topic} of slot {slot}: {name} = {a[name][i]} recorded, {b[name][i]} now"

@@ -35,7 +35,7 @@ MOST_SORTED: Final = 200_000
 def frames(parts: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
     """Give slot and bytes of every frame."""
     for piece in parts:
-        yield from zip(piece["tick"].tolist(), map(bytes, piece["data"]))
+        yield from zip(piece["slot"].tolist(), map(bytes, piece["data"]))
 
 
 class RecordedAnswers:
@@ -52,9 +52,9 @@ class RecordedAnswers:
         self._numbers = run.numbers(CONTROL.name)
         self._frames = frames(map(in_time, run.pieces(CONTROL.name, BATCH)))
         count, last, ordered = 0, -(1 << 62), True
-        for ticks in self._slots():
-            ordered = ordered and int(ticks[0]) >= last and not (ticks[1:] < ticks[:-1]).any()
-            count, last = count + len(ticks), int(ticks[-1])
+        for slots in self._slots():
+            ordered = ordered and int(slots[0]) >= last and not (slots[1:] < slots[:-1]).any()
+            count, last = count + len(slots), int(slots[-1])
         if not ordered and count > MOST_SORTED:
             raise HilError(f"/link/control: {count} packets that are out of order; hil sorts {MOST_SORTED} at most")
         # A dict keeps the last of one slot; in a log that is in order it need hold no more than the slot at hand.
@@ -63,16 +63,16 @@ class RecordedAnswers:
         self._next = next(self._frames, None)
 
     def _slots(self) -> Iterator[NDArray[np.integer[Any]]]:
-        return (ticks for piece in pieces(self._numbers, BATCH) if len(ticks := in_time(piece)["tick"]))
+        return (slots for piece in pieces(self._numbers, BATCH) if len(slots := in_time(piece)["slot"]))
 
     def answered(self, end: int) -> int:
         """Return in how many slots below a number a packet arrived in time."""
         if self._all is not None:
             return sum(k < end for k in self._all)
         count, last = 0, -(1 << 62)
-        for ticks in self._slots():
-            count += int(ticks[0] != last and ticks[0] < end) + int(np.count_nonzero((np.diff(ticks) != 0) & (ticks[1:] < end)))
-            last = int(ticks[-1])
+        for slots in self._slots():
+            count += int(slots[0] != last and slots[0] < end) + int(np.count_nonzero((np.diff(slots) != 0) & (slots[1:] < end)))
+            last = int(slots[-1])
         return count
 
     def get(self, k: int) -> bytes | None:
@@ -87,8 +87,8 @@ def recorded_wire(run: Run) -> Wire:
     """Return the nonces of the recorded questions."""
     slots, nonces = AppendColumn(np.int64), AppendColumn(np.uint64)
     for piece in run.pieces(SENSOR.name, BATCH):
-        asked = {tick: decode(bytes(data)) for tick, data in zip(piece["tick"].tolist(), piece["data"])}
-        questions = {tick: packet for tick, packet in asked.items() if isinstance(packet, SensorPacket)}
+        asked = {slot: decode(bytes(data)) for slot, data in zip(piece["slot"].tolist(), piece["data"])}
+        questions = {slot: packet for slot, packet in asked.items() if isinstance(packet, SensorPacket)}
         slots.extend(np.fromiter(questions, np.int64, len(questions)))
         nonces.extend(np.fromiter((packet.nonce for packet in questions.values()), np.uint64, len(questions)))
     return Wire(nonce=_Nonces(slots.array(), nonces.array()).of)
@@ -126,7 +126,7 @@ class Woken:
 
     def __init__(self, run: Run, period_ns: int) -> None:
         timed = run.pieces(TIMING.name, BATCH) if TIMING.name in run.arrays else iter(())
-        self._late = (late for piece in timed for late in zip(piece["tick"].tolist(), piece["lateness_us"].tolist()))
+        self._late = (late for piece in timed for late in zip(piece["slot"].tolist(), piece["lateness_us"].tolist()))
         self._period_ns, self._next = period_ns, next(self._late, None)
 
     def at(self, t_ns: int) -> int:
@@ -172,13 +172,13 @@ def verify_tags(run: Run, key: Path, source: str = "log") -> Tags:
     session = before(first_nonce).to_bytes(8, "little")
     verified, wrong = 0, 0
     first: int | None = None
-    for tick, data in frames(run.pieces(CONTROL.name, BATCH)):
+    for slot, data in frames(run.pieces(CONTROL.name, BATCH)):
         said = tag_of(data)
         if said is not None and compare_digest(code(session + said.signed), said.tag):
             verified += 1
         else:
             wrong += 1
-            first = tick if first is None else first
+            first = slot if first is None else first
     return Tags(verified=verified, wrong=wrong, first=first)
 
 
@@ -197,8 +197,8 @@ def changes_of(run: Run) -> list[Asked]:
         if event["kind"] == CHANGE:
             data = event["data"]
             if not isinstance(data, dict) or not isinstance(data.get("path"), str) or "value" not in data:
-                raise HilError(f"event of slot {event['tick']}: a change without path and value")
-            found.append((int(event["tick"]), data["path"], data["value"]))
+                raise HilError(f"event of slot {event['slot']}: a change without path and value")
+            found.append((int(event["slot"]), data["path"], data["value"]))
     return found
 
 

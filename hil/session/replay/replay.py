@@ -103,10 +103,10 @@ def changed_files(run: Run, experiment: Experiment) -> list[str]:
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
     """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
     node = ControlNode(loop)
-    for tick, data in frames(run.pieces(SENSOR.name, BATCH)):
+    for slot, data in frames(run.pieces(SENSOR.name, BATCH)):
         answer = node.on_frame(data)
         if answer is not None:
-            yield tick, answer
+            yield slot, answer
 
 
 class Recorded:
@@ -147,7 +147,7 @@ class Recorded:
 def verify(run: Run, source: str = "log", experiment: Experiment | None = None) -> Verdict:
     """Run controller and rig again on the recorded control packets; compare every record.
 
-    What is not compared: times measured (``/timing/tick``), late packets, events, and the packets of a foreign controller. A log
+    What is not compared: times measured (``/timing/slot``), late packets, events, and the packets of a foreign controller. A log
     that ends before the slot up to which the rig says that it ran is different.
 
     Args:
@@ -166,7 +166,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     if not len(applied):
         raise HilError(f"{source}: the log holds no slots")
     ended = [event["data"] for event in run.events if event["kind"] == "outcome"]
-    slots = int(applied["tick"][-1]) + bool(ended)  # the last slot of a rig that was killed may be torn
+    slots = int(applied["slot"][-1]) + bool(ended)  # the last slot of a rig that was killed may be torn
     short = [(slots, f"the log ends with slot {slots - 1}; the rig says that it ran {n} slots")
              for n in (data.get("slots", slots) for data in ended if isinstance(data, dict)) if n != slots]  # fmt: skip
     received = RecordedAnswers(run)
@@ -245,7 +245,7 @@ def what_if(
     rows = [AppendColumn(np.float64) for _ in names]
     for piece in pieces(applied, BATCH):
         found = []
-        for k, g, status in zip(piece["tick"].tolist(), piece["packet_tick"].tolist(), piece["status"].tolist()):
+        for k, g, status in zip(piece["slot"].tolist(), piece["packet_slot"].tolist(), piece["status"].tolist()):
             packet = recent.of(g, answers) if status == OK else None
             if isinstance(packet, ControlPacket):
                 found.append(packet.rows[row_index(selection, k - g, g, d, d_max, other.rig.row_sojourns)])

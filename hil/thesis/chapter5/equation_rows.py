@@ -62,7 +62,7 @@ def received_nodes(run: Run) -> list[int]:
     """Return the node whose packet came in each slot of a run, from 0; -1 for none."""
     draws = run.arrays["/network/sc"]
     found = [-1] * len(run.arrays["/plant/state"])
-    for slot, node, reason in zip(draws["tick"].tolist(), draws["node"].tolist(), draws["reason"].tolist()):
+    for slot, node, reason in zip(draws["slot"].tolist(), draws["node"].tolist(), draws["reason"].tolist()):
         if reason == DELIVERED:
             found[slot] = node
     return found

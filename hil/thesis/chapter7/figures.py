@@ -39,7 +39,7 @@ def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     """Time, s, and angle, rad, of one run."""
     run = simulate(loop, seed, TOPICS)
     measured = run.arrays["/plant/measurement"]
-    return measured["tick"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
+    return measured["slot"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
 
 
 def _band(predicted: Prediction, target: float, period_s: float, where: str = "") -> Band:
@@ -178,9 +178,9 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
         loop = compose(load_experiment(kind), certify=False)
         run = simulate(loop, SEED, TOPICS)
         measured = run.arrays["/plant/measurement"]
-        t = measured["tick"] * loop.model.period_s
-        ticks = len(t)
-        reference, disturbance = np.ones(ticks), np.zeros((ticks, 2))
+        t = measured["slot"] * loop.model.period_s
+        slots = len(t)
+        reference, disturbance = np.ones(slots), np.zeros((slots, 2))
         disturbance[300] = 1.0
         predicted = predict_tracking(*plant, *NETWORK, gains, "generated", reference, period_s=0.01, disturbance=disturbance)
         local = predict_tracking(*plant, *NETWORK, everywhere(VTOL_LOCAL), "constant", reference[:60], period_s=0.01)

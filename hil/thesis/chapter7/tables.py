@@ -47,8 +47,8 @@ TABLE_7_1 = {
 
 def motor_signals(period_s: float) -> tuple[Array, Array]:
     """Reference and disturbance of Section 7.4.2: 3 rad from t = 1 s on, 0.1 at the input for 2 samples at 30 s."""
-    ticks = round(50 / period_s)
-    reference, disturbance = np.zeros(ticks), np.zeros(ticks)
+    slots = round(50 / period_s)
+    reference, disturbance = np.zeros(slots), np.zeros(slots)
     reference[round(1 / period_s) :] = 3.0
     pulse = round(30 / period_s)
     disturbance[pulse : pulse + 2] = 0.1

@@ -1,4 +1,4 @@
-"""The predicted tracking error against ten thousand loops run packet by packet, tick by tick."""
+"""The predicted tracking error against ten thousand loops run packet by packet, slot by slot."""
 
 import numpy as np
 import pytest
@@ -24,14 +24,14 @@ from tests.design.chapter7 import (
 )
 
 PERIOD_S = 0.05
-TICKS = 700
+SLOTS = 700
 RUNS = 10_000
 RESOLUTION = 1e-14  # (1e-7 rad)^2: what float32 packets carry; below, one run in ten thousand decides the average
 
 
-def schedule(ticks=TICKS, period_s=PERIOD_S):
+def schedule(slots=SLOTS, period_s=PERIOD_S):
     """A 3 rad step at 1 s and a pulse of 0.1 for two samples at 30 s, as in Section 7.4.2."""
-    r, w = np.zeros(ticks), np.zeros(ticks)
+    r, w = np.zeros(slots), np.zeros(slots)
     r[round(1 / period_s) :] = 3.0
     pulse = round(30 / period_s)
     w[pulse : pulse + 2] = 0.1
@@ -43,7 +43,7 @@ def stationary(P):
 
 
 def simulate(plant, gains, selection, r, w, runs, seed, integral=False):
-    """Tracking errors (ticks, runs) of single-output loops; sensor, controller and actuator exchange packets."""
+    """Tracking errors (slots, runs) of single-output loops; sensor, controller and actuator exchange packets."""
     A, B, C = plant
     rng = np.random.default_rng(seed)
     tau, d = rng.choice(3, p=stationary(LAMBDA), size=runs), rng.choice(2, p=stationary(PI), size=runs)
@@ -73,7 +73,7 @@ def simulate(plant, gains, selection, r, w, runs, seed, integral=False):
 
 
 def sixth_and_eighth_moments(plant, gains, selection, r, w):
-    """E |e|^6 and E |e|^8 at every tick: the lifted recursion once more, for exact standard errors of the variance."""
+    """E |e|^6 and E |e|^8 at every slot: the lifted recursion once more, for exact standard errors of the variance."""
     from design.networked_loop.closed_loop import loop_structure
 
     loop = loop_structure(*plant, LAMBDA, PI, selection)
@@ -110,11 +110,11 @@ def sixth_and_eighth_moments(plant, gains, selection, r, w):
 
 
 @pytest.mark.parametrize("gains, selection", [(PRINTED_HINF, "generated"), (PRINTED_H2, "applied")])
-def test_mean_of_the_squared_error_lies_in_simultaneous_bands_at_every_tick(gains, selection):
+def test_mean_of_the_squared_error_lies_in_simultaneous_bands_at_every_slot(gains, selection):
     r, w = schedule()
     predicted = predict_tracking(*MOTOR, LAMBDA, PI, gains, selection, r, period_s=PERIOD_S, disturbance=w)
     squares = simulate(MOTOR, gains, selection, r, w, RUNS, seed=1) ** 2
-    z = norm.isf(0.001 / 2 / TICKS)  # 99.9 % for all ticks at once
+    z = norm.isf(0.001 / 2 / SLOTS)  # 99.9 % for all slots at once
     band = z * predicted.square_sd / np.sqrt(RUNS) + 1e-12 * predicted.square_mean + RESOLUTION
     assert np.all(np.abs(squares.mean(axis=1) - predicted.square_mean) <= band)
     sums = PERIOD_S * squares.sum(axis=0)
@@ -125,7 +125,7 @@ def test_mean_of_the_squared_error_lies_in_simultaneous_bands_at_every_tick(gain
 
 @pytest.mark.slow
 @pytest.mark.parametrize("gains, selection", [(PRINTED_HINF, "generated")])
-def test_variance_of_the_squared_error_lies_in_simultaneous_bands_at_every_tick(gains, selection):
+def test_variance_of_the_squared_error_lies_in_simultaneous_bands_at_every_slot(gains, selection):
     r, w = schedule()
     predicted = predict_tracking(*MOTOR, LAMBDA, PI, gains, selection, r, period_s=PERIOD_S, disturbance=w)
     squares = simulate(MOTOR, gains, selection, r, w, RUNS, seed=2) ** 2
@@ -134,7 +134,7 @@ def test_variance_of_the_squared_error_lies_in_simultaneous_bands_at_every_tick(
     m2 = v + m1**2
     m3, m4 = sixth_and_eighth_moments(MOTOR, gains, selection, r, w).T
     spread = np.maximum(m4 - 4 * m1 * m3 + 6 * m1**2 * m2 - 3 * m1**4 - v**2, 0.0)
-    z = norm.isf(0.001 / 2 / TICKS)
+    z = norm.isf(0.001 / 2 / SLOTS)
     band = z * np.sqrt(spread / RUNS) + 1e-10 * m2 + RESOLUTION**2
     assert np.all(np.abs(deviation.mean(axis=1) - v) <= band)
 

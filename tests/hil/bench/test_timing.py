@@ -1,4 +1,4 @@
-"""The rig beside cyclictest: that both are measured, and that both are judged over every tick."""
+"""The rig beside cyclictest: that both are measured, and that both are judged over every slot."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hil.bench.timing import Turn, _row, bench_live, bench_timing, read_cyclicte
 from hil.errors import HilError
 
 
-def test_ticks_that_cyclictest_left_out_count_with_the_lateness_they_would_have_had(tmp_path: Path) -> None:
+def test_slots_that_cyclictest_left_out_count_with_the_lateness_they_would_have_had(tmp_path: Path) -> None:
     output = tmp_path / "cyclictest.json"
-    # A stall of 2.5 ms at 1 kHz: two ticks have gone by, 1.5 and 0.5 ms late.
+    # A stall of 2.5 ms at 1 kHz: two slots have gone by, 1.5 and 0.5 ms late.
     output.write_text(json.dumps({"thread": {"0": {"histogram": {"20": 6, "2500": 1}}}}))
     late_us, missed = read_cyclictest(output, 1000)
     assert sorted(late_us) == [20] * 6 + [500, 1500, 2500]
@@ -100,10 +100,10 @@ def test_a_reader_asks_as_the_page_does_until_the_server_ends() -> None:
 
 
 def turn(lateness_us: list[float], beside_us: list[float], missed: int, dropped: int) -> Turn:
-    ticks = np.zeros(len(lateness_us), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("late", "?"), ("overrun", "?")])
-    ticks["lateness_us"], ticks["round_trip_us"] = lateness_us, 100.0
-    ticks["late"][0] = ticks["overrun"][:2] = True
-    return Turn(1e-3, ticks, np.array(beside_us), missed, {"log": {"dropped": dropped}, "timing": {"scheduler": "fifo"}})
+    slots = np.zeros(len(lateness_us), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("late", "?"), ("overrun", "?")])
+    slots["lateness_us"], slots["round_trip_us"] = lateness_us, 100.0
+    slots["late"][0] = slots["overrun"][:2] = True
+    return Turn(1e-3, slots, np.array(beside_us), missed, {"log": {"dropped": dropped}, "timing": {"scheduler": "fifo"}})
 
 
 def test_a_row_is_of_all_turns_together_and_compares_with_cyclictest_of_the_same_time() -> None:

@@ -67,7 +67,7 @@ def test_an_exported_log_is_decoded_to_what_was_measured(tmp_path: Path, ending:
     measured = session.arrays["/plant/measurement"]
     period_ns = 50_000_000
     for frame in sensor.values():
-        (row,) = measured[measured["tick"] == frame["SampleTime"] // period_ns]
+        (row,) = measured[measured["slot"] == frame["SampleTime"] // period_ns]
         assert frame["Y0"] == pytest.approx(row["angle"], abs=1e-6)
 
 

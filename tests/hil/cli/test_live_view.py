@@ -27,7 +27,7 @@ def recorded() -> tuple[Experiment, MemorySink]:
     loop = compose(experiment)
     sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
-    sink.event(19_000_000_000, "late", "no control packet before the deadline", tick=380, severity="warning")
+    sink.event(19_000_000_000, "late", "no control packet before the deadline", slot=380, severity="warning")
     return experiment, sink
 
 
@@ -42,9 +42,9 @@ def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Ex
     console = terminal()
     view = LiveView(experiment, "real", link="can:hil:rig0", console=console)
     feed(view, sink)
-    pack = channels_of(compose(experiment))["/timing/tick"].schema.pack
+    pack = channels_of(compose(experiment))["/timing/slot"].schema.pack
     for k in range(100):
-        view.update("/timing/tick", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
+        view.update("/timing/slot", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
     console.print(view.render())
     text = written(console)
     for part in ("dc-motor-hinf", "can:hil:rig0", "19.9", "of 20 s", "reference 3", "error", "τ = ", "d = "):
@@ -100,7 +100,7 @@ def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_colum
         console = terminal(width)
         view = LiveView(experiment, "real", console=console)
         feed(view, sink)
-        view.update("/timing/tick", 0, channels_of(loop)["/timing/tick"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
+        view.update("/timing/slot", 0, channels_of(loop)["/timing/slot"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
         console.print(view.render())
         pictures[width] = Text.from_ansi(written(console)).plain.splitlines()
     heights = [len(lines) - next(i for i, line in enumerate(lines) if line.endswith(" of 0.2 s")) for lines in pictures.values()]

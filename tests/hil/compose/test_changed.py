@@ -155,7 +155,7 @@ def test_a_new_law_draws_from_a_stream_of_its_own_whatever_ran_before(tmp_path: 
 
     def of(run: Any, first: int, end: int) -> Any:
         draws = run.arrays[CA.name]
-        return [draws[name][(draws["tick"] >= first) & (draws["tick"] < end)].tolist() for name in ("tick", "mode", "age")]
+        return [draws[name][(draws["slot"] >= first) & (draws["slot"] < end)].tolist() for name in ("slot", "mode", "age")]
 
     assert of(run, k + 2, 80) == of(beside, k + 2, 80) != of(plain, k + 2, 80)
     assert of(run, 0, k) == of(plain, 0, k)
@@ -242,9 +242,9 @@ def test_each_of_several_sensor_nodes_may_get_another_law(tmp_path: Path) -> Non
     session = run_session(load_experiment("dc-motor-two-nodes", about), path=tmp_path / "a.mcap", onlooker=Scripted(NODES))
     draws = session.run.arrays[SC.name]
     for node, (k, _, value) in enumerate(NODES[:2]):
-        ages = draws["age"][(draws["node"] == node) & (draws["tick"] >= k + 2) & (draws["age"] >= 0)]
+        ages = draws["age"][(draws["node"] == node) & (draws["slot"] >= k + 2) & (draws["age"] >= 0)]
         assert len(ages) and (ages == value["age"]).all()
-        before = draws["age"][(draws["node"] == node) & (draws["tick"] < k) & (draws["age"] >= 0)]
+        before = draws["age"][(draws["node"] == node) & (draws["slot"] < k) & (draws["age"] >= 0)]
         assert len(set(before.tolist())) > 1
     assert verify(read_run(tmp_path / "a.mcap")).likeness == "same bits"
 

@@ -45,8 +45,8 @@ def assert_mean_and_variance(loop, seeds, start):
 
     The runs are computed in lockstep, which has the bits of one run after another.
     """
-    ticks = loop.experiment.slots
-    predicted = predicted_of(loop, ticks, sums_from=(start,))
+    slots = loop.experiment.slots
+    predicted = predicted_of(loop, slots, sums_from=(start,))
     together = run_batch(loop, seeds)
     squares = (together.outputs[0] - together.reference[:, :1]).T ** 2
     assert together.known.all() and (squares[:1] == squared_errors(loop, seeds[:1])).all()

@@ -92,8 +92,8 @@ def test_the_input_is_the_gain_of_both_ages_times_what_both_nodes_said() -> None
     newest, used = [-1, -1], set()
     for k in range(30):
         for node in (0, 1):
-            newest[node] = max([newest[node], *draws["packet_tick"][(draws["tick"] == k) & (draws["node"] == node)].tolist()])
-        said = rows[next(name for name in rows.dtype.names if name.startswith("row"))][k] if rows["tick"][k] == k else None
+            newest[node] = max([newest[node], *draws["packet_slot"][(draws["slot"] == k) & (draws["node"] == node)].tolist()])
+        said = rows[next(name for name in rows.dtype.names if name.startswith("row"))][k] if rows["slot"][k] == k else None
         if min(newest) < 0:
             assert said == 0.0
             continue

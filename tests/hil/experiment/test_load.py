@@ -121,7 +121,7 @@ FAULTS: list[tuple[str, str, str]] = [
     ("limit of an unknown state", changed("angle = 20.0", "angel = 20.0"), "limits.state.angel: the plant has no such state"),
     ("limit that is zero", changed("input = [5.0]", "input = [0.0]"), "limits.input[0]: 0 is not positive"),
     ("limits of the wrong width", changed("input = [5.0]", "input = [5.0, 5.0]"), "limits.input: length 2, expected 1"),
-    ("watchdog of zero ticks", GOOD + "watchdog_slots = 0\n", "limits.watchdog_slots: 0 is below 1"),
+    ("watchdog of zero slots", GOOD + "watchdog_slots = 0\n", "limits.watchdog_slots: 0 is below 1"),
     ("deadline beyond the period", GOOD + "[timing]\ndeadline = 1.5\n", "timing.deadline: 1.5"),
     ("priority out of range", GOOD + "[timing]\npriority = 99\n", "timing.priority: 99"),
     ("unknown overrun policy", GOOD + '[timing]\noverrun = "skip"\n', "timing.overrun: "),

@@ -55,7 +55,7 @@ def assert_same_arrays(got: dict[str, StructuredArray], expected: dict[str, Stru
             np.testing.assert_array_equal(array[name], expected[topic][name], err_msg=f"{topic} {name}")
 
 
-def record(sink: Sink, ticks: int, *, start: int = 0, seed: int = 1) -> int:
+def record(sink: Sink, slots: int, *, start: int = 0, seed: int = 1) -> int:
     """Write what a session of ``slots`` slots writes; returns the number of records."""
     rng = random.Random(seed)
     puts = {topic: (sink.channel(topic), channel.schema.pack) for topic, channel in TABLE.items()}
@@ -68,7 +68,7 @@ def record(sink: Sink, ticks: int, *, start: int = 0, seed: int = 1) -> int:
             to(t_ns, pack(*values))
             count += 1
 
-    for k in range(start, start + ticks):
+    for k in range(start, start + slots):
         t_ns = k * PERIOD_NS
         angle = math.sin(k / 100)
         put("/plant/state", t_ns, angle, rng.gauss(0, 1), k)
@@ -81,9 +81,9 @@ def record(sink: Sink, ticks: int, *, start: int = 0, seed: int = 1) -> int:
             put("/link/control", t_ns, k, 0, rng.randbytes(48))
         put("/network/ca", t_ns, math.nan, k, k, 0, 0, 0)
         put("/actuator/applied", t_ns, rng.random(), 0.0, k, k, 0, 0, 0)
-        put("/timing/tick", t_ns, 10.0, math.nan, 100.0, k, 0, 0)
+        put("/timing/slot", t_ns, 10.0, math.nan, 100.0, k, 0, 0)
         if k % 100 == 0:
-            sink.event(t_ns, "mark", f"tick {k}", tick=k, u=math.nan, reason={"b": 1, "a": [k]})
+            sink.event(t_ns, "mark", f"slot {k}", slot=k, u=math.nan, reason={"b": 1, "a": [k]})
             count += 1
         sink.commit()
     return count

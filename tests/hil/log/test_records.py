@@ -97,23 +97,23 @@ def test_packed_is_aligned_for_every_schema_that_is_accepted(types: list[str], r
 def test_the_table_has_the_topics_and_fields_of_a_session() -> None:
     assert [c.id for c in TABLE.values()] == list(range(1, 11))
     names = {topic: [f.name for f in c.schema.fields] for topic, c in TABLE.items()}
-    assert names["/plant/state"] == ["angle", "speed", "tick"]
-    assert names["/plant/measurement"] == names["/reference"] == ["angle", "tick"]
+    assert names["/plant/state"] == ["angle", "speed", "slot"]
+    assert names["/plant/measurement"] == names["/reference"] == ["angle", "slot"]
     assert names["/actuator/applied"] == [
-        "voltage", "brake_torque", "w_voltage", "w_brake_torque", "tick", "packet_tick", "d", "row", "status",
+        "voltage", "brake_torque", "w_voltage", "w_brake_torque", "slot", "packet_slot", "d", "row", "status",
     ]  # fmt: skip
     assert names["/controller/rows"][:6] == [
         "row0_voltage", "row0_brake_torque", "row1_voltage", "row1_brake_torque", "row2_voltage", "row2_brake_torque",
     ]  # fmt: skip
-    assert names["/controller/rows"][6:] == ["sample_ns", "control_ns", "tick", "tau", "selection"]
-    assert names["/network/sc"] == names["/network/ca"] == ["latency_s", "tick", "packet_tick", "mode", "age", "reason"]
-    assert names["/link/sensor"] == names["/link/control"] == ["tick", "late", "data"]
-    assert names["/timing/tick"] == ["lateness_us", "round_trip_us", "work_us", "tick", "late", "overrun"]
+    assert names["/controller/rows"][6:] == ["sample_ns", "control_ns", "slot", "tau", "selection"]
+    assert names["/network/sc"] == names["/network/ca"] == ["latency_s", "slot", "packet_slot", "mode", "age", "reason"]
+    assert names["/link/sensor"] == names["/link/control"] == ["slot", "late", "data"]
+    assert names["/timing/slot"] == ["lateness_us", "round_trip_us", "work_us", "slot", "late", "overrun"]
 
 
 def test_units_stand_in_the_schema_text() -> None:
     assert "float64 speed  # rad/s\n" in TABLE["/plant/state"].schema.text
-    assert "float64 lateness_us  # us, wake-up after the nominal time\n" in TABLE["/timing/tick"].schema.text
+    assert "float64 lateness_us  # us, wake-up after the nominal time\n" in TABLE["/timing/slot"].schema.text
 
 
 @pytest.mark.parametrize("channel", TABLE.values(), ids=lambda c: c.topic)
@@ -149,7 +149,7 @@ def test_a_field_name_is_valid_or_refused_with_the_signal_named(name: str) -> No
         assert re.fullmatch(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*", clean)
 
 
-@pytest.mark.parametrize("names", [("angle", "Angle"), ("tick",), ("a b", "a_b")])
+@pytest.mark.parametrize("names", [("angle", "Angle"), ("slot",), ("a b", "a_b")])
 def test_signals_that_would_share_a_field_are_refused(names: tuple[str, ...]) -> None:
     signals = [Signal(name, "1") for name in names]
     with pytest.raises(HilError, match=r"log topic /plant/state.* more than one field"):
@@ -176,7 +176,7 @@ def test_a_unit_cannot_break_the_schema_text() -> None:
 
 
 PLAIN = Schema(name="hil/msg/Plain", fields=(Field(type="float64", name="x"), Field(type="int32", name="k")))
-RAW = Schema(name="hil/msg/Raw", fields=(Field(type="int64", name="tick"), Field(type="uint8[]", name="data")))
+RAW = Schema(name="hil/msg/Raw", fields=(Field(type="int64", name="slot"), Field(type="uint8[]", name="data")))
 
 
 def test_records_become_an_array_with_their_own_times_or_given_ones() -> None:
@@ -186,7 +186,7 @@ def test_records_become_an_array_with_their_own_times_or_given_ones() -> None:
     framed = [b"head" + (100 * k).to_bytes(8, "little") + each for k, each in enumerate(packed)]
     assert assemble(PLAIN, framed, payload_at=12, time_at=4)["t_ns"].tolist() == [0, 100, 200]
     raw = assemble(RAW, [RAW.pack(7, b"abc"), RAW.pack(8, b"")], times=[1, 2])
-    assert raw["tick"].tolist() == [7, 8] and raw["data"].tolist() == [b"abc", b""]
+    assert raw["slot"].tolist() == [7, 8] and raw["data"].tolist() == [b"abc", b""]
     assert len(assemble(RAW, [])) == 0
 
 

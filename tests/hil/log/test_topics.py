@@ -14,16 +14,16 @@ import pytest
 import hil
 from hil.errors import HilError
 from hil.log.topics import TOPICS, Logged, MissingTopic, channels
-from hil.log.topics.topic import TICK, Topic
+from hil.log.topics.topic import SLOT, Topic
 
 ROOT = Path(__file__).parents[3]
 POWER = """
-from hil.log.topics.topic import TICK, Curve, Topic, f64
+from hil.log.topics.topic import SLOT, Curve, Topic, f64
 
 TOPICS = (
     Topic(
         name="/plant/power", schema="PlantPower", filled_by="rig, every slot", since="9.9.0",
-        fields=lambda logged: (f64("power", "W", "input times output"), TICK),
+        fields=lambda logged: (f64("power", "W", "input times output"), SLOT),
         values=lambda slot: (slot.u[0] * slot.y[0], slot.k),
         curves=lambda names, outputs: [Curve(panel="power", field="power")],
     ),
@@ -82,7 +82,7 @@ def test_a_new_topic_is_one_file_and_breaks_no_older_log(tmp_path: Path) -> None
 
 def test_a_topic_says_which_sessions_have_it(monkeypatch: pytest.MonkeyPatch) -> None:
     topic = Topic(
-        name="/bus/load", schema="BusLoad", fields=lambda _: (TICK,), filled_by="rig", since="9.9.0",
+        name="/bus/load", schema="BusLoad", fields=lambda _: (SLOT,), filled_by="rig", since="9.9.0",
         logged=lambda logged: logged.on_can,
     )  # fmt: skip
     monkeypatch.setitem(TOPICS, topic.name, topic)
@@ -105,4 +105,4 @@ def test_every_topic_says_what_the_registry_asks_of_it() -> None:
     for topic in TOPICS.values():
         assert topic.name.startswith("/") and topic.filled_by and topic.since.count(".") == 2
         fields = topic.fields(Logged())
-        assert TICK in fields and all(f.unit for f in fields)
+        assert SLOT in fields and all(f.unit for f in fields)

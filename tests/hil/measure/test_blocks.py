@@ -56,13 +56,13 @@ def test_errors_in_blocks_are_those_of_whole_arrays(outputs: int, change: int | 
 
 def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:
     n = 2 * ROWS + 5
-    ticks, changes, pulse = np.arange(n), [1, ROWS, 2 * ROWS + 1], range(ROWS - 2, ROWS + 3)
-    reference = np.zeros(n, [("t_ns", "<i8"), ("angle", "<f8"), ("tick", "<i8")])
-    reference["t_ns"], reference["tick"] = ticks * 10**6, ticks
+    slots, changes, pulse = np.arange(n), [1, ROWS, 2 * ROWS + 1], range(ROWS - 2, ROWS + 3)
+    reference = np.zeros(n, [("t_ns", "<i8"), ("angle", "<f8"), ("slot", "<i8")])
+    reference["t_ns"], reference["slot"] = slots * 10**6, slots
     for at in changes:
         reference["angle"][at:] += 1.0
-    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("w_volt", "<f8"), ("tick", "<i8")])
-    applied["t_ns"], applied["tick"] = ticks * 10**6, ticks
+    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("w_volt", "<f8"), ("slot", "<i8")])
+    applied["t_ns"], applied["slot"] = slots * 10**6, slots
     applied["w_volt"][list(pulse)] = 0.5
     view = view_of(Run(
         arrays={MEASUREMENT: reference, REFERENCE: reference, APPLIED: applied},
@@ -74,20 +74,20 @@ def test_steps_and_disturbances_are_marked_once_wherever_a_piece_ends() -> None:
     assert view.followed().changes(9) == changes
 
 
-@pytest.mark.parametrize(("ticks", "period_s"), [((), 1.0), ((3,), 1.0), ((3, 4), 0.02), ((3, 4, 5, 9), 0.02)])
-def test_without_a_stated_period_it_is_that_of_the_records(ticks: tuple[int, ...], period_s: float) -> None:
-    measured = np.zeros(len(ticks), [("t_ns", "<i8"), ("angle", "<f8"), ("tick", "<i8")])
-    measured["t_ns"] = np.array(ticks, dtype=np.int64) * 20 * 10**6
+@pytest.mark.parametrize(("slots", "period_s"), [((), 1.0), ((3,), 1.0), ((3, 4), 0.02), ((3, 4, 5, 9), 0.02)])
+def test_without_a_stated_period_it_is_that_of_the_records(slots: tuple[int, ...], period_s: float) -> None:
+    measured = np.zeros(len(slots), [("t_ns", "<i8"), ("angle", "<f8"), ("slot", "<i8")])
+    measured["t_ns"] = np.array(slots, dtype=np.int64) * 20 * 10**6
     schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="angle"),))
     assert view_of(Run(arrays={MEASUREMENT: measured}, schemas={MEASUREMENT: schema})).period_s == period_s
 
 
 def test_a_cost_in_pieces_is_that_of_whole_arrays_and_never_holds_them() -> None:
     n, rng = 4 * ROWS + 5, np.random.default_rng(3)
-    states = np.zeros(n, [("t_ns", "<i8"), ("x1", "<f8"), ("x2", "<f8"), ("tick", "<i8")])
-    states["x1"], states["x2"], states["tick"] = *rng.standard_normal((2, n)), np.arange(n)
-    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("tick", "<i8")])
-    applied["volt"], applied["tick"] = rng.standard_normal(n), np.arange(n)
+    states = np.zeros(n, [("t_ns", "<i8"), ("x1", "<f8"), ("x2", "<f8"), ("slot", "<i8")])
+    states["x1"], states["x2"], states["slot"] = *rng.standard_normal((2, n)), np.arange(n)
+    applied = np.zeros(n, [("t_ns", "<i8"), ("volt", "<f8"), ("slot", "<i8")])
+    applied["volt"], applied["slot"] = rng.standard_normal(n), np.arange(n)
     schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="volt"),))
     arrays = {STATE.name: states, MEASUREMENT: applied, REFERENCE: applied, APPLIED: applied}
     view = view_of(Run(arrays=arrays, schemas=dict.fromkeys(arrays, schema), resolved={"period": 1e-3}))

@@ -49,7 +49,7 @@ def test_a_log_without_every_mode_gives_no_rates(tmp_path: Path, monkeypatch: py
     assert len(record.fault) == len(record.detected) == len(states) and record.period_s == load_experiment("vtol-fault").period
     for wrong, message in (
         (states[:0], "holds no slot of /plant/state"),
-        (np.delete(states, 4), f"the modes after slot {states['tick'][3]} are missing"),
+        (np.delete(states, 4), f"the modes after slot {states['slot'][3]} are missing"),
         (with_mode(states, 0.0), "mode"),
         (with_mode(states, 1.5), "mode"),
         (with_mode(states, np.nan), "mode"),

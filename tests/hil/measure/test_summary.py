@@ -64,7 +64,7 @@ def test_summary_survives_a_run_that_ended_at_once() -> None:
     json.dumps(summarise(view_of(run)), allow_nan=False)
 
 
-def test_summary_survives_a_log_torn_between_two_records_of_one_tick() -> None:
+def test_summary_survives_a_log_torn_between_two_records_of_one_slot() -> None:
     run = run_of("dc-motor-hinf", 'duration="5 s"')
     run.arrays["/reference"] = run.arrays["/reference"][:-1]
     run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:-3]

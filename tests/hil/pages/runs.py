@@ -22,7 +22,7 @@ def run_of(name: str, *sets: str, timed: bool = False) -> Run:
     rig = run_virtual(loop, experiment.seed, sink)
     if timed:
         rng = np.random.default_rng(0)
-        put, pack = sink.channel("/timing/tick"), channels_of(loop)["/timing/tick"].schema.pack
+        put, pack = sink.channel("/timing/slot"), channels_of(loop)["/timing/slot"].schema.pack
         assert put is not None
         lateness = 20.0 + rng.pareto(2.5, rig.k + 1) * 10.0
         for k in range(rig.k + 1):
@@ -30,7 +30,7 @@ def run_of(name: str, *sets: str, timed: bool = False) -> Run:
             trip = float("nan") if late else float(90.0 + rng.gamma(2.0, 15.0))
             put(k * experiment.period_ns, pack(float(lateness[k]), trip, 80.0, k, late, 0))
         sink.event(0, "started", "rig started", scheduler="SCHED_FIFO 60")
-        sink.event(1999 * experiment.period_ns, "late", "no control packet", tick=1999, severity="warning")
+        sink.event(1999 * experiment.period_ns, "late", "no control packet", slot=1999, severity="warning")
     about = Provenance(
         experiment=experiment.name,
         experiment_text=experiment.text,

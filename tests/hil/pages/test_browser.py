@@ -120,7 +120,7 @@ def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path, browser: chr
     assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
-def test_report_of_one_tick_shows_its_samples_as_points(tmp_path: Path, browser: chromium.Page) -> None:
+def test_report_of_one_slot_shows_its_samples_as_points(tmp_path: Path, browser: chromium.Page) -> None:
     run = run_of("dc-motor-hinf", 'duration="50 ms"')
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
@@ -151,7 +151,7 @@ def test_report_is_readable_on_a_telephone_and_shows_many_outputs_whole_on_a_des
     law = 'network.ca.law={kind="iid", probabilities=[0.5, 0.5]}'
     run = run_of("vtol-fault-published", 'duration="1 s"', law, "allow_uncertified=true")
     message = "an input that stayed at its limit for several samples " * 3
-    run.events.append({"tick": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
+    run.events.append({"slot": 1, "t_s": 0.001, "kind": "saturated", "severity": "warning", "message": message, "data": {}})
     file = tmp_path / "report.html"
     file.write_text(render_report(view_of(run)), encoding="utf-8")
     browser.size(390, 900)

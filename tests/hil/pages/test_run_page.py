@@ -30,13 +30,13 @@ def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
     assert "Lateness" not in page, "a virtual run has no measured times"
 
 
-def test_report_of_a_timed_run_shows_lateness_and_marks_late_ticks() -> None:
+def test_report_of_a_timed_run_shows_lateness_and_marks_late_slots() -> None:
     run = run_of("dc-motor-1khz", 'duration="4.1 s"', timed=True)
     page = report(run)
     assert "timing valid" in page and "Round trip" in page and "SCHED_FIFO 60" in page
     late = [m for m in markers(view_of(run)) if m.state == "warning"]
     assert [m.x for m in late] == pytest.approx([1.999, 3.999])
-    assert [bool(m.label) for m in late] == [True, False], "the event names the first, ticks mark the others"
+    assert [bool(m.label) for m in late] == [True, False], "the event names the first, slots mark the others"
 
 
 def test_report_of_a_stopped_run_says_why() -> None:
@@ -57,7 +57,7 @@ def test_report_sets_sojourns_of_a_semi_markov_law_beside_it() -> None:
 
 def test_user_text_cannot_become_markup() -> None:
     run = run_of("dc-motor-hinf", 'name="<script>alert(1)<"', 'description="</script><img src=x onerror=alert(1)>"')
-    run.events.append({"tick": 1, "t_s": 0.05, "kind": "<b>", "severity": "<i>", "message": "</td><script>x", "data": {}})
+    run.events.append({"slot": 1, "t_s": 0.05, "kind": "<b>", "severity": "<i>", "message": "</td><script>x", "data": {}})
     page = report(run)
     assert "<script>alert" not in page and "<img" not in page and "<b>" not in page and "<i>" not in page
     assert "</td><script>x" not in page
@@ -103,7 +103,7 @@ def test_summary_states_units(name: str, units: tuple[str, ...]) -> None:
 
 def test_events_stand_in_the_order_of_time() -> None:
     run = run_of("dc-motor-hinf", 'duration="1 s"')
-    event = {"tick": 1, "severity": "info", "data": {}, "kind": "note"}
+    event = {"slot": 1, "severity": "info", "data": {}, "kind": "note"}
     run.events[:] = [{**event, "t_s": 0.7, "message": "the second"}, {**event, "t_s": 0.2, "message": "the first"}]
     page = report(run)
     assert page.index("the first") < page.index("the second")
@@ -116,7 +116,7 @@ MARKS = [("warning", "warning"), ("error", "bad"), ("info", "neutral"), (None, "
 def test_an_event_is_marked_by_its_severity(severity: str | None, state: str) -> None:
     run = run_of("dc-motor-hinf", 'duration="0.2 s"')
     said = {"severity": severity} if severity else {}
-    run.events[:] = [{"tick": 1, "t_s": 0.05, "data": {}, "kind": "note", "message": "m", **said}]
+    run.events[:] = [{"slot": 1, "t_s": 0.05, "data": {}, "kind": "note", "message": "m", **said}]
     section = events(view_of(run))
     assert section is not None and isinstance(table := section.blocks[0], Table)
     assert table.rows == [[0.05, Badge(label=severity or "info", state=state), "note", "m"]]  # type: ignore[arg-type]
@@ -134,7 +134,7 @@ def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
     assert "(rad\\u00b2 s)" in page(motor) and "error (kn" not in page(vtol, motor)
 
 
-def test_run_of_one_tick_and_torn_run_are_reported() -> None:
+def test_run_of_one_slot_and_torn_run_are_reported() -> None:
     assert "<!doctype html>" in report(run_of("dc-motor-hinf", 'duration="50 ms"'))
     torn = run_of("dc-motor-hinf", 'duration="2 s"')
     for topic in torn.arrays:

@@ -50,7 +50,7 @@ def test_a_fault_breaks_what_it_says_is_reported_and_replayed_bit_for_bit(kind: 
     session = run_session(parse_experiment(faulty(kind, where)), path=tmp_path / "x.mcap")
     run = session.run
     assert session.status == 0
-    reported = [(event["kind"], event["tick"]) for event in run.events if event["kind"].startswith("fault")]
+    reported = [(event["kind"], event["slot"]) for event in run.events if event["kind"].startswith("fault")]
     over = [] if kind == "controller-restart" else [(f"fault over: {kind}", END)]
     assert reported == [(f"fault: {kind}", FIRST), *over]
     marks = {(mark.label, round(mark.t_s, 3)) for mark in view_of(run).marks}
@@ -62,7 +62,7 @@ def test_a_fault_breaks_what_it_says_is_reported_and_replayed_bit_for_bit(kind: 
     if kind == "controller-restart" or (where == 'link = "ca"' and kind != "freeze"):
         assert held[-5:].all() and not (applied["status"][END + 2 :] == HOLD).any()
     taus = run.arrays["/controller/rows"]
-    during = taus["tau"][(taus["tick"] >= FIRST) & (taus["tick"] < END)]
+    during = taus["tau"][(taus["slot"] >= FIRST) & (taus["slot"] < END)]
     if where == 'link = "sc"' and kind != "freeze":
         assert during[-1] >= END - FIRST - 1  # the newest sample that the controller has is that of before
     elif kind == "freeze":
@@ -75,10 +75,10 @@ def test_of_a_corrupted_frame_one_bit_is_wrong_and_the_controller_refuses_it() -
     loop = loop_of(faulty("corrupt", 'link = "sc"'))
     run, other = simulate(loop, 0), simulate(loop, 1)
     node, wrong = ControlNode(loop), 0
-    for tick, data in zip(run.arrays["/link/sensor"]["tick"].tolist(), run.arrays["/link/sensor"]["data"]):
+    for slot, data in zip(run.arrays["/link/sensor"]["slot"].tolist(), run.arrays["/link/sensor"]["data"]):
         node.on_frame(bytes(data))
         if decode(bytes(data)) is None:
-            assert FIRST <= tick < END
+            assert FIRST <= slot < END
             wrong += 1
     assert wrong == node.counts.malformed == END - FIRST
     drawn = [[bytes(d) for d in each.arrays["/link/sensor"]["data"] if decode(bytes(d)) is None] for each in (run, other)]

@@ -124,7 +124,7 @@ def test_a_change_of_any_record_is_found_and_the_first_one_is_named(tmp_path: Pa
     frames = writable(run, "/link/control")["data"]
     frames[50] = bytes([frames[50][0] ^ 1]) + frames[50][1:]
     assert "control packet of slot 50: " in (verify(run).difference or "")
-    at = int(np.flatnonzero(run.arrays[topic]["tick"] == 20)[0])
+    at = int(np.flatnonzero(run.arrays[topic]["slot"] == 20)[0])
     writable(run, topic)[name][at] += 1
     assert f"{topic} of slot 20: {name}" in (verify(run).difference or "")
 
@@ -160,7 +160,7 @@ def test_a_log_that_ends_before_its_run_is_different(tmp_path: Path) -> None:
     run_session(load_experiment("dc-motor-hinf", ["duration=3"]), path=tmp_path / "a.mcap")
     run = read_run(tmp_path / "a.mcap")
     for topic in [*run.arrays]:
-        run.arrays[topic] = run.arrays[topic][run.arrays[topic]["tick"] < 40]
+        run.arrays[topic] = run.arrays[topic][run.arrays[topic]["slot"] < 40]
     found = verify(run)
     assert (found.likeness, found.states) == ("different", 40)
     assert found.difference == "the log ends with slot 39; the rig says that it ran 60 slots"

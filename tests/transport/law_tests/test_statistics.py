@@ -48,8 +48,8 @@ def records(law: Any, slots: int, seed: int) -> list[Draw]:
 
 
 def table_of(draws: list[Draw]) -> np.ndarray:
-    rows = [(draw.tick, draw.mode, draw.latency_s, draw.reason) for draw in draws]
-    return np.array(rows, [("tick", "<i4"), ("mode", "i1"), ("latency_s", "<f8"), ("reason", "u1")])
+    rows = [(draw.slot, draw.mode, draw.latency_s, draw.reason) for draw in draws]
+    return np.array(rows, [("slot", "<i4"), ("mode", "i1"), ("latency_s", "<f8"), ("reason", "u1")])
 
 
 def packet_p_value(law: PacketLaw, draws: list[Draw]) -> float:
@@ -168,8 +168,8 @@ def test_counts_are_those_of_a_plain_loop() -> None:
 
 def test_statistics_come_from_records_or_from_a_log_alike() -> None:
     draws = records(GAMMA, 500, 2)
-    kinds = [("tick", "<i8"), ("mode", "<i4"), ("latency_s", "<f8"), ("reason", "u1")]
-    log = np.array([(d.tick, d.mode, d.latency_s, d.reason) for d in draws], dtype=kinds)
+    kinds = [("slot", "<i8"), ("mode", "<i4"), ("latency_s", "<f8"), ("reason", "u1")]
+    log = np.array([(d.slot, d.mode, d.latency_s, d.reason) for d in draws], dtype=kinds)
     found = network_metrics(log, GAMMA, "packet")
     assert found["p_value"] == packet_p_value(GAMMA, draws)
     assert found["law"] == "packet"

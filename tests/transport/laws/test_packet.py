@@ -48,7 +48,7 @@ def start(law: PacketLaw, seed: int = 0, period_s: float = T) -> Impairment:
     return impair(law, np.random.default_rng(seed), period_s, DEADLINE)
 
 
-def ticks(arrivals: list[list[tuple[int, object]]]) -> list[list[int]]:
+def slots_of(arrivals: list[list[tuple[int, object]]]) -> list[list[int]]:
     return [[g for g, _ in arrived] for arrived in arrivals]
 
 
@@ -159,7 +159,7 @@ def test_laws_come_from_experiment_tables() -> None:
 
 
 def test_a_trace_of_latencies_comes_from_a_file(tmp_path: Path) -> None:
-    (tmp_path / "delays.csv").write_text("tick,latency_s\n0,2 ms\n1,lost\n2,0.015\n")
+    (tmp_path / "delays.csv").write_text("slot,latency_s\n0,2 ms\n1,lost\n2,0.015\n")
     law = load_files(PacketLaw(latency={"file": "delays.csv", "past_end": "refuse"}), tmp_path)
     assert law.latency == {"trace": (0.002, "lost", 0.015), "past_end": "refuse"}
     assert slots_served(law) == 3
@@ -189,7 +189,7 @@ def test_a_prepared_law_draws_the_same_and_needs_no_scipy_stats() -> None:
 )
 def test_a_latency_leads_to_the_slot_whose_deadline_it_meets(latency_s: float, slots: int) -> None:
     draws, arrivals = run(start(PacketLaw(latency=latency_s)), [True] * (slots + 2))
-    assert ticks(arrivals) == [[]] * slots + [[0], [1]]
+    assert slots_of(arrivals) == [[]] * slots + [[0], [1]]
     assert run(start(PacketLaw(latency=latency_s, reordering=False)), [True] * (slots + 2)) == (draws, arrivals)
 
 
@@ -197,28 +197,28 @@ def test_packets_that_overtake_are_disordered_and_come_in_order_of_time() -> Non
     law = PacketLaw(latency={"trace": ["25 ms", "1 ms", "12 ms", "1 ms"]})
     draws, arrivals = run(start(law), [True] * 4)
     # packet 0 arrives at 25 ms, 2 at 32 ms, both after slot 2 closed at 24 ms; 3 at 31 ms
-    assert ticks(arrivals) == [[], [1], [], [0, 3, 2]]
-    fates = {d.packet_tick: REASONS[d.reason] for d in draws if d.mode == NO_MODE}
+    assert slots_of(arrivals) == [[], [1], [], [0, 3, 2]]
+    fates = {d.packet_slot: REASONS[d.reason] for d in draws if d.mode == NO_MODE}
     assert fates == {0: "disordered", 1: "delivered", 2: "disordered", 3: "delivered"}
 
 
 def test_without_reordering_a_packet_waits_for_the_earlier_ones() -> None:
     law = PacketLaw(latency={"trace": ["25 ms", "1 ms", "12 ms", "1 ms"]}, reordering=False)
     draws, arrivals = run(start(law), [True] * 4)
-    assert ticks(arrivals) == [[], [], [], [0, 1, 2, 3]]
-    waited = {d.packet_tick: d.latency_s for d in draws if d.reason == DELIVERED}
+    assert slots_of(arrivals) == [[], [], [], [0, 1, 2, 3]]
+    waited = {d.packet_slot: d.latency_s for d in draws if d.reason == DELIVERED}
     assert waited == pytest.approx({0: 0.025, 1: 0.015, 2: 0.012, 3: 0.002})
     assert [d.latency_s for d in draws if d.reason == SENT] == pytest.approx([0.025, 0.001, 0.012, 0.001])
 
 
 def test_a_copy_that_arrives_second_is_the_duplicate() -> None:
     draws, arrivals = run(start(PacketLaw(latency=GAMMA, duplication=1.0)), [True] * 500)
-    assert all(count <= 2 for count in Counter(g for arrived in ticks(arrivals) for g in arrived).values())
+    assert all(count <= 2 for count in Counter(g for arrived in slots_of(arrivals) for g in arrived).values())
     seen: set[int] = set()
     for draw in draws:
         if draw.mode == NO_MODE and draw.reason in (DELIVERED, DISORDERED, DUPLICATED):
-            assert (draw.reason == DUPLICATED) == (draw.packet_tick in seen)
-            seen.add(draw.packet_tick)
+            assert (draw.reason == DUPLICATED) == (draw.packet_slot in seen)
+            seen.add(draw.packet_slot)
 
 
 def test_a_full_queue_drops_and_counts() -> None:
@@ -237,12 +237,12 @@ def test_a_slot_without_a_packet_is_drawn_and_absent() -> None:
             network.offer(k, k)
         draws += network.collect(k)[0]
     assert [d.mode for d in draws if d.mode >= 0] == [d.mode for d in whole if d.mode >= 0]
-    assert {d.tick for d in draws if d.reason == ABSENT} == set(range(0, 200, 3))
+    assert {d.slot for d in draws if d.reason == ABSENT} == set(range(0, 200, 3))
 
 
 def test_a_change_of_loss_leaves_the_latencies_as_they_were() -> None:
     def latencies(law: PacketLaw) -> dict[int, float]:
-        return {d.tick: d.latency_s for d in run(start(law), [True] * 500)[0] if d.reason == SENT}
+        return {d.slot: d.latency_s for d in run(start(law), [True] * 500)[0] if d.reason == SENT}
 
     few, all_of_them = latencies(PacketLaw(latency=GAMMA, loss=0.3)), latencies(PacketLaw(latency=GAMMA))
     assert 250 < len(few) < 450
@@ -295,7 +295,7 @@ def test_every_packet_is_accounted_for_and_none_comes_from_the_future(law: Packe
             assert packet == f"packet {g}"
             assert law.reordering or g >= newest, "first in, first out"
             newest = max(newest, g)
-    assert [d.tick for d in draws if d.mode >= 0] == list(range(len(present))), "one draw of the law per slot, in order"
+    assert [d.slot for d in draws if d.mode >= 0] == list(range(len(present))), "one draw of the law per slot, in order"
     fate = Counter((REASONS[d.reason], d.mode >= 0) for d in draws)
     arrived_once = fate["delivered", False] + fate["disordered", False]
     dropped = fate["lost", True] + fate["overflow", True]

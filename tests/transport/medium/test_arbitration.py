@@ -29,7 +29,7 @@ def received(medium: ArbitratedBus, offers: Mapping[int, Sequence[int]], slots: 
             medium.offer(node, k, (node, k))
         arrived = []
         for node, (draws, arrivals) in enumerate(medium.collect(k)):
-            new = {d.packet_tick for d in draws if d.reason == DELIVERED}
+            new = {d.packet_slot for d in draws if d.reason == DELIVERED}
             for g, packet in arrivals:
                 assert packet == (node, g)
                 arrived += [(node, g)] if g in new else []
@@ -50,11 +50,11 @@ def test_a_newer_sample_takes_the_place_of_the_waiting_one_and_is_booked() -> No
         shared.offer(0, k, "a")
         if k != 3:
             shared.offer(1, k, "b")
-        booked += [(k, node, d.packet_tick, d.age) for node, (draws, _) in enumerate(shared.collect(k)) for d in draws
+        booked += [(k, node, d.packet_slot, d.age) for node, (draws, _) in enumerate(shared.collect(k)) for d in draws
                    if d.reason == REPLACED]  # fmt: skip
     assert booked == [(1, 1, 0, 1), (2, 1, 1, 1)]
     ((_, _), (draws, arrivals)) = shared.collect(4)
-    assert arrivals == [(2, "b")] and [(d.packet_tick, d.age) for d in draws if d.reason == DELIVERED] == [(2, 0)]
+    assert arrivals == [(2, "b")] and [(d.packet_slot, d.age) for d in draws if d.reason == DELIVERED] == [(2, 0)]
 
 
 def test_what_wins_travels_on_through_the_channel_of_its_node() -> None:
@@ -88,7 +88,7 @@ def test_media_side_by_side_keep_their_nodes() -> None:
         for node in offering:
             medium.offer(node, k, node)
         found = medium.collect(k)
-        fresh = [{d.packet_tick for d in draws if d.reason == DELIVERED} for draws, _ in found]
+        fresh = [{d.packet_slot for d in draws if d.reason == DELIVERED} for draws, _ in found]
         seen.append([(node, g) for node, (_, arrivals) in enumerate(found) for g, _ in arrivals if g in fresh[node]])
     assert seen == [[(1, 0), (2, 0)], [(0, 1), (1, 1)], [(1, 2), (2, 2)]]
 

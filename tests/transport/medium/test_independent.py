@@ -51,7 +51,7 @@ def test_an_unchanged_newest_packet_is_repeated() -> None:
     law = MarkovAge(matrix=((0.0, 1.0), (1.0, 0.0)), initial=(1.0, 0.0))
     draws, arrivals = run(start(law), [True] * 4)
     assert [a[0][0] for a in arrivals] == [0, 0, 2, 2]
-    assert [(d.tick, d.packet_tick, d.reason) for d in draws] == [
+    assert [(d.slot, d.packet_slot, d.reason) for d in draws] == [
         (0, 0, DELIVERED),
         (1, 0, REPEATED),
         (2, 1, SUPERSEDED),
@@ -63,8 +63,8 @@ def test_an_unchanged_newest_packet_is_repeated() -> None:
 def test_an_absent_packet_is_replaced_by_the_next_older_one_and_recorded() -> None:
     draws, arrivals = run(start(ConstantAge(age=1)), [True, True, False, False, True, True])
     assert [[g for g, _ in a] for a in arrivals] == [[], [0], [1], [1], [1], [4]]
-    at_3 = [d for d in draws if d.tick == 3]
-    assert [(d.packet_tick, d.mode, d.reason) for d in at_3] == [(2, 0, ABSENT), (1, NO_MODE, REPEATED)]
+    at_3 = [d for d in draws if d.slot == 3]
+    assert [(d.packet_slot, d.mode, d.reason) for d in at_3] == [(2, 0, ABSENT), (1, NO_MODE, REPEATED)]
 
 
 def test_absent_without_any_older_packet_delivers_nothing() -> None:
@@ -114,7 +114,7 @@ def test_every_packet_is_accounted_for_and_none_comes_from_the_future(
 ) -> None:
     impairment = start(law, seed)
     draws, arrivals = run(impairment, present)
-    assert [d.tick for d in draws if d.mode >= 0] == list(range(len(present))), "one draw of the law per slot, in order"
+    assert [d.slot for d in draws if d.mode >= 0] == list(range(len(present))), "one draw of the law per slot, in order"
     fate = Counter(REASONS[d.reason] for d in draws)
     assert sum(present) == fate["delivered"] + fate["disordered"] + fate["superseded"] + impairment.pending
     newest = -1

@@ -66,13 +66,13 @@ def test_a_newer_packet_takes_the_place_of_one_that_waits_and_not_of_one_that_is
     draws, arrivals = way.collect(1)[0]
     first = next(each for each in seen if each.waiting.frame.identifier == 0x100)
     assert RATES.ns(first.start) < T < RATES.ns(first.end)
-    assert arrivals == [(1, (2.0,))] and (SUPERSEDED, 0) in [(draw.reason, draw.packet_tick) for draw in draws]
+    assert arrivals == [(1, (2.0,))] and (SUPERSEDED, 0) in [(draw.reason, draw.packet_slot) for draw in draws]
     way = uplink(bus_of(busy(0, 12_000_000)))
     way.offer(0, 0, (1.0,))
     way.collect(0)
     way.offer(0, 1, (2.0,))
     draws, arrivals = way.collect(1)[0]
-    assert arrivals == [(1, (2.0,))] and (REPLACED, 0) in [(draw.reason, draw.packet_tick) for draw in draws]
+    assert arrivals == [(1, (2.0,))] and (REPLACED, 0) in [(draw.reason, draw.packet_slot) for draw in draws]
 
 
 def test_a_fifo_sends_every_packet_though_newer_ones_wait() -> None:

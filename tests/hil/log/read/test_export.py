@@ -45,7 +45,7 @@ def test_a_table_reads_back_to_the_last_bit(run: Run, tmp_path: Path) -> None:
     assert export(run, target, ["/plant/state"]) == [target]
     with open(target, newline="") as file:
         header, *rows = csv.reader(file)
-    assert header == ["t_ns [ns]", "angle [rad]", "speed [rad/s]", "tick [1]"]
+    assert header == ["t_ns [ns]", "angle [rad]", "speed [rad/s]", "slot [1]"]
     state = run.arrays["/plant/state"]
     assert [float(row[2]) for row in rows] == state["speed"].tolist()
     assert [int(row[0]) for row in rows] == state["t_ns"].tolist()
@@ -105,11 +105,11 @@ def test_an_export_follows_no_link(run: Run, tmp_path: Path) -> None:
 
 def packets(run: Run) -> list[tuple[float, int, bytes]]:
     """When, as what and what: a frame stands where its slot's lateness put it, an answer a round trip later."""
-    sensor, control, timing = run.arrays["/link/sensor"], run.arrays["/link/control"], run.arrays["/timing/tick"]
-    begin, late = datetime(2000, 1, 1, tzinfo=UTC).timestamp(), dict(zip(timing["tick"], timing["lateness_us"]))
-    trip = dict(zip(timing["tick"], np.nan_to_num(timing["round_trip_us"])))
-    found = [(begin + f["t_ns"] / 1e9 + late[f["tick"]] / 1e6, 0x100, f["data"]) for f in sensor]
-    found += [(begin + f["t_ns"] / 1e9 + (late[f["tick"]] + trip[f["tick"]]) / 1e6, 0x140, f["data"]) for f in control]
+    sensor, control, timing = run.arrays["/link/sensor"], run.arrays["/link/control"], run.arrays["/timing/slot"]
+    begin, late = datetime(2000, 1, 1, tzinfo=UTC).timestamp(), dict(zip(timing["slot"], timing["lateness_us"]))
+    trip = dict(zip(timing["slot"], np.nan_to_num(timing["round_trip_us"])))
+    found = [(begin + f["t_ns"] / 1e9 + late[f["slot"]] / 1e6, 0x100, f["data"]) for f in sensor]
+    found += [(begin + f["t_ns"] / 1e9 + (late[f["slot"]] + trip[f["slot"]]) / 1e6, 0x140, f["data"]) for f in control]
     return sorted(found, key=lambda packet: packet[0])
 
 

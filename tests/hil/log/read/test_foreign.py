@@ -17,7 +17,7 @@ from hil.log.write.mcap_sink import McapSink
 from tests.hil.log.recording import TABLE, provenance, record
 
 SCHEMAS = {topic: channel.schema for topic, channel in TABLE.items()}
-EVENT = {"tick": 3, "t_s": 0.15, "kind": "safety", "severity": "error", "message": "limit", "data": {}}
+EVENT = {"slot": 3, "t_s": 0.15, "kind": "safety", "severity": "error", "message": "limit", "data": {}}
 RESOLVED: dict[str, Any] = {
     "period": 0.05, "plant": {}, "controller": {}, "disturbance": [{"at": 1.0}],
     "network": {"sc": {"law": {}}, "ca": {"law": {}}},
@@ -26,25 +26,25 @@ RESOLVED: dict[str, Any] = {
 
 def test_what_hil_writes_is_taken() -> None:
     check_topics(SCHEMAS)
-    check_events([EVENT, {**EVENT, "tick": -1, "t_s": 2}])
+    check_events([EVENT, {**EVENT, "slot": -1, "t_s": 2}])
     check_words({"seed": "7"}, RESOLVED, {"problems": {}, "log": {"messages": 3, "path": "x.mcap"}})
 
 
 @pytest.mark.parametrize("topic", sorted(SCHEMAS))
 def test_a_field_of_another_name_or_type_is_named_and_a_topic_may_lack(topic: str) -> None:
     check_topics({f"{name}2" if name == topic else name: schema for name, schema in SCHEMAS.items()})
-    tick = next(f for f in SCHEMAS[topic].fields if f.name == "tick")
-    others = tuple(f for f in SCHEMAS[topic].fields if f is not tick)
-    renamed = tuple(Field(type=f.type, name="pick") if f is tick else f for f in SCHEMAS[topic].fields)
-    for fields in (renamed, (Field(type="float64", name="tick"), *others)):
-        with pytest.raises(HilError, match=f"topic {topic}: field tick: is (missing|float64), expected {tick.type}"):
+    slot = next(f for f in SCHEMAS[topic].fields if f.name == "slot")
+    others = tuple(f for f in SCHEMAS[topic].fields if f is not slot)
+    renamed = tuple(Field(type=f.type, name="pick") if f is slot else f for f in SCHEMAS[topic].fields)
+    for fields in (renamed, (Field(type="float64", name="slot"), *others)):
+        with pytest.raises(HilError, match=f"topic {topic}: field slot: is (missing|float64), expected {slot.type}"):
             check_topics({**SCHEMAS, topic: Schema(name=SCHEMAS[topic].name, fields=fields)})
 
 
 @pytest.mark.parametrize(
     "change",
     [
-        {"tick": 10**400}, {"tick": -(1 << 63)}, {"t_s": 10**400}, {"t_s": math.nan}, {"t_s": -math.inf}, {"t_s": 1e300},
+        {"slot": 10**400}, {"slot": -(1 << 63)}, {"t_s": 10**400}, {"t_s": math.nan}, {"t_s": -math.inf}, {"t_s": 1e300},
         {"data": "x"}, {"data": None},
     ],
     ids=lambda change: str(change)[:20],
@@ -101,7 +101,7 @@ def test_a_log_with_an_event_of_another_kind_is_refused_when_it_is_read(tmp_path
     path = tmp_path / "edited.mcap"
     with McapSink(path, TABLE, provenance()) as sink:
         record(sink, 3)
-        payload = bytearray(encode_event(0, "mark", "at no instant", tick=2, data={}))
+        payload = bytearray(encode_event(0, "mark", "at no instant", slot=2, data={}))
         struct.pack_into("<d", payload, len(CDR_HEADER), math.inf)
         put = sink.channel(EVENTS_TOPIC)
         assert put is not None

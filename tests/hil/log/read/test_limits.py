@@ -115,7 +115,7 @@ def test_no_flipped_bit_is_read_without_a_word(tmp_path: Path, log: bytes) -> No
 
 def test_recovery_says_that_a_flipped_schema_is_not_what_was_written(tmp_path: Path, log: bytes) -> None:
     path = tmp_path / "flip.mcap"
-    path.write_bytes(log.replace(b"int64 tick", b"int64 pick"))
+    path.write_bytes(log.replace(b"int64 slot", b"int64 pick"))
     report = recover(path, tmp_path / "out.mcap")
     assert "metadata, schemas or channels may be others than were written" in report.text
     path.write_bytes(log)

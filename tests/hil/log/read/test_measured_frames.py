@@ -17,13 +17,13 @@ MS = 1_000_000
 
 def run_of(slots: Sequence[int], late_us: float = 0.0, timed: Sequence[int] = ()) -> Run:
     """Answers of slots in the order of the log; a slot of an odd number was timed late; `timed`: the order of the timings."""
-    answers = np.empty(len(slots), [("t_ns", "<i8"), ("tick", "<i8"), ("data", object)])
-    answers["tick"], answers["t_ns"] = slots, np.array(slots) * MS
+    answers = np.empty(len(slots), [("t_ns", "<i8"), ("slot", "<i8"), ("data", object)])
+    answers["slot"], answers["t_ns"] = slots, np.array(slots) * MS
     answers["data"] = [k.to_bytes(4, "little") for k in slots]
-    timing = np.zeros(len(slots), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("tick", "<i8")])
-    timing["tick"] = timed or np.sort(slots)
-    timing["lateness_us"] = np.where(timing["tick"] % 2, late_us, 0.0)
-    return Run(arrays={"/link/control": answers, "/timing/tick": timing}, schemas={})
+    timing = np.zeros(len(slots), [("lateness_us", "<f8"), ("round_trip_us", "<f8"), ("slot", "<i8")])
+    timing["slot"] = timed or np.sort(slots)
+    timing["lateness_us"] = np.where(timing["slot"] % 2, late_us, 0.0)
+    return Run(arrays={"/link/control": answers, "/timing/slot": timing}, schemas={})
 
 
 def slots_of(run: Run) -> list[int]:

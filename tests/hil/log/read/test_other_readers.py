@@ -116,7 +116,7 @@ def test_in_real_time_a_record_has_the_wall_clock_and_the_instant_within_its_slo
         assert own == [(START_NS + k * PERIOD_NS, START_NS + k * PERIOD_NS + behind) for k in range(6)]
     state = run.arrays["/plant/state"]
     assert state["t_ns"].tolist() == [k * PERIOD_NS for k in range(6, 12)]
-    lost = {"t_s": 0.012, "tick": -1, "kind": "rig lost", "severity": "info"}
+    lost = {"t_s": 0.012, "slot": -1, "kind": "rig lost", "severity": "info"}
     assert run.events[-1] == lost | {"message": "nul \\0 and \\ud800", "data": {"a": {"b": [1]}}}
     assert "up to 0.012 s of session time" in recover(log, tmp_path / "copy.mcap").text
     assert read_run(tmp_path / "copy.mcap").start_ns == START_NS
@@ -137,7 +137,7 @@ def test_a_log_of_another_format_is_refused_by_its_number(tmp_path: Path) -> Non
         record(sink, 1)
     head = b"\x06\x00\x00\x00format\x01\x00\x00\x00"
     data = path.read_bytes()
-    assert data.count(head + b"2") == 1
-    path.write_bytes(data.replace(head + b"2", head + b"1"))
-    with pytest.raises(HilError, match="log format '1' is unknown, this version reads 2"):
+    assert data.count(head + b"3") == 1
+    path.write_bytes(data.replace(head + b"3", head + b"1"))
+    with pytest.raises(HilError, match="log format '1' is unknown, this version reads 3"):
         read_run(path, whole=False)

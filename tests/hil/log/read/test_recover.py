@@ -50,7 +50,7 @@ def written(path: Path, data: bytes) -> Path:
 
 
 def states(run: Run) -> list[int]:
-    return [int(k) for k in run.arrays["/plant/state"]["tick"]]
+    return [int(k) for k in run.arrays["/plant/state"]["slot"]]
 
 
 def test_a_whole_log_is_rebuilt_to_the_same_run(log: bytes, tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         (b"\x06\x00\x00\x00hilrig", b"\x06\x00\x00\x00hilrix", "not a log of hilrig"),
-        (b"format\x01\x00\x00\x002", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads 2"),
+        (b"format\x01\x00\x00\x003", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads 3"),
     ],
 )
 def test_logs_of_others_and_of_other_versions_are_named(
@@ -241,9 +241,9 @@ def test_a_log_that_filled_the_disk_keeps_what_the_sink_had_counted(tmp_path: Pa
     assert (report.messages, report.lost_bytes) == (sink.messages, 0)
     assert 0 < report.chunks < 60
     full, saved = read_run(tmp_path / "full.mcap"), read_run(tmp_path / "b.mcap")
-    ticks = {topic: array[array["tick"] < 20 * report.chunks] for topic, array in full.arrays.items()}
-    assert_same_arrays(saved.arrays, ticks)
-    assert_same_arrays(read_run(tmp_path / "a.mcap", whole=False).arrays, ticks)
+    slots = {topic: array[array["slot"] < 20 * report.chunks] for topic, array in full.arrays.items()}
+    assert_same_arrays(saved.arrays, slots)
+    assert_same_arrays(read_run(tmp_path / "a.mcap", whole=False).arrays, slots)
 
 
 _SESSION = """
@@ -253,13 +253,13 @@ from tests.file_limit import files_up_to
 from tests.hil.log.recording import TABLE, provenance
 sink = McapSink(sys.argv[1], TABLE, provenance(), now=time.monotonic)
 put, pack = sink.channel("/reference"), TABLE["/reference"].schema.pack
-begin, tick = time.monotonic_ns(), 0
+begin, slot = time.monotonic_ns(), 0
 while True:
     t_ns = time.monotonic_ns() - begin
-    put(t_ns, pack(1.0, tick))
+    put(t_ns, pack(1.0, slot))
     sink.commit()
     print(t_ns, flush=True)
-    tick += 1
+    slot += 1
     time.sleep(0.001)
 """
 
@@ -280,7 +280,7 @@ def test_a_killed_session_loses_its_last_100_ms_at_most(tmp_path: Path) -> None:
     report = recover(path, tmp_path / "b.mcap")
     assert reported - report.last_ns < 100_000_000
     run = read_run(tmp_path / "b.mcap")
-    assert list(run.arrays["/reference"]["tick"]) == list(range(report.messages))
+    assert list(run.arrays["/reference"]["slot"]) == list(range(report.messages))
     assert run.experiment_text == provenance().experiment_text
 
 

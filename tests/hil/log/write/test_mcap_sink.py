@@ -29,10 +29,10 @@ from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, proven
 from tests.waiting import LIMIT_S
 
 
-def write(path: Path, ticks: int = 500) -> tuple[McapSink, MemorySink]:
+def write(path: Path, slots: int = 500) -> tuple[McapSink, MemorySink]:
     memory = MemorySink(TABLE)
     with McapSink(path, TABLE, provenance()) as sink:
-        record(TeeSink(sink, {topic: put for topic in memory.times if (put := memory.channel(topic))}), ticks)
+        record(TeeSink(sink, {topic: put for topic in memory.times if (put := memory.channel(topic))}), slots)
         sink.summary({"metrics": {"sse": 1.5}})
     return sink, memory
 
@@ -47,8 +47,8 @@ def test_a_run_reads_back_as_it_was_written(tmp_path: Path) -> None:
     assert sink.messages == sum(map(len, run.arrays.values())) + len(run.events)
     assert sink.dropped == 0 and sink.error is None
     state = run.arrays["/plant/state"]
-    assert state.dtype.names == ("t_ns", "angle", "speed", "tick")
-    np.testing.assert_array_equal(state["t_ns"], state["tick"] * PERIOD_NS)
+    assert state.dtype.names == ("t_ns", "angle", "speed", "slot")
+    np.testing.assert_array_equal(state["t_ns"], state["slot"] * PERIOD_NS)
     assert all(len(data) == 20 for data in run.arrays["/link/sensor"]["data"])
 
 
@@ -60,7 +60,7 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     assert run.certificate == {"radius": 0.9}
     own = {"commit": commit()} if commit() else {}  # an installed package has none
     own |= {"loop": loop_form()}
-    assert run.metadata == own | {"format": "2", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
+    assert run.metadata == own | {"format": "3", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
     assert run.versions["numpy"] == np.__version__
     assert run.codes["reason"] == ["delivered", "lost"]
     assert run.summary["metrics"] == {"sse": 1.5}
@@ -68,7 +68,7 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
 
 
 def test_mcaps_own_reader_and_its_ros2_decoder_read_the_file(tmp_path: Path) -> None:
-    _, memory = write(tmp_path / "run.mcap", ticks=50)
+    _, memory = write(tmp_path / "run.mcap", slots=50)
     same = Run.from_memory(memory)
     with open(tmp_path / "run.mcap", "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
@@ -131,7 +131,7 @@ def test_in_real_time_records_are_on_the_disk_within_100_ms(tmp_path: Path) -> N
 
 
 def test_closing_twice_is_harmless_and_later_records_are_counted(tmp_path: Path) -> None:
-    sink, _ = write(tmp_path / "run.mcap", ticks=10)
+    sink, _ = write(tmp_path / "run.mcap", slots=10)
     written = (tmp_path / "run.mcap").read_bytes()
     sink.close()
     sink.event(0, "late", "after the end")
@@ -230,7 +230,7 @@ def test_a_file_without_records_is_that_of_mcaps_own_writer(tmp_path: Path) -> N
 
 
 def test_what_is_kept_is_what_the_file_says(tmp_path: Path) -> None:
-    keep = {"/plant/state": None, "/network/sc": ("mode", "reason"), "/timing/tick": None}
+    keep = {"/plant/state": None, "/network/sc": ("mode", "reason"), "/timing/slot": None}
     with McapSink(tmp_path / "run.mcap", TABLE, provenance(), keep=keep) as sink:
         record(sink, 3000)
     arrays, run = sink.kept.arrays(), read_run(tmp_path / "run.mcap")

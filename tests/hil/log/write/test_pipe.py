@@ -78,7 +78,7 @@ def test_records_arrive_as_they_were_written(ends: Ends) -> None:
     assert sink.dropped == 0
 
 
-def test_a_tick_is_one_write_of_at_most_pipe_buf_bytes(ends: Ends) -> None:
+def test_a_slot_is_one_write_of_at_most_pipe_buf_bytes(ends: Ends) -> None:
     sink = PipeSink(ends[1], TABLE)
     record(sink, 1)
     first = os.read(ends[0], 1 << 20)
@@ -86,7 +86,7 @@ def test_a_tick_is_one_write_of_at_most_pipe_buf_bytes(ends: Ends) -> None:
 
 
 @pytest.mark.parametrize(("period_ns", "together"), [(50_000_000, 1), (4_000_000, 2), (1_000_000, 8), (100_000, 8)])
-def test_ticks_of_eight_milliseconds_leave_together_and_at_once_with_an_event_and_at_the_end(
+def test_slots_of_eight_milliseconds_leave_together_and_at_once_with_an_event_and_at_the_end(
     ends: Ends, period_ns: int, together: int
 ) -> None:
     read, write = ends
@@ -95,8 +95,8 @@ def test_ticks_of_eight_milliseconds_leave_together_and_at_once_with_an_event_an
     put = sink.channel("/plant/state")
     assert put is not None
 
-    def came(ticks: int) -> int:
-        for _ in range(ticks):
+    def came(slots: int) -> int:
+        for _ in range(slots):
             put(0, b"state")
             sink.commit()
         try:
@@ -126,7 +126,7 @@ def test_a_full_pipe_costs_records_and_says_how_many(ends: Ends) -> None:
     report = pump(read, got, TABLE)
     run = Run.from_memory(got)
     assert (report.records, report.dropped, report.complete) == (kept, lost, True)
-    assert list(run.arrays["/plant/state"]["tick"]) == [20, 21, 22, 23, 24]
+    assert list(run.arrays["/plant/state"]["slot"]) == [20, 21, 22, 23, 24]
     assert [(e["kind"], e["data"]) for e in run.events] == [("log-dropped", {"records": lost})]
     assert run.events[0]["t_s"] == 0.02
 
@@ -287,33 +287,33 @@ def test_a_long_stall_of_the_reader_never_tears_a_frame(ends: Ends) -> None:
 
 
 @given(st.lists(st.integers(0, 20_000), min_size=1, max_size=12), st.integers(1, 4))
-def test_records_of_any_size_keep_the_framing(sizes: list[int], ticks: int) -> None:
+def test_records_of_any_size_keep_the_framing(sizes: list[int], slots: int) -> None:
     read, write = os.pipe()
     sink = PipeSink(write, TABLE)
     put = sink.channel("/link/sensor")
     assert put is not None
     got = MemorySink(TABLE)
     pack = TABLE["/link/sensor"].schema.pack
-    for tick in range(ticks):
+    for slot in range(slots):
         for size in sizes:
-            put(tick, pack(tick, 0, bytes(size)))
+            put(slot, pack(slot, 0, bytes(size)))
         sink.commit()
     sink.close()
     report = pump(read, got, TABLE)
     os.close(read)
     frames = Run.from_memory(got).arrays["/link/sensor"]
     assert report.torn_bytes == report.malformed == 0
-    assert report.records + sink.dropped == len(sizes) * ticks
+    assert report.records + sink.dropped == len(sizes) * slots
     assert sink.dropped == report.dropped
     if not sink.dropped:
-        assert [len(data) for data in frames["data"]] == sizes * ticks
+        assert [len(data) for data in frames["data"]] == sizes * slots
 
 
 @pytest.mark.parametrize("at_once", [False, True], ids=["later", "at once"])
-def test_a_record_cut_by_a_full_pipe_is_completed_by_the_next_tick(
+def test_a_record_cut_by_a_full_pipe_is_completed_by_the_next_slot(
     ends: Ends, at_once: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whether the pipe has room again behind the tick, or within it, as soon as the record is cut."""
+    """Whether the pipe has room again behind the slot, or within it, as soon as the record is cut."""
     read, write = ends
     write_some = os.write
     sink = PipeSink(write, TABLE)
@@ -386,7 +386,7 @@ def test_a_rig_that_is_killed_leaves_a_whole_log(ends: Ends, tmp_path: Path, how
     assert rig.returncode == -signal.SIGKILL
     assert report == PumpReport(records=int(out), torn_bytes=torn)
     run = read_run(tmp_path / "run.mcap")
-    assert list(run.arrays["/plant/state"]["tick"]) == list(range(400))
+    assert list(run.arrays["/plant/state"]["slot"]) == list(range(400))
 
 
 @given(st.binary(max_size=400))
@@ -425,7 +425,7 @@ def test_the_pump_can_be_stopped_though_the_pipe_stays_open(ends: Ends) -> None:
     assert report == PumpReport(records=count)
 
 
-def test_a_tick_above_pipe_buf_leaves_in_pieces_that_the_system_never_cuts(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slot_above_pipe_buf_leaves_in_pieces_that_the_system_never_cuts(ends: Ends, monkeypatch: pytest.MonkeyPatch) -> None:
     _, write = ends
     sizes: list[int] = []
     real = os.write

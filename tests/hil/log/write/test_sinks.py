@@ -33,7 +33,7 @@ _values = st.recursive(
 def test_every_event_carries_strict_json(kind: str, message: str, data: dict[str, Any]) -> None:
     event = decode_event(encode_event(1_500_000_000, kind, message, data=data))
     assert event["t_s"] == 1.5
-    assert set(event) == {"tick", "t_s", "kind", "severity", "message", "data"}
+    assert set(event) == {"slot", "t_s", "kind", "severity", "message", "data"}
     json.dumps(event["data"], allow_nan=False)
     if "\0" not in kind and kind.isprintable():
         assert event["kind"] == kind
@@ -92,5 +92,5 @@ def test_a_tee_gives_every_record_to_its_sink_and_to_who_looks_at_the_topic() ->
 def test_an_empty_run_has_empty_arrays_with_all_fields() -> None:
     run = Run.from_memory(MemorySink(TABLE), experiment_text="x")
     assert all(len(array) == 0 for array in run.arrays.values())
-    assert run.arrays["/link/sensor"].dtype.names == ("t_ns", "tick", "late", "data")
+    assert run.arrays["/link/sensor"].dtype.names == ("t_ns", "slot", "late", "data")
     assert run.experiment_text == "x"

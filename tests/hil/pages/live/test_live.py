@@ -138,8 +138,8 @@ def test_a_page_says_what_it_waits_for_before_a_run_begins(tmp_path: Path) -> No
 
 
 def test_a_spike_is_never_thinned_away() -> None:
-    records = np.zeros(10_000, [("y", "<f8"), ("tick", "<i8")])
-    records["tick"] = np.arange(10_000) + 500
+    records = np.zeros(10_000, [("y", "<f8"), ("slot", "<i8")])
+    records["slot"] = np.arange(10_000) + 500
     records["y"][[1240, 7777]] = 9.0, -9.0
     window = Window.over(500, 10_500, 300)
     low, high = thinned(records, "y", window)
@@ -151,15 +151,15 @@ def test_a_spike_is_never_thinned_away() -> None:
 
 
 def test_a_reader_keeps_what_it_has_while_the_oldest_are_forgotten() -> None:
-    schema = Schema(name="hil/msg/Demo", fields=(Field(type="float64", name="y"), Field(type="int64", name="tick")))
+    schema = Schema(name="hil/msg/Demo", fields=(Field(type="float64", name="y"), Field(type="int64", name="slot")))
     tail = Tail(schema, most=160)
     for k in range(20):
         tail.put(k, schema.pack(float(k), k))
     seen = tail.records()
     for k in range(20, 500):
         tail.put(k, schema.pack(float(k), k))
-    assert seen["tick"].tolist() == list(range(20))
-    newest = tail.records()["tick"]
+    assert seen["slot"].tolist() == list(range(20))
+    newest = tail.records()["slot"]
     assert 10 <= len(newest) <= 20 and newest.tolist() == list(range(500 - len(newest), 500))
 
 

@@ -28,7 +28,7 @@ def test_predicted_sums_are_the_known_ones_and_the_band_covers_the_emulation(
     assert table.rows[0][1] == pytest.approx(mean, abs=0.03)  # 10,000 runs gave the known mean, to 0.005 + rounding
     assert table.rows[0][2] == pytest.approx(sd, rel=0.05)
     theory, emulated = figure.bands
-    # Where 95 % of 100 runs lie is within 4 predicted sd of the mean (at ticks whose spread is more than rounding).
+    # Where 95 % of 100 runs lie is within 4 predicted sd of the mean (at slots whose spread is more than rounding).
     centre = (np.asarray(theory.lower) + np.asarray(theory.upper)) / 2
     spread = (np.asarray(theory.upper) - np.asarray(theory.lower)) / 4
     wide = spread > 1e-4

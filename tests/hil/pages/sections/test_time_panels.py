@@ -16,6 +16,6 @@ def test_a_delay_is_drawn_in_the_slots_in_which_it_is_known() -> None:
     for panel, side in ((arriving, "sc"), (acting, "ca")):
         assert isinstance(panel, Figure)
         (drawn, measured), draws = panel.series, run.arrays[f"/network/{side}"]
-        ages = {int(record["tick"]): int(record["age"]) for record in draws if record["mode"] >= 0}
+        ages = {int(record["slot"]): int(record["age"]) for record in draws if record["mode"] >= 0}
         assert [ages[round(at / 0.05)] for at in drawn.x] == drawn.y.tolist() and set(drawn.y) == set(ages.values()) >= {0, 1}
         assert {0, 1} <= set(measured.y[np.isfinite(measured.y)])

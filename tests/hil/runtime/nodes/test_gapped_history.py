@@ -60,7 +60,7 @@ def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str) -> None:
     for seed in (0, 1):
         run = simulate(loop, seed)
         draws, states = run.arrays["/network/sc"], run.arrays["/plant/state"]
-        came = {int(d["packet_tick"]) + late: int(d["node"]) for d in draws if d["reason"] == DELIVERED}
+        came = {int(d["packet_slot"]) + late: int(d["node"]) for d in draws if d["reason"] == DELIVERED}
         for closed in loops:
             z = np.zeros(closed.L.shape[-1])
             z[: past.size] = past.ravel()

@@ -45,7 +45,7 @@ def test_a_run_is_what_the_matrices_of_its_outcomes_say(which: str, length: int)
     for seed in (0, 1):
         run = simulate(loop, seed)
         draws, states = run.arrays["/network/sc"], run.arrays["/plant/state"]
-        came = {int(d["tick"]): int(d["node"]) for d in draws if d["reason"] == DELIVERED}
+        came = {int(d["slot"]): int(d["node"]) for d in draws if d["reason"] == DELIVERED}
         assert 20 <= len(came) < 40
         X = np.zeros(L.shape[-1])
         X[:4] = loop.experiment.plant.initial_state  # type: ignore[attr-defined]

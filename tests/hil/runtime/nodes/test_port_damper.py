@@ -82,7 +82,7 @@ def test_a_damper_bounds_the_coupler_of_theorem_61_that_diverges_without() -> No
     assert seen["damping"].max() == 30.0 and seen["energy"].max() > 0.1
     rows = held.arrays["/controller/rows"]["row0_force"]
     applied = held.arrays["/actuator/applied"]
-    np.testing.assert_array_equal(put_out[8:], (rows[applied["packet_tick"][8:]] + seen["force"][8:]))
+    np.testing.assert_array_equal(put_out[8:], (rows[applied["packet_slot"][8:]] + seen["force"][8:]))
     free = simulate(compose(load_experiment("omni-theorem61", [LET, "limits={state={position=5.0}}"])), 0)
     assert np.abs(free.arrays["/plant/state"]["position"]).max() > 2.0
 

@@ -42,7 +42,7 @@ def test_loop_follows_the_recursion_of_the_thesis_on_the_drawn_delays(name: str)
     for side in ("sc", "ca"):
         d = run.arrays[f"/network/{side}"]
         d = d[d["mode"] >= 0]
-        draws[side] = dict(zip(d["tick"].tolist(), d["mode"].tolist()))
+        draws[side] = dict(zip(d["slot"].tolist(), d["mode"].tolist()))
     r, w = run.arrays["/reference"]["angle"], run.arrays["/actuator/applied"]["w_voltage"]
     x, ys, packets = np.zeros(2), [], []
     states = run.arrays["/plant/state"]
@@ -72,12 +72,12 @@ class Script:
             on_frame(data)
 
 
-def drive(loop: Loop, answer: Callable[[int], bytes | None], ticks: int) -> MemorySink:
+def drive(loop: Loop, answer: Callable[[int], bytes | None], slots: int) -> MemorySink:
     """Run a rig whose controller is a function of the slot."""
     sink = MemorySink(channels_of(loop))
     kernel = Kernel(VirtualClock())
     rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop, VIRTUAL)
-    kernel.every(loop.experiment.period_ns, ticks, Slot(rig, Script(loop, answer)).run)
+    kernel.every(loop.experiment.period_ns, slots, Slot(rig, Script(loop, answer)).run)
     kernel.run()
     return sink
 
@@ -111,7 +111,7 @@ def test_controller_that_dies_is_followed_by_hold_then_the_latched_safe_state(lo
     sink = drive(loop, lambda k: answer(k) if k < 20 else None, 60)
     got = statuses(loop, sink)
     assert OK in got[:20] and HOLD in got[20:25] and got[-1] == SAFE
-    assert got.index(SAFE) - 20 <= 1 + 3 + 1  # d_max + watchdog ticks
+    assert got.index(SAFE) - 20 <= 1 + 3 + 1  # d_max + watchdog slots
 
 
 def test_controller_that_comes_back_after_a_trip_stays_locked_out(loop: Loop) -> None:
@@ -147,9 +147,9 @@ def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
     sink = drive(loop, lambda k: answer(k - 1) if k == 10 else answer(k), 20)
     run = Run.from_memory(sink)
     frames = run.arrays["/link/control"]
-    assert frames["tick"][frames["late"] == 1].tolist() == [9]
-    assert 10 not in frames["tick"][frames["late"] == 0].tolist()
-    assert [e["tick"] for e in run.events if e["kind"] == "late"] == [10]
+    assert frames["slot"][frames["late"] == 1].tolist() == [9]
+    assert 10 not in frames["slot"][frames["late"] == 0].tolist()
+    assert [e["slot"] for e in run.events if e["kind"] == "late"] == [10]
 
 
 def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
@@ -199,7 +199,7 @@ def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_o
     assert (outcome["late"], outcome["malformed"], outcome["foreign"]) == (1, 1, 101)
     assert kinds(sink).count("flood") == 1
     assert Run.from_memory(sink).arrays["/link/control"]["late"].sum() == LOGGED
-    assert 1 in Run.from_memory(sink).arrays["/link/control"]["tick"][-1:]  # and the answer is found among them
+    assert 1 in Run.from_memory(sink).arrays["/link/control"]["slot"][-1:]  # and the answer is found among them
 
 
 @pytest.mark.parametrize("slots", [60, 1000])

@@ -48,7 +48,7 @@ def test_avatar_and_material_are_those_of_the_run_bit_for_bit(monkeypatch, name,
     assert path.material.tolist() == [seen[k][1] for k in slots.tolist()]
     assert np.ptp(path.depth_m) > 1e-4
     monkeypatch.setattr(avatar, "MOST_ANSWERS", 40)
-    short, n = avatar_path(view, wall_loop_of(view)), int((slots < view.run.arrays["/controller/rows"]["tick"][40]).sum())
+    short, n = avatar_path(view, wall_loop_of(view)), int((slots < view.run.arrays["/controller/rows"]["slot"][40]).sum())
     assert short.same and n > 30
     for few, all_of_them in ((short.t_s, path.t_s), (short.depth_m, path.depth_m), (short.material, path.material)):
         assert few.tolist() == all_of_them[:n].tolist()

@@ -14,8 +14,8 @@ from transport import SensorPacket, encode_sensor
 
 
 def answers(slots: Sequence[int], late: Sequence[int] = ()) -> Run:
-    found = np.empty(len(slots), [("t_ns", "<i8"), ("tick", "<i8"), ("late", "u1"), ("data", object)])
-    found["tick"], found["late"] = slots, np.isin(np.arange(len(slots)), late)
+    found = np.empty(len(slots), [("t_ns", "<i8"), ("slot", "<i8"), ("late", "u1"), ("data", object)])
+    found["slot"], found["late"] = slots, np.isin(np.arange(len(slots)), late)
     found["data"] = [b"%d at %d" % (k, i) for i, k in enumerate(slots)]
     return Run(arrays={"/link/control": found}, schemas={})
 
@@ -53,8 +53,8 @@ def test_asking_holds_no_more_for_a_longer_log() -> None:
 @pytest.mark.parametrize("order", ["forwards", "backwards"])
 def test_the_nonce_of_every_question_is_found(order: str) -> None:
     slots = np.arange(0, 9000, 2)[:: 1 if order == "forwards" else -1]
-    questions = np.empty(len(slots), [("t_ns", "<i8"), ("tick", "<i8"), ("data", object)])
-    questions["tick"] = slots
+    questions = np.empty(len(slots), [("t_ns", "<i8"), ("slot", "<i8"), ("data", object)])
+    questions["slot"] = slots
     questions["data"] = [encode_sensor(SensorPacket(int(k), 0, 0, (0.5,), nonce=int(k) + 7)) for k in slots]
     wire = recorded_wire(Run(arrays={"/link/sensor": questions}, schemas={}))
     assert [wire.nonce(k) for k in range(9010)] == [0 if k % 2 or k > 8998 else k + 7 for k in range(9010)]

@@ -42,7 +42,7 @@ def answers(wire: Wire) -> list[bytes]:
 
 def log(wire: Wire, control: list[bytes]) -> Run:
     """Return a log of questions and answers."""
-    fields = [("t_ns", "i8"), ("tick", "i8"), ("late", "i8"), ("data", "O")]
+    fields = [("t_ns", "i8"), ("slot", "i8"), ("late", "i8"), ("data", "O")]
     asked = [encode_sensor(SensorPacket(k, EMPTY, 0, (), nonce=wire.nonce(k), counter=k + 1)) for k in range(SLOTS)]
     topics = {SENSOR.name: asked, CONTROL.name: control}
     arrays = {name: np.array([(k, k, 0, data) for k, data in enumerate(rows)], dtype=fields) for name, rows in topics.items()}
