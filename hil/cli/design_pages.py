@@ -13,8 +13,8 @@ from hil.cli.terminal import Working
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.design_questions.can_priority import Judged, Place
     from hil.design_questions.design_problem import TrackingTarget
+    from hil.design_questions.loop_on_bus import Judged, Place
     from hil.sweeps.trigger_cost import TriggerPoint
 
 LONGEST_S = 10.0
@@ -37,7 +37,7 @@ def show_can_id(subject: str, path: Path | None) -> None:
     Raises:
         HilError: no CAN bus with time, recorded traffic, or a file that cannot be written.
     """
-    from hil.design_questions.can_priority import places_of, recommended
+    from hil.design_questions.loop_on_bus import places_of, recommended
     from hil.experiment import load_experiment
     from hil.experiment.table import Seconds
     from hil.pages.designs import can_priority_page
@@ -58,7 +58,7 @@ def show_can_id(subject: str, path: Path | None) -> None:
 
 def _judge(place: Place) -> Judged:
     from hil.compose.loop import compose
-    from hil.design_questions.can_priority import Judged
+    from hil.design_questions.loop_on_bus import Judged
     from hil.measure.summary import summarise
     from hil.measure.view import view_of
     from hil.rig.can_bus import CONTROLLER, analysed, can_bus_of, own_packets, rates_of
@@ -105,7 +105,7 @@ def show_trade_off(target: TrackingTarget, options: dict[str, Any], path: Path |
         HilError: no gains meet the request, or a file that cannot be written.
     """
     from design.errors import DesignError
-    from hil.design_questions.norm_trade_off import compromises
+    from hil.design_questions.design_problem import compromises
     from hil.pages.designs import norm_trade_off_page
 
     try:

@@ -6,7 +6,10 @@ import csv
 import io
 import json
 from dataclasses import asdict
+from importlib.resources import files
 from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +17,9 @@ from hil.cli.option_types import LARGEST, Duration, NumberList, Ratio, Within
 from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, json_option, print_facts
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from design.passivity.synthesis import CouplerDesign
 
 HELD = "(z - 1)/(T z) C(z) - (1 - z^-(nd + 1))/(2 b) is positive real for every delay nd, in integer arithmetic (Sturm)"
 VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, over all delays nd, in integer arithmetic (Sturm)"
@@ -47,7 +53,6 @@ def command(
     from design.errors import DesignError, FieldError
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
-    from hil.design_questions.coupler_header import coupler_header
     from hil.files import check_output, write_output
     from plants.omni import Omni
 
@@ -93,7 +98,7 @@ def command(
     if path is not None:
         write_output(path, text)
     if header is not None:
-        write_output(header, coupler_header(found))
+        write_output(header, _header(found))
     weighed: tuple[tuple[str, str, str], ...] = ()
     if asked is not None:
         largest, before = (f"{asked.peak(each.coupler):.6g}" for each in (found, plain))
@@ -109,6 +114,16 @@ def command(
         ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n), ""),
     )  # fmt: skip
     answer(document, print_facts, facts)
+
+
+def _header(design: CouplerDesign) -> str:
+    """Return a coupler as a C99 header: its taps, and the wall of one sample for the callback of a haptic device."""
+    text = Template(files("hil.design_questions").joinpath("coupler.h").read_text(encoding="utf-8"))
+    return text.substitute(
+        delays=", ".join(map(str, design.delays)), period=repr(design.period_s), damping=repr(design.damping_n_s_per_m),
+        stiffness=f"{design.stiffness_n_per_m:.6g}", count=len(design.coupler.taps_m_per_n),
+        taps=",\n".join(f"    {tap!r}" for tap in design.coupler.taps_m_per_n),
+    )  # fmt: skip
 
 
 @click.command()

@@ -17,7 +17,7 @@ from hil.cli.terminal import Line, Working, json_option, print_folded, print_jso
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from hil.design_questions.bus_law import BusLaw
+    from hil.design_questions.loop_on_bus import BusLaw
     from transport.law_tests.analysis import LawAnalysis
     from transport.laws import NetworkLaw
 
@@ -79,7 +79,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
         HilError: no such bus, too few packets, or a file that cannot be written.
     """
     from hil.compose.loop import compose
-    from hil.design_questions.bus_law import estimated_laws, exact_laws, to_estimate_from
+    from hil.design_questions.loop_on_bus import estimated_laws, exact_laws, to_estimate_from
     from hil.experiment import load_experiment, parse_table
     from hil.files import check_output, write_output
     from hil.rig.can_bus import can_bus_of

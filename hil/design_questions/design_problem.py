@@ -1,15 +1,18 @@
-"""Design problems in the user's words: a plant or an experiment by name, and the network of Section 7.4."""
+"""Design problems in the user's words: a plant or an experiment by name, the network of Section 7.4, and norms traded off."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers import LinearLaw, LoopModel, OutputFeedback
+from design.errors import Infeasible
 from design.processes.delay_chain import DelayChain
+from design.requests.tracking import solve_tracking
 from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.certify.certifier import CertificationProblem, limited_to_model
@@ -21,7 +24,7 @@ from hil.rig.spec import motion_of
 from plants.parts.protocols import Plant
 
 if TYPE_CHECKING:
-    from design.tracking.synthesis import Design
+    from design.tracking.synthesis import Design, Progress
     from hil.experiment import Experiment
 
 LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
@@ -199,3 +202,67 @@ def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:
         return TrackingProblem(A=target.A, B=target.B, C=target.C, sc=target.sc, ca=target.ca, **options)
     except ValueError as error:
         raise HilError(f"design: {error}") from None
+
+
+WEIGHTS: Final = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75)
+"""Between the pure designs: closer near the H-infinity one, where the H2 norm changes fastest."""
+
+SAME: Final = 1e-4
+"""Share by which the H2 design's H-infinity norm may be above the smallest, and there still is nothing to trade."""
+
+
+class Compromise(NamedTuple):
+    """A design: its weight, the level of its H-infinity norm (None: not bounded), norms, gains, and its certificate's state."""
+
+    weight: float
+    level: float | None
+    h2: float
+    hinf: float
+    gains: NDArray[np.float64]
+    state: str
+
+    def to_json(self) -> dict[str, object]:
+        """Return it as plain values."""
+        return {**self._asdict(), "gains": self.gains.tolist()}
+
+
+def compromises(
+    target: TrackingTarget, progress: Progress | None = None, weights: Sequence[float] = WEIGHTS, **options: Any
+) -> list[Compromise]:
+    """Return designs by weight, from the H-infinity design to the H2 design: the mixed design (7.33) as a curve.
+
+    A weight w in [0, 1] says how much of the H-infinity norm is given up: level(w) = gamma_inf (gamma_2 / gamma_inf)^w, with
+    gamma_inf the smallest norm and gamma_2 that of the H2 design. w = 0 is the H-infinity design, w = 1 the H2 design.
+
+    A mixed design that no other one on the curve improves in both norms; of each level the best design that is known meets it.
+
+    Args:
+        target: plant and network.
+        progress: as `solve_tracking` takes it.
+        weights: between 0 and 1, rising.
+        options: of the problem, without objective and level.
+
+    Raises:
+        HilError: an option that does not fit.
+        DesignError: no gains meet the request.
+    """
+
+    def solved(weight: float, objective: str, level: float | None = None) -> Compromise:
+        design = solve_tracking(problem_for(target, objective=objective, hinf_bound=level, **options), progress=progress)
+        c = design.certificate
+        h2, hinf = (np.nan if norm is None else float(norm) for norm in (c.h2_norm, c.hinf_norm))
+        return Compromise(weight, level, h2, hinf, design.gains, verdict_on(target, design).state)
+
+    least, most = solved(0.0, "hinf"), solved(1.0, "h2")
+    if most.hinf <= (1.0 + SAME) * least.hinf:
+        raise HilError(f"--trade-off: the H2 design has the smallest H-infinity norm, too ({most.hinf:.6g}): nothing to trade")
+    found = [least]
+    for weight in weights:
+        level = least.hinf * (most.hinf / least.hinf) ** weight
+        try:
+            each = solved(weight, "mixed", level)
+        except Infeasible:  # its own search ends above a level that the pure design meets
+            each = found[-1]._replace(weight=weight, level=level)
+        # What meets a tighter level meets this one, too.
+        found.append(min((each, found[-1]._replace(weight=weight, level=level)), key=lambda one: one.h2))
+    return [*found, most]

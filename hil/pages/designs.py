@@ -17,8 +17,8 @@ from hil.pages.html.page import Page
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import Interval
     from hil.design_questions.bus_analysis import BusAnalysis
-    from hil.design_questions.can_priority import Judged
-    from hil.design_questions.norm_trade_off import Compromise
+    from hil.design_questions.design_problem import Compromise
+    from hil.design_questions.loop_on_bus import Judged
     from hil.sweeps.trigger_cost import OpenPoint, TriggerPoint
 
 STATES: dict[str, State] = {"certified": "good", "refused": "bad"}

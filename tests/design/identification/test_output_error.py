@@ -6,8 +6,7 @@ from scipy.stats import binom
 
 from design.errors import DesignError
 from design.identification.axis import Record, covariance, expected_errors, sensitivities
-from design.identification.output_error import identify_axis
-from design.identification.residual_test import residual_test
+from design.identification.output_error import identify_axis, residual_test
 from tests.design.identification.axis_runs import DAMPING, INERTIA, square_records
 
 NOISE = 1e-3

@@ -1,14 +1,24 @@
-"""The models that a design begins with, beside the plants that they are of."""
+"""The models that a design begins with, beside the plants that they are of; and mixed designs between the pure ones."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from scipy.linalg import expm
 
-from hil.design_questions.design_problem import PRINTED_VTOL, problem_for, tracking_target
+from hil.cli.design import command
+from hil.design_questions import design_problem
+from hil.design_questions.design_problem import PRINTED_VTOL, compromises, problem_for, tracking_target
 from hil.errors import HilError
 from plants import VTOL
+
+FAST: dict[str, Any] = {"information": "constant", "starts": 1}
 
 
 def test_the_printed_vtol_is_the_zero_order_hold_of_the_plant_to_four_decimals() -> None:
@@ -25,3 +35,48 @@ def test_the_printed_vtol_is_the_zero_order_hold_of_the_plant_to_four_decimals()
 def test_an_option_that_no_design_has_is_named_with_those_that_there_are() -> None:
     with pytest.raises(HilError, match=r"design: no option is called 'start'.*starts.*There are: "):
         problem_for(tracking_target("dc-motor"), start=3)
+
+
+def test_a_mixed_design_lies_between_the_pure_ones_in_both_norms() -> None:
+    hinf, mixed, h2 = compromises(tracking_target("dc-motor"), weights=(0.3,), **FAST)
+    assert hinf.hinf < mixed.hinf < h2.hinf and hinf.h2 > mixed.h2 > h2.h2
+    assert mixed.level is not None and mixed.hinf <= mixed.level * (1.0 + 1e-6)
+    assert mixed.level == pytest.approx(hinf.hinf**0.7 * h2.hinf**0.3)
+    assert {each.state for each in (hinf, mixed, h2)} == {"certified"}
+
+
+def test_what_meets_a_tighter_level_meets_a_looser_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search for the looser level that ends above what is known does not bend the curve upwards."""
+    known: Any = design_problem.solve_tracking
+
+    def worse(problem: Any, progress: Any = None) -> Any:
+        bound = problem.hinf_bound
+        looser = bound is not None and bound > 19.0
+        return known(replace(problem, objective="hinf", hinf_bound=None) if looser else problem)
+
+    monkeypatch.setattr(design_problem, "solve_tracking", worse)
+    found = compromises(tracking_target("dc-motor"), weights=(0.2, 0.8), **FAST)
+    assert found[2].level is not None and found[2].level > 19.0
+    assert found[2].h2 == found[1].h2 and found[2].weight == 0.8
+
+
+def test_the_command_prints_the_curve_and_writes_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design_problem.compromises, "__defaults__", (None, (0.3,)))
+    page = tmp_path / "curve.html"
+    asked = ["dc-motor", "--trade-off", "--information", "constant", "--starts", "1", "--json", "-o", str(page)]
+    done = CliRunner().invoke(command, asked, catch_exceptions=False)
+    designs = json.loads(done.output)["designs"]
+    assert [each["weight"] for each in designs] == [0.0, 0.3, 1.0] and len(designs[1]["gains"]) == 3
+    assert "H2 norm against H-infinity norm" in page.read_text()
+
+
+@pytest.mark.parametrize("other", ["--objective=h2", "--hinf-bound=17", "--local=lqr"])
+def test_what_fixes_one_design_is_refused(other: str) -> None:
+    with pytest.raises(HilError, match=f"{other.partition('=')[0]}: not with --trade-off"):
+        CliRunner().invoke(command, ["dc-motor", "--trade-off", other], catch_exceptions=False)
+
+
+def test_a_plant_whose_h2_design_is_the_hinf_design_has_no_curve(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design_problem, "SAME", 1.0)
+    with pytest.raises(HilError, match="nothing to trade"):
+        compromises(tracking_target("dc-motor"), **FAST)
