@@ -22,7 +22,7 @@ _NAMES: Final = {
     "plants.parts.actuators": "Driver Encoder Friction",
     "plants.parts.check": "check_plant",
     "plants.parts.delayed_run": "DelayedVTOLRun",
-    "plants.parts.jump_process": "JumpProcess",
+    "plants.parts.flow": "JumpProcess",
     "plants.parts.linear": "DiscreteStateSpace Signal StateSpace",
     "plants.parts.linear_run": "LinearRun",
     "plants.parts.motor_run": "DCMotorRun",

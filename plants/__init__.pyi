@@ -12,7 +12,7 @@ from plants.parts.actuators import Encoder as Encoder
 from plants.parts.actuators import Friction as Friction
 from plants.parts.check import check_plant as check_plant
 from plants.parts.delayed_run import DelayedVTOLRun as DelayedVTOLRun
-from plants.parts.jump_process import JumpProcess as JumpProcess
+from plants.parts.flow import JumpProcess as JumpProcess
 from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
 from plants.parts.linear import Signal as Signal
 from plants.parts.linear import StateSpace as StateSpace

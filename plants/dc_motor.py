@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from plants.errors import PlantError, require_finite, require_not_negative, require_positive, require_time_span
 from plants.parts.actuators import Driver, Encoder, Friction
 from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
-from plants.parts.motor_run import DCMotorRun
+from plants.parts.motor_run import DCMotorRun, MotorRuns
 from plants.parts.protocols import Departure, PlantRun
-
-if TYPE_CHECKING:
-    from plants.parts.motor_batch import MotorRuns
 
 DRIVER, DRY, ROUNDS = "a driver that saturates, rounds or has a dead zone", "dry friction", "an encoder that rounds"
 
@@ -208,16 +205,4 @@ class DCMotor:
 
     def start_batch(self, runs: int) -> MotorRuns:
         """Return so many motors at time 0."""
-        from plants.parts.motor_batch import Axes, FreeAxes, MotorRuns, RubbingAxes
-
-        axes: Axes = RubbingAxes(self.gain, self.pole, self.friction) if self.friction.dry else FreeAxes(self.gain, self._damping)
-        return MotorRuns(
-            axes,
-            (self.initial_angle_rad, self.initial_speed_rad_s),
-            driver=None if self.driver.ideal else self.driver,
-            through=self.disturbance_through_driver,
-            encoder_step_rad=self.encoder.step_rad,
-            tachometer=self.tachometer,
-            pieces=self.load.pieces,
-            runs=runs,
-        )
+        return MotorRuns(self, runs)

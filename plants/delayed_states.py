@@ -17,53 +17,6 @@ from plants.parts.exponential import Rows, dot
 from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Matrix, Signal
 from plants.parts.linear_run import NoisyRun
 
-
-class DelayedStatesRuns:
-    """x(k+1) = A x(k) + A_1 x(k-1) + ... + B (u(k) + w(k)) in many runs, the sums in the same order.
-
-    Args:
-        A: n rows of n entries.
-        delayed: A_1, A_2, ..., likewise.
-        B: n rows of m entries.
-        past: x(0), x(-1), ..., one after the other.
-        period_ns: length of a slot, ns; it steps when a whole slot has passed.
-        runs: how many.
-    """
-
-    def __init__(
-        self, A: Rows, delayed: Sequence[Rows], B: Rows, past: Sequence[float], period_ns: int, runs: int
-    ) -> None:  # fmt: skip
-        self._rows = [[a for matrix in (A, *delayed) for a in matrix[i]] for i in range(len(A))]
-        self._input, self._n = B, len(A)
-        self._past: Matrix = np.repeat(np.array(past, dtype=np.float64)[:, None], runs, axis=1)
-        self._period_ns, self._passed_ns = period_ns, 0
-
-    @property
-    def state(self) -> Matrix:
-        """x(k), (n, runs); a new array after every step."""
-        return self._past[: self._n]
-
-    def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
-        """Hold u (m, runs) and w (m,) for dt_ns; what is held when a slot ends has acted in it."""
-        self._passed_ns += dt_ns
-        while self._passed_ns >= self._period_ns:
-            self._passed_ns -= self._period_ns
-            held = [a + b for a, b in zip(u, w)]
-            x = np.stack([_dot_many(row, self._past) + _dot_many(force, held) for row, force in zip(self._rows, self._input)])
-            self._past = np.concatenate((x, self._past[: len(self._past) - self._n]))
-
-    def measure(self) -> Matrix:
-        """Return x(k), (n, runs)."""
-        return self.state
-
-
-def _dot_many(row: Sequence[float], columns: Sequence[Matrix] | Matrix) -> Matrix:
-    total = np.zeros(columns[0].shape)
-    for a, column in zip(row, columns):
-        total += a * column
-    return total
-
-
 A_5_4: Final[Rows] = (
     (0.8, 0.1, -0.016, -0.5),
     (0.0, 0.5, -0.337, -0.017),
@@ -201,6 +154,14 @@ class DelayedStates:
         """Return the standard deviation of the noise on every output, (n,)."""
         return np.array(self.noise_sd) if self.noise_sd else np.zeros(len(self.A))
 
+    def rows(self) -> list[list[float]]:
+        """Return a row for every state over x(k), x(k-1), ..., one after the other."""
+        return [[a for matrix in (self.A, *self.delayed) for a in matrix[i]] for i in range(len(self.A))]
+
+    def past(self) -> list[float]:
+        """Return x(0), x(-1), ..., one after the other."""
+        return [*map(float, self.initial_state), *self.state_history().ravel().tolist()]
+
     def start(self, rng: np.random.Generator) -> DelayedStatesRun | NoisyRun:
         """Return the plant at slot 0; without noise it draws nothing from ``rng``."""
         run = DelayedStatesRun(self)
@@ -210,8 +171,7 @@ class DelayedStates:
         """Return so many plants at slot 0; None where noise is drawn."""
         if any(self.noise_sd):
             return None
-        past = [*self.initial_state, *self.state_history().ravel().tolist()]
-        return DelayedStatesRuns(self.A, self.delayed, self.B, past, round(self.period_s * NS_PER_S), runs)
+        return DelayedStatesRuns(self, runs)
 
 
 def _square(path: str, rows: Rows, n: int) -> None:
@@ -225,13 +185,9 @@ class DelayedStatesRun:
     """The plant while it runs, in plain floats; it steps when a whole slot has passed."""
 
     def __init__(self, plant: DelayedStates) -> None:
-        self._rows = [
-            [a for matrix in (plant.A, *plant.delayed) for a in matrix[i]] for i in range(len(plant.A))
-        ]  # one row per state over x(k), x(k-1), ...
-        self._input = plant.B
-        self._n = len(plant.A)
-        self._past = [*map(float, plant.initial_state), *plant.state_history().ravel().tolist()]
-        self._period_ns, self._passed_ns = round(plant.period_s * 1e9), 0
+        self._rows, self._input = plant.rows(), plant.B
+        self._n, self._past = len(plant.A), plant.past()
+        self._period_ns, self._passed_ns = round(plant.period_s * NS_PER_S), 0
         self._applied = (0.0,) * len(plant.inputs)
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
@@ -248,7 +204,7 @@ class DelayedStatesRun:
             self._passed_ns -= self._period_ns
             held = [a + b for a, b in zip(u, w)] if w else u
             x = [dot(row, self._past) + dot(force, held) for row, force in zip(self._rows, self._input)]
-            self._past = [*x, *self._past[: -self._n or None]] if len(self._past) > self._n else x
+            self._past = [*x, *self._past[: len(self._past) - self._n]]
 
     def measure(self) -> tuple[float, ...]:
         """Return x(k)."""
@@ -263,3 +219,42 @@ class DelayedStatesRun:
     def applied(self) -> tuple[float, ...]:
         """What the actuator put out in the last advance, without the disturbance."""
         return self._applied
+
+
+class DelayedStatesRuns:
+    """The plant in many runs, the sums in the same order.
+
+    Args:
+        plant: its parameters.
+        runs: how many.
+    """
+
+    def __init__(self, plant: DelayedStates, runs: int) -> None:
+        self._rows, self._input, self._n = plant.rows(), plant.B, len(plant.A)
+        self._past: Matrix = np.repeat(np.array(plant.past())[:, None], runs, axis=1)
+        self._period_ns, self._passed_ns = round(plant.period_s * NS_PER_S), 0
+
+    @property
+    def state(self) -> Matrix:
+        """x(k), (n, runs); a new array after every step."""
+        return self._past[: self._n]
+
+    def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
+        """Hold u (m, runs) and w (m,) for dt_ns; what is held when a slot ends has acted in it."""
+        self._passed_ns += dt_ns
+        while self._passed_ns >= self._period_ns:
+            self._passed_ns -= self._period_ns
+            held = [a + b for a, b in zip(u, w)]
+            x = np.stack([_dot_many(row, self._past) + _dot_many(force, held) for row, force in zip(self._rows, self._input)])
+            self._past = np.concatenate((x, self._past[: len(self._past) - self._n]))
+
+    def measure(self) -> Matrix:
+        """Return x(k), (n, runs)."""
+        return self.state
+
+
+def _dot_many(row: Sequence[float], columns: Sequence[Matrix] | Matrix) -> Matrix:
+    total = np.zeros(columns[0].shape)
+    for a, column in zip(row, columns):
+        total += a * column
+    return total

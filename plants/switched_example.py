@@ -16,8 +16,7 @@ from plants.errors import (
     require_whole_nanoseconds,
 )
 from plants.parts.exponential import Rows
-from plants.parts.flow import Flow, Source, pass_time
-from plants.parts.jump_process import JumpProcess
+from plants.parts.flow import Flow, JumpProcess, Source, pass_time
 from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_clip, check_mode
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from plants.parts.draws import TURN, sine
 from plants.parts.exponential import Rows, dot, drift, zero_order_hold
-from plants.parts.flow import HeldNoise, Source, pass_time
-from plants.parts.jump_process import JumpProcess
+from plants.parts.flow import HeldNoise, JumpProcess, Source, pass_time
 from plants.parts.linear import NS_PER_S
 
 if TYPE_CHECKING:

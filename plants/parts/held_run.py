@@ -97,7 +97,7 @@ class HeldRun:
             self._flow, self._dry = self._ways[self._zones.at(self._x[0])]
         force = self._force + self._push.force_n
         if self._dry is not None:
-            position, speed = self._dry.move(self._x[0], self._x[1], force, (end_ns - begin_ns) / NS_PER_S)
+            position, speed = self._dry.hold(self._x[0], self._x[1], force, end_ns - begin_ns)
             self._x = [position, speed, 0.0]
         else:
             self._x = self._flow.step(self._x, (force, self._path.speed_m_s), end_ns - begin_ns)

@@ -13,12 +13,22 @@ import numpy as np
 
 from plants.errors import PlantError
 from plants.parts.draws import Normals
-from plants.parts.exponential import zero_order_hold
 from plants.parts.flow import Flow
 from plants.parts.linear import NS_PER_S, Matrix, StateSpace
 
 if TYPE_CHECKING:
     from plants.parts.protocols import PlantRun
+
+
+Outputs = tuple[tuple[tuple[int, float], ...], ...]
+
+
+def _parts(model: StateSpace) -> tuple[Flow, Outputs]:
+    """The motion of a model, and of every output the states that it shows and their weights."""
+    if model.D.any():
+        raise PlantError("model.D: not zero; a rig measures y(k) before u(k) exists")
+    outputs = tuple(tuple((i, c) for i, c in enumerate(row) if c != 0.0) for row in model.C.tolist())
+    return Flow(model.A.tolist(), model.B.tolist()), outputs
 
 
 class LinearRun:
@@ -32,12 +42,9 @@ class LinearRun:
     __slots__ = ("_applied", "_flow", "_outputs", "_x")
 
     def __init__(self, model: StateSpace, initial_state: Sequence[float]) -> None:
-        if model.D.any():
-            raise PlantError("model.D: not zero; a rig measures y(k) before u(k) exists")
-        self._flow = Flow(model.A.tolist(), model.B.tolist())
+        self._flow, self._outputs = _parts(model)
         self._x = [float(x) for x in initial_state]
         self._applied: tuple[float, ...] = (0.0,) * model.B.shape[1]
-        self._outputs = tuple(tuple((i, c) for i, c in enumerate(row) if c != 0.0) for row in model.C.tolist())
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold the input u + w for dt_ns.
@@ -219,22 +226,14 @@ class LinearRuns:
     """
 
     def __init__(self, model: StateSpace, initial_state: Sequence[float], runs: int) -> None:
-        if model.D.any():
-            raise PlantError("model.D: not zero; a rig measures y(k) before u(k) exists")
-        self._A, self._B = model.A.tolist(), model.B.tolist()
-        self._outputs = [[(i, c) for i, c in enumerate(row) if c != 0.0] for row in model.C.tolist()]
-        self._dt_ns = -1
-        self._rows: list[tuple[float, ...]] = []
+        self._flow, self._outputs = _parts(model)
         self.state: Matrix = np.repeat(np.array(initial_state, dtype=np.float64)[:, None], runs, axis=1)
 
     def advance(self, dt_ns: int, u: Matrix, w: Sequence[float]) -> None:
         """Hold the inputs u (m, runs) and the disturbance w (m,) for dt_ns."""
-        if dt_ns != self._dt_ns:
-            Phi, Gamma = zero_order_hold(self._A, self._B, (dt_ns, NS_PER_S))
-            self._rows, self._dt_ns = [p + g for p, g in zip(Phi, Gamma)], dt_ns
         held = (*self.state, *(a + b for a, b in zip(u, w)))
         after = np.zeros_like(self.state)
-        for total, row in zip(after, self._rows):
+        for total, row in zip(after, self._flow.rows(dt_ns)):
             for a, b in zip(row, held):
                 total += a * b
         self.state = after

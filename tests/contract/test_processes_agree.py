@@ -12,7 +12,7 @@ from scipy import stats
 
 from design.processes.rates import PiecewiseLinearRate
 from design.processes.semi_markov import SemiMarkov
-from plants.parts.jump_process import JumpProcess
+from plants.parts.flow import JumpProcess
 from plants.parts.semi_markov import TransitionRates
 from transport.laws.semi_markov import SemiMarkovAge
 from transport.laws.sojourn import Table

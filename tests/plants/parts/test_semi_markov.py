@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from plants.parts.flow import HeldNoise, pass_time
-from plants.parts.jump_process import JumpProcess, _Hazard
+from plants.parts.flow import HeldNoise, JumpProcess, _Hazard, pass_time
 from plants.parts.semi_markov import TransitionRates
 
 LEVEL = 0.001
