@@ -36,23 +36,9 @@ from __future__ import annotations
 
 import sys
 
-_NAMES = {
-    "hil.api.assertions": "assert_law assert_probability",
-    "hil.api.questions": "DesignResult design laws",
-    "hil.api.experiment_source": "load_experiment",
-    "hil.api.face": "compare report run simulate sweep verify",
-    "hil.errors": "ExperimentError HilError",
-    "hil.experiment": "Experiment",
-    "hil.log.read.run": "read_run",
-    "hil.log.run": "Run",
-    "hil.thesis": "reproduce",
-    "hil.session": "Session",
-    "hil.sweeps.comparison": "Comparison",
-    "hil.sweeps.parameters": "ParameterSweep",
-    "hil.sweeps.sweep": "Sweep",
-}
-
-_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
+    _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
+"""Module of each public name, as `__init__.pyi` has them."""
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605
 

@@ -1,4 +1,4 @@
-"""Names of the face for type checkers; at run time `__init__.py` brings each one when it is first used."""
+"""Names of the face, for type checkers and for `__init__.py`, which brings each one when it is first used."""
 
 from hil.api.assertions import assert_law as assert_law
 from hil.api.assertions import assert_probability as assert_probability

@@ -10,35 +10,10 @@ Importing this package costs nothing: each name brings its module when it is fir
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Final
 
-_NAMES: Final = {
-    "plants.dc_motor": "DCMotor LoadTorque",
-    "plants.delayed_states": "DelayedStates",
-    "plants.errors": "PlantError",
-    "plants.fmu": "FMU",
-    "plants.fmu_run": "FMURun",
-    "plants.omni": "Omni",
-    "plants.parts.actuators": "Driver Encoder Friction",
-    "plants.parts.check": "check_plant",
-    "plants.parts.delayed_run": "DelayedVTOLRun",
-    "plants.parts.flow": "JumpProcess",
-    "plants.parts.linear": "DiscreteStateSpace Signal StateSpace",
-    "plants.parts.linear_run": "LinearRun",
-    "plants.parts.motor_run": "DCMotorRun",
-    "plants.parts.protocols": "BeyondModel Departure GoesOn HasCost HasDepartures HasOwnInputs HasPassiveElements "
-    "HasSensorNoise HasStateDelays HasStateHistory JumpPlant MovesOtherwise PassiveElement Plant PlantRun ReferencesFiles",
-    "plants.parts.rubbing_axis": "RubbingAxis",
-    "plants.parts.semi_markov": "JumpModel JumpRates TransitionRates",
-    "plants.state_space": "LinearPlant TransferFunction from_control to_control",
-    "plants.switched_example": "SwitchedExample SwitchedExampleRun",
-    "plants.vtol": "VTOL vtol_matrices",
-    "plants.vtol_delayed": "DelayedVTOL",
-    "plants.vtol_fault": "FaultyVTOL FaultyVTOLRun",
-}
-"""Module to the public names that it brings; `__init__.pyi` has the same ones for type checkers."""
-
-_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
+    _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
+"""Module of each public name, as `__init__.pyi` has them."""
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605
 

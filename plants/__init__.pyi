@@ -1,4 +1,4 @@
-"""Names of the face for type checkers; at run time `__init__.py` brings each one when it is first used."""
+"""Names of the face, for type checkers and for `__init__.py`, which brings each one when it is first used."""
 
 from plants.dc_motor import DCMotor as DCMotor
 from plants.dc_motor import LoadTorque as LoadTorque

@@ -8,25 +8,10 @@ from __future__ import annotations
 
 from importlib import import_module
 from pathlib import Path
-from typing import Final
 
-_NAMES: Final = {
-    "transport.draws": "Draw REASONS",
-    "transport.laws.age": "ConstantAge IidAge MarkovAge",
-    "transport.laws.packet": "GilbertElliott PacketLaw",
-    "transport.laws.semi_markov": "SemiMarkovAge",
-    "transport.laws.trace": "TraceAge",
-    "transport.links.contract": "check_link",
-    "transport.links": "Link LinkCounters Role TransportError",
-    "transport.links.memory": "MemoryLink memory_pair",
-    "transport.links.opening": "open_link",
-    "transport.links.traits": "CanFraming LinkTraits SaysTraits",
-    "transport.medium.independent": "Impairment impair",
-    "transport.packets": "ControlPacket EMPTY MORE SELECTIONS SensorPacket decode encode_control encode_sensor",
-}
-"""Module to the public names that it brings; `__init__.pyi` has the same ones for type checkers."""
-
-_HOMES = {name: module for module, names in _NAMES.items() for name in names.split()}
+with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
+    _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
+"""Module of each public name, as `__init__.pyi` has them."""
 
 __all__ = sorted([*_HOMES, "dbc_path"])  # noqa: PLE0605
 

@@ -6,22 +6,10 @@ Each name brings its module when it is first used: a process pays for the contro
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Final
 
-_NAMES: Final = {
-    "contract": "Controller DistinguishesAges GainTable Gains HistoryGains IntegralAction Known LoopModel ModeSchedule "
-    "MultiSampleController Rows RowsOfStays RunningController Sample Selection SeveralSamples SojournDependent "
-    "ages_distinguished check_row_sojourns integral_limit integrates packet_samples row_count row_sojourns_distinguished "
-    "sojourns_distinguished",
-    "gain_rows": "GainIndex feedforward held_exactly nested",
-    "historical": "Historical",
-    "linear_law": "AgedFeedback AgedRows LinearFeedback LinearLaw OutputFeedback RowsLaw",
-    "send_all": "Constant Local PublishedH2 PublishedHinf SendAll",
-    "sensor_nodes": "SensorNodes Turns",
-}
-"""Module to the public names that it brings; `__init__.pyi` has the same ones for type checkers."""
-
-_HOMES = {name: f"design.controllers.{module}" for module, names in _NAMES.items() for name in names.split()}
+with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
+    _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
+"""Module of each public name, as `__init__.pyi` has them."""
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605
 
