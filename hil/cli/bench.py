@@ -189,7 +189,7 @@ def probe(
 
     from hil.bench.probe import answer, answering, probe, write_probe_log
     from hil.files import check_output
-    from hil.session.outcome import INTRUSIONS
+    from hil.session.finished import INTRUSIONS
     from transport.links.opening import open_link
     from transport.links.traits import traits_of
     from transport.links.zenoh_refusals import standard_output_is_free

@@ -101,9 +101,7 @@ def _table(schema: Schema, records: Sequence[bytes], payload_at: int, time_at: i
     size = payload_at + 4 + schema.dtype.itemsize
     for index, record in enumerate(records):
         if len(record) != size:
-            raise HilError(
-                f"record {index} of {schema.name}: {len(record) - payload_at} bytes, expected {size - payload_at}"
-            )
+            raise HilError(f"record {index} of {schema.name}: {len(record) - payload_at} bytes, expected {size - payload_at}")
     columns = [("_cdr", "<u4", payload_at)]  # a name that no field can have
     if time_at is not None:
         columns.append((TIME_FIELD, "<i8", time_at))

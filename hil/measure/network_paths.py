@@ -1,9 +1,12 @@
-"""The emulated networks of a run, from sensor nodes to controller and from there to the actuator: what they did and carried."""
+"""The emulated networks of a run, from sensor nodes to controller and from there to the actuator: what they did and carried.
+
+Of a run that was changed while it went on they are not those of one experiment.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
@@ -13,9 +16,9 @@ from msgspec.structs import replace
 
 from hil.experiment.nodes import Medium
 from hil.log.append_column import AppendColumn, pieces
+from hil.log.events import CHANGE
 from hil.log.run import Run
 from hil.log.topics import CA, SC
-from hil.measure.changed_runs import changed_fields, law_was_changed
 from hil.measure.view import MEASUREMENT, RunView
 from hil.rig.spec import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
@@ -135,6 +138,36 @@ class NetworkPath(Struct, frozen=True, kw_only=True):
         return self.medium if tuple(ages) == (0,) else f"{self.medium}, then {law}"
 
 
+class ChangedField(Struct, frozen=True, kw_only=True):
+    """A change of a run.
+
+    Args:
+        slot: from which it acts.
+        path: of the field.
+        certificate: kind, state and reason of what is claimed from then on; empty where nothing is.
+    """
+
+    slot: int
+    path: str
+    certificate: dict[str, Any]
+
+
+def changed_fields(run: Run) -> tuple[ChangedField, ...]:
+    """Return the changes of a run, in order; that it was ended is none."""
+    said = [(event.get("slot"), event.get("data")) for event in run.events if event.get("kind") == CHANGE]
+    return tuple(
+        ChangedField(slot=int(slot or 0), path=str(data.get("path")), certificate=data["certificate"])
+        for slot, data in said
+        if isinstance(data, dict) and isinstance(data.get("certificate"), dict) and data.get("path") != "end"
+    )
+
+
+def law_was_changed(changes: Iterable[ChangedField], side: str, node: str) -> bool:
+    """Return whether the network law of a direction, or of a sensor node, is among the changes of a run."""
+    paths = (f"network.{side}.", f"network.nodes.{node}.")
+    return any(f"{each.path}.".startswith(paths) for each in changes)
+
+
 def network_paths(view: RunView) -> tuple[NetworkPath, ...]:
     """Return the networks from the sensor nodes, by number, then the one to the actuator."""
     paths, changes = _stated_paths(view), changed_fields(view.run)
@@ -232,9 +265,7 @@ def loads(view: RunView) -> tuple[Load, ...]:
     return node_loads(rig, [sent for sent, _ in fates], slots * view.period_s, [lost for _, lost in fates])
 
 
-def node_loads(
-    rig: RigSpec, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()
-) -> tuple[Load, ...]:
+def node_loads(rig: RigSpec, packets: Sequence[int], seconds: float, lost: Sequence[int] = ()) -> tuple[Load, ...]:
     """Return the load of every sensor node from what it sent.
 
     It counts packets and bits per second, lost ones included.

@@ -17,10 +17,10 @@ from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
-from hil.measure.changed_runs import claimed_to_the_end
 from hil.measure.measure import measured, quantities_of, run_measures
-from hil.measure.network_paths import law_kinds, loads, network_metrics, network_paths
+from hil.measure.network_paths import changed_fields, law_kinds, loads, network_metrics, network_paths
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
+from hil.rig.schedules import SCHEDULES
 from hil.rig.spec import RigSpec
 from transport.draws import REASONS
 
@@ -147,6 +147,25 @@ def certificate_of(run: Run) -> dict[str, Any] | None:
     return found if reason is None else {
         **found, "state": "undecided", "reason": reason, "stable": False, "stated": found["reason"],
     }  # fmt: skip
+
+
+def claimed_to_the_end(run: Run) -> dict[str, Any]:
+    """Return the certificate of a run as that of all that ran: with the first change behind which less is claimed.
+
+    Args:
+        run: with a certificate.
+    """
+    found, changes = dict(run.certificate), changed_fields(run)
+    if found.get("state") != "certified":
+        return found
+    lost = next((each for each in changes if each.certificate.get("state") != "certified"), None)
+    if lost is None:
+        times = sum(each.path not in SCHEDULES for each in changes)
+        began = f"when the run began: {found['reason']}; its loop was then changed {times} times, and certified each time"
+        return {**found, "reason": began} if times else found
+    state, why = (str(lost.certificate.get(name, "undecided")) for name in ("state", "reason"))
+    reason = f"certified until slot {lost.slot}, where {lost.path} was changed; then {why}"
+    return {**found, "state": state, "stable": False, "stated": found["reason"], "reason": reason}
 
 
 def withdrawal(run: Run) -> str | None:

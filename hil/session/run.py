@@ -31,9 +31,9 @@ from hil.runtime.real.machine import machine
 from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import rehearsal, simulate_as_logged
 from hil.session.both_clocks import Onlooker, run_in_real_time, run_in_virtual_time
-from hil.session.finished import Session
-from hil.session.outcome import (
+from hil.session.finished import (
     LEFT,
+    Session,
     gains_in,
     kept_run,
     kinds_of,

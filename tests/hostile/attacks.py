@@ -26,7 +26,7 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "signals": ("tests/hostile/test_stop.py", "tests/hil/cli/test_run_ends.py", "tests/hil/runtime/real/test_stop_signals.py"),
     "processes killed or stopped": ("tests/realtime/test_sessions.py", "tests/hil/runtime/real/test_heartbeat_timeout.py"),
     "full disk": ("tests/hil/session/test_full_disk.py",),
-    "bombs: what unpacks to too much": ("tests/hil/log/read/test_limits.py", "tests/hil/files/test_mat_file.py"),
+    "bombs: what unpacks to too much": ("tests/hil/log/read/test_mcap_walk.py", "tests/hil/files/test_mat_file.py"),
     "truncated, flipped and foreign logs": ("tests/hil/log/read/test_recover.py", "tests/hil/log/read/test_foreign.py"),
     "signatures of logs": ("tests/hil/files/test_signature.py",),
     "shadows in the working folder": ("tests/hostile/test_working_folder.py",),

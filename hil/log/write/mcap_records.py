@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.records import CDR_HEADER, Schema
-from hil.log.write.pipe_block import ByFrameLength
+from hil.log.write.pipe_sink import ByFrameLength
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(0x01, 0x09)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(0x09, 0x10)
@@ -106,9 +106,7 @@ def attachment(log_ns: int, created_ns: int, name: str, media_type: str, content
     return data + _LENGTH.pack(zlib.crc32(memoryview(data)[_RECORD.size :]))
 
 
-def attachment_index(
-    offset: int, length: int, log_ns: int, created_ns: int, size: int, name: str, media_type: str
-) -> bytes:
+def attachment_index(offset: int, length: int, log_ns: int, created_ns: int, size: int, name: str, media_type: str) -> bytes:
     """Return where a file stands, and how long it is itself, bytes."""
     return record(ATTACHMENT_INDEX, struct.pack("<5Q", offset, length, log_ns, created_ns, size), _text(name), _text(media_type))
 
@@ -194,29 +192,17 @@ Made = tuple[Callable[..., bytes], Layout]
 """What packs a row, its time twice and then its values, and the layout of the row."""
 
 
-class Layouts:
-    """The layouts of some records in a row, one for every length of the frame among them.
+def layouts(records: Sequence[tuple[int, Schema]]) -> ByFrameLength[Made]:
+    """Return what packs some records in a row, and its layout, for every length of the frame among them.
 
     Args:
         records: channel and schema of each, in order; one of them at most has a frame.
-
-    Attributes:
-        messages: how many.
-        count: values of a row.
-        frame_at: which of them is the frame, None without one.
-        of: what packs a row with a frame of a length, and its layout.
     """
 
-    def __init__(self, records: Sequence[tuple[int, Schema]]) -> None:
-        self._records = tuple(records)
-        self.messages = len(self._records)
-        made = ByFrameLength([(len(schema.codes), schema.raw) for _, schema in self._records], self._make)
-        self.count, self.frame_at, self.of = made.count, made.frame_at, made.of
-
-    def _make(self, length: int) -> Made:
+    def made(length: int) -> Made:
         mould, codes, begins = b"", "qq", []
         copies: list[tuple[int, int, int]] = []  # to where in the messages, from where to where in a row
-        for number, schema in self._records:
+        for number, schema in records:
             own, frame = schema.codes + (f"{-schema.dtype.itemsize % 4}x" if schema.raw else ""), schema.raw
             begins.append(len(mould))
             copies.append((len(mould) + TIMES_AT, 0, _TIMES))
@@ -230,9 +216,11 @@ class Layouts:
             mould += HEAD.pack(MESSAGE, BEHIND + behind, number, 0, 0, 0) + CDR_HEADER + bytes(width) + tail
             mould += bytes(length * frame)
             codes += own + (f"{length}s" if frame else "")
-        where = places([number for number, _ in self._records], begins)
+        where = places([number for number, _ in records], begins)
         row = struct.Struct(f"<{codes}")
         return row.pack, Layout(where, len(mould), row.size, 0, _spreader(mould, copies, row.size))
+
+    return ByFrameLength([(len(schema.codes), schema.raw) for _, schema in records], made)
 
 
 def _spreader(mould: bytes, copies: Sequence[tuple[int, int, int]], width: int) -> Callable[[bytes], Voids]:

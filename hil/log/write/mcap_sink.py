@@ -12,7 +12,7 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.log.events import to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
-from hil.log.write.mcap_records import Layouts
+from hil.log.write.mcap_records import layouts
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.provenance import Provenance
@@ -122,7 +122,7 @@ class McapSink(Sink):
         if not set(topics) <= set(self._channels):
             return None
         writer = self._writer
-        add = writer.chunk.adds(Layouts([(self._ids[topic], self._channels[topic].schema) for topic in topics]))
+        add = writer.chunk.adds(layouts([(self._ids[topic], self._channels[topic].schema) for topic in topics]))
         return add if self._now is None else lambda t_ns, values: add(writer.start_ns + t_ns, values)
 
     def begin(self, wall_ns: int) -> None:

@@ -145,9 +145,7 @@ class McapWriter:
         self._metadata.append(mcap.metadata_index(self._stream.tell(), len(data), name))
         self._write(data)
 
-    def add_attachment(
-        self, name: str, media_type: str, content: bytes, *, create_time: int = 0, log_time: int = 0
-    ) -> None:
+    def add_attachment(self, name: str, media_type: str, content: bytes, *, create_time: int = 0, log_time: int = 0) -> None:
         """Write an attachment; times in ns."""
         data = mcap.attachment(log_time, create_time, name, media_type, content)
         self._attachments.append(

@@ -24,9 +24,10 @@ from hil.log.write.mcap_records import (
     WITHIN,
     Integers,
     Layout,
-    Layouts,
+    Made,
     places,
 )
+from hil.log.write.pipe_sink import ByFrameLength
 
 _MAX_ALIKE = 1024  # the lengths of messages may come from the link
 
@@ -82,12 +83,12 @@ class OpenChunk:
         self._layouts.append(layout)
         self.size += size
 
-    def adds(self, layouts: Layouts) -> Callable[[int, Sequence[Any]], None]:
+    def adds(self, rows: ByFrameLength[Made]) -> Callable[[int, Sequence[Any]], None]:
         """Return the function that takes a row: its time in ns, 0 where it is less, and its values.
 
         They are the numbers of the first record, of the second, and so on; the bytes of a frame stand behind its numbers.
         """
-        at, messages = layouts.frame_at, layouts.messages
+        at, messages = rows.frame_at, rows.messages
 
         def add(t_ns: int, values: Sequence[Any]) -> None:
             if self.closed:
@@ -95,11 +96,10 @@ class OpenChunk:
                 return
             t_ns = max(t_ns, 0)
             try:
-                pack, layout = layouts.of(0 if at is None else len(values[at]))
+                pack, layout = rows.of(0 if at is None else len(values[at]))
                 self._rows.append(pack(t_ns, t_ns, *values))
             except (struct.error, LookupError, TypeError):
-                if len(values) != layouts.count:
-                    raise TypeError(f"{len(values)} values, expected {layouts.count} in {messages} records") from None
+                rows.refuse_others(values)
                 raise
             self._layouts.append(layout)
             self.size += layout.size

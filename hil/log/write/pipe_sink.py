@@ -2,6 +2,12 @@
 
 Writes of up to ``PIPE_BUF`` bytes are all or nothing, so a full pipe costs whole slots and never the framing; a killed writer
 leaves a torn frame at most at the very end. Reading end: `hil.log.write.pump`.
+
+A frame is a head, and behind it one record, or the values of several. Head (little endian): u32 length of what follows, u16
+number, i64 nominal time in ns, i64 how much later it happened in ns. The number is that of a channel, 0 for events, or one of
+ours at the top: when session time 0 was, how many records the writer had to drop, what is in a block, and that the writer ended
+in good order. A block has the values of one record of each of some channels, in a row and without gaps: a loop packs them by one
+struct, and who reads makes records of them.
 """
 
 from __future__ import annotations
@@ -9,14 +15,81 @@ from __future__ import annotations
 import fcntl
 import os
 import select
-from collections.abc import Mapping, Sequence
-from itertools import chain
-from typing import Any, Final
+from collections.abc import Callable, Mapping, Sequence
+from itertools import accumulate, chain
+from struct import Struct, error
+from typing import Any, Final, Generic, TypeVar
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
-from hil.log.write.pipe_block import BEGIN_ID, BLOCK_ID, COUNT, DROPPED_ID, END_ID, EVENTS_ID, FIRST_BLOCK_ID, HEAD, PipeBlock
 from hil.log.write.sinks import PayloadWriter, Record
+
+HEAD: Final = Struct("<IHqq")
+COUNT: Final = Struct("<Q")
+"""What follows where the number says when session time 0 was, in ns since 1970, or how many records were dropped."""
+
+EVENTS_ID: Final = 0
+FIRST_BLOCK_ID: Final = 0x8000
+"""Blocks are numbered from here on, channels below."""
+
+BLOCK_ID: Final = 0xFFFC
+"""Says what a block has: its number, and those of its channels, u16 each."""
+
+BEGIN_ID: Final = 0xFFFD
+END_ID: Final = 0xFFFE
+DROPPED_ID: Final = 0xFFFF
+
+_MOST: Final = 64  # the lengths of frames may come from the link
+
+Made = TypeVar("Made")
+
+
+class ByFrameLength(Generic[Made]):
+    """Keeps what rows need whose frame has the same length.
+
+    Args:
+        records: of each, in order, how many numbers it has, and whether a frame follows them.
+        make: makes it for a length in bytes, 0 for rows without a frame.
+
+    Attributes:
+        messages: records of a row.
+        count: values of a row: the numbers of the first record, of the second, and so on; a frame stands behind its numbers.
+        frame_at: which of them is the frame, None without one.
+
+    Raises:
+        ValueError: two of the records carry frames.
+    """
+
+    __slots__ = ("_made", "_make", "count", "frame_at", "messages")
+
+    def __init__(self, records: Sequence[tuple[int, bool]], make: Callable[[int], Made]) -> None:
+        frames = sum(frame for _, frame in records)
+        if frames > 1:
+            raise ValueError(f"records: {frames} carry frames, expected one at most")
+        ends = [0, *accumulate(numbers + frame for numbers, frame in records)]
+        self.messages, self.count = len(records), ends[-1]
+        self.frame_at = next((end - 1 for end, (_, frame) in zip(ends[1:], records) if frame), None)
+        self._make = make
+        self._made: dict[int, Made] = {}
+
+    def of(self, length: int) -> Made:
+        """Return it for frames of that length, bytes."""
+        made = self._made.get(length)
+        if made is None:
+            if len(self._made) >= _MOST:
+                self._made.clear()
+            made = self._made[length] = self._make(length)
+        return made
+
+    def refuse_others(self, values: Sequence[Any]) -> None:
+        """Refuse what cannot be packed because it is no row.
+
+        Raises:
+            TypeError: not as many values as the records have.
+        """
+        if len(values) != self.count:
+            raise TypeError(f"{len(values)} values, expected {self.count} in {self.messages} records") from None
+
 
 PIPE_BYTES: Final = 1 << 20
 TOGETHER_NS: Final = 8_000_000
@@ -69,14 +142,24 @@ class PipeSink:
             return None
         if len(channels) == 1:
             return self._record(channels[0])
-        block = PipeBlock(FIRST_BLOCK_ID + len(self._messages), channels)
-        if not self._declare(block.number, channels):
+        codes = [(channel.schema.codes, channel.schema.raw) for channel in channels]
+
+        def layout(length: int) -> tuple[Callable[..., bytes], int]:
+            row = Struct(HEAD.format + "".join(own + (f"{length}s" if raw else "") for own, raw in codes))
+            return row.pack, row.size - HEAD.size
+
+        rows = ByFrameLength([(len(own), raw) for own, raw in codes], layout)
+        at, number, records = rows.frame_at, self._declare(channels), self._records
+        if number is None:
             return None
-        self._messages[block.number] = block.messages
-        records = self._records
 
         def put(t_ns: int, values: Sequence[Any]) -> None:
-            records.append(block.pack(t_ns, self._behind, values))
+            try:
+                pack, size = rows.of(0 if at is None else len(values[at]))
+                records.append(pack(size, number, t_ns, self._behind, *values))
+            except (error, LookupError, TypeError):
+                rows.refuse_others(values)
+                raise
 
         return put
 
@@ -84,11 +167,14 @@ class PipeSink:
         put, pack = self.channel(channel.topic), channel.schema.pack
         return None if put is None else lambda t_ns, values: put(t_ns, pack(*values))
 
-    def _declare(self, number: int, channels: Sequence[Channel]) -> bool:
-        """Say what is in a block, before its first; return False where the pipe has no room for it."""
-        numbers = [number, *(channel.id for channel in channels)]
-        payload = b"".join(each.to_bytes(2, "little") for each in numbers)
-        return not self._rest and self._write(HEAD.pack(len(payload), BLOCK_ID, 0, 0) + payload)
+    def _declare(self, channels: Sequence[Channel]) -> int | None:
+        """Say what is in a block, before its first; return its number, None where the pipe has no room for it."""
+        number = FIRST_BLOCK_ID + len(self._messages)
+        payload = b"".join(each.to_bytes(2, "little") for each in [number, *(channel.id for channel in channels)])
+        if self._rest or not self._write(HEAD.pack(len(payload), BLOCK_ID, 0, 0) + payload):
+            return None
+        self._messages[number] = len(channels)
+        return number
 
     def begin(self, wall_ns: int) -> None:
         """See ``Dated``."""
@@ -98,9 +184,7 @@ class PipeSink:
         """See ``Dated``."""
         self._behind = ns
 
-    def event(
-        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
-    ) -> None:
+    def event(self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object) -> None:
         """See ``Sink``."""
         payload = encode_event(t_ns, kind, message, slot=slot, severity=severity, data=data)
         self._records.append(HEAD.pack(len(payload), EVENTS_ID, t_ns, self._behind) + payload)

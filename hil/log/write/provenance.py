@@ -11,14 +11,14 @@ from typing import Any, Final, Literal
 from msgspec import Struct, field
 
 from hil.log.events import to_json
-from hil.log.write import pipe_block
+from hil.log.write import pipe_sink
 
 LoopForm = Literal["compiled", "interpreted"]
 
 
 def loop_form() -> LoopForm:
     """Return it: the modules that pyproject.toml names are compiled together or not at all, and this asks one of them."""
-    return "interpreted" if str(pipe_block.__file__).endswith(".py") else "compiled"
+    return "interpreted" if str(pipe_sink.__file__).endswith(".py") else "compiled"
 
 
 CHECKOUT: Final = Path(__file__).parents[3]

@@ -12,13 +12,13 @@ import select
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from struct import iter_unpack
+from struct import Struct, iter_unpack
 from typing import Final
 
 from hil.errors import HilError
-from hil.log.records import EVENTS_TOPIC, Channel
+from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
-from hil.log.write.pipe_block import (
+from hil.log.write.pipe_sink import (
     BEGIN_ID,
     BLOCK_ID,
     COUNT,
@@ -27,12 +27,12 @@ from hil.log.write.pipe_block import (
     EVENTS_ID,
     FIRST_BLOCK_ID,
     HEAD,
-    BlockRecords,
+    PipeSink,
 )
-from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Dated, PayloadWriter, Sink, record_to
 
+_LENGTH: Final = Struct("<I")
 _MAX_PAYLOAD: Final = 1 << 24
 _READ_BYTES: Final = 1 << 13
 """Little, so that what has waited comes in portions: memory does not grow by the longest wait so far."""
@@ -150,17 +150,24 @@ class _Takers:
         number, *ids = (each for (each,) in iter_unpack("<H", payload))
         if not FIRST_BLOCK_ID <= number < BLOCK_ID or any(each not in self._channels for each in ids):
             return False
-        if sum(self._channels[each].schema.raw for each in ids) > 1:
+        schemas = [self._channels[each].schema for each in ids]
+        if sum(schema.raw for schema in schemas) > 1:
             return False
-        block, puts = BlockRecords([self._channels[each] for each in ids]), [self._puts[each] for each in ids]
+        parts = [(schema.dtype.itemsize, schema.raw, self._puts[each]) for schema, each in zip(schemas, ids)]
+        numbers, framed = sum(width for width, _, _ in parts), any(schema.raw for schema in schemas)
 
         def take(t_ns: int, data: bytes) -> int:
-            payloads = block.payloads(data)
-            if payloads is None:
+            length, at = len(data) - numbers, 0
+            if length < 0 or (length and not framed):
                 return 0
-            for put, payload in zip(puts, payloads):
+            for width, raw, put in parts:
+                payload = CDR_HEADER + data[at : at + width]
+                at += width
+                if raw:
+                    payload += bytes(-width % 4) + _LENGTH.pack(length) + data[at : at + length]
+                    at += length
                 put(t_ns, payload)
-            return len(payloads)
+            return len(parts)
 
         self._taken[number] = take
         return True

@@ -27,9 +27,7 @@ class Sink(Protocol):
     def channel(self, topic: str) -> PayloadWriter | None:
         """Function that takes the records of ``topic``; None if they are not kept, so that they are not packed."""
 
-    def event(
-        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
-    ) -> None:
+    def event(self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object) -> None:
         """Take an event, as a record of ``/events``."""
         put = self.channel(EVENTS_TOPIC)
         if put is not None:

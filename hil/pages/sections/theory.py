@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from hil.compose.judged import caution
-from hil.measure.changed_runs import changed_fields
+from hil.measure.network_paths import changed_fields
 from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of

@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.errors import HilError
 from hil.log.append_column import AppendColumn
-from hil.log.read.measured_frames import measured_frames
+from hil.log.read.can_log import measured_frames
 from hil.log.run import Run
 from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
 from hil.measure.summary import percentiles

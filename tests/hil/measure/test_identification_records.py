@@ -1,7 +1,9 @@
-"""What is no record of an axis is refused with its file; a slot without a measurement stays empty."""
+"""What is no record of an axis, or no table of signals, is refused with its file; a slot without a measurement stays empty."""
 
 from __future__ import annotations
 
+import os
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +11,11 @@ import pytest
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.files import arrays
 from hil.log.read.run import read_run
 from hil.log.run import Run, StructuredArray
 from hil.measure import identification_records
-from hil.measure.identification_records import AxisRecord, read_axis_record, read_mode_record
+from hil.measure.identification_records import AxisRecord, read_axis_record, read_mode_record, read_signal_table
 from hil.session import run_session
 
 APPLIED, MEASURED = "/actuator/applied", "/plant/measurement"
@@ -66,3 +69,61 @@ def with_mode(states: StructuredArray, value: float) -> StructuredArray:
     states = states.copy()
     states["fault_mode"][2] = value
     return states
+
+
+def test_a_table_with_units_a_gap_and_an_empty_entry_is_read(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_text("\ufefft_s [s],u [V],y\n0.0,1,2\n0.1,,3\n0.2,6,7\n0.4,4,5\n")
+    period_s, columns = read_signal_table(tmp_path / "t.csv", ("y", "u"))
+    assert period_s == pytest.approx(0.1)
+    np.testing.assert_array_equal(columns, [[2, 1], [3, np.nan], [7, 6], [np.nan, np.nan], [5, 4]])
+
+
+@pytest.mark.parametrize("begin", [-2.5, 7.0, 1000.0])
+def test_a_table_may_begin_at_any_time(tmp_path: Path, begin: float) -> None:
+    rows = "".join(f"{begin + 0.1 * k:.9f},{k}\n" for k in (0, 1, 2, 5, 6))
+    (tmp_path / "t.csv").write_text(f"time,y\n{rows}")
+    period_s, columns = read_signal_table(tmp_path / "t.csv", ("y",))
+    assert period_s == pytest.approx(0.1, rel=1e-9)
+    np.testing.assert_array_equal(columns[:, 0], [0, 1, 2, np.nan, np.nan, 5, 6])
+    (tmp_path / "off.csv").write_text("time,y\n" + "".join(f"{begin + 0.1 * k + 0.02 * (k == 10):.9f},7\n" for k in range(21)))
+    with pytest.raises(HilError, match=rf"off.csv: row 11: {begin + 1.02:.9g} s is 0.2 periods off a multiple of 0.1 s"):
+        read_signal_table(tmp_path / "off.csv", ("y",))
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        ((0.0, 0.1, 0.1, 0.2), "row 3: the time does not grow"),
+        ((0.0, 0.2, 0.1, 0.3), "row 3: the time does not grow"),
+        ((0.0, 0.1, 0.2, 1.7), "4 rows over 17 periods of 0.1 s; expected no such gaps"),
+        ((0.0,), "1 rows, expected at least 2"),
+    ],
+)
+def test_times_that_do_not_grow_or_leave_most_out_are_refused(tmp_path: Path, times: tuple[float, ...], said: str) -> None:
+    (tmp_path / "t.csv").write_text("t_s,y\n" + "".join(f"{t},1\n" for t in times))
+    with pytest.raises(HilError, match=f"t.csv: {said}"):
+        read_signal_table(tmp_path / "t.csv", ("y",))
+
+
+def test_a_table_costs_little_more_memory_than_it_is_long(tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text("t,u,y\n0,1,2\n1,2,3\n")
+    read_signal_table(path, ("u", "y"))  # what the first one imports is no memory of a table
+    path.write_text("t,u,y\n" + "".join(f"{k * 0.01:.2f},{k % 7}.125,{k % 11}.0625\n" for k in range(10_000)))
+    tracemalloc.start()
+    try:
+        read_signal_table(path, ("u", "y"))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 8 * path.stat().st_size  # the whole text and a list of numbers for each line took 16 times
+
+
+def test_what_is_no_regular_file_or_too_long_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "t.csv").write_text("t,y\n0,1\n1,2\n")
+    monkeypatch.setattr(arrays, "MOST_BYTES", 5)
+    refused = {"pipe": "is no regular file", "": "is a folder", "none": "cannot be read", "t.csv": "more than 5 bytes"}
+    for name, said in refused.items():
+        with pytest.raises(HilError, match=said):
+            read_signal_table(tmp_path / name, ("y",))

@@ -11,18 +11,21 @@ import numpy as np
 import pytest
 
 from design.monte_carlo.parallel_runs import Workers
+from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.experiment.tables import Report
 from hil.log.read.run import read_run
 from hil.measure import view as viewing
 from hil.measure.check import check_measure
+from hil.measure.haptics import Haptics
 from hil.measure.measure import Measure, Quantity, measured, measures_of, quantities_of
 from hil.measure.signals import Signals, signals_of
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
 from hil.pages.run_page import render_report
 from hil.plugins import registry
+from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.sweeps.seeds import columns_of, run_sweep
 from tests.hil.pages.runs import run_of
@@ -250,3 +253,20 @@ def test_a_check_says_what_the_measure_has_earned() -> None:
     view = view_of(run_of("dc-motor-hinf", "duration=1"))
     assert check_measure(Tracking(), view)[1] == "Tracking is a BatchMeasure: a sweep asks it for all runs at once"
     assert check_measure(Effort(), view)[1] == "Effort is no BatchMeasure (no of_batch): a sweep runs seed by seed"
+
+
+def test_the_numbers_are_those_of_the_log() -> None:
+    e = load_experiment("omni-push")
+    view = view_of(simulate(compose(e), 0), e)
+    check_measure(Haptics(), view)
+    found = Haptics().of(view)
+    position = view.run.arrays["/plant/measurement"]["position"]
+    assert found["final_depth"] == pytest.approx(134.816, abs=1e-3)
+    assert found["largest_depth"] == 1e3 * position.max() and found["energy_given"] == 0.0
+    assert found["largest_force"] == np.abs(view.run.arrays["/actuator/applied"]["force"]).max()
+
+
+def test_a_wall_that_gives_energy_away_is_seen() -> None:
+    e = load_experiment("omni-theorem61", ["allow_uncertified=true"])
+    found = Haptics().of(view_of(simulate(compose(e), 0), e))
+    assert found["energy_given"] is not None and found["energy_given"] > 10.0

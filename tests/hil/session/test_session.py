@@ -23,7 +23,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
 from hil.session import run_session
-from hil.session.outcome import controller_counters, link_counters
+from hil.session.finished import controller_counters, link_counters
 from hil.session.replay import compare as replay_compare
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -20,6 +21,7 @@ from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.mcap_writer import Compressor
 from hil.log.write.provenance import commit, loop_form
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
@@ -262,3 +264,33 @@ def test_a_log_without_message_index_is_half_as_long_and_mcaps_reader_finds_ever
         assert statistics.message_count == len(messages)
     assert found["full"] == found["chunk"]
     assert os.path.getsize(tmp_path / "chunk.mcap") < 0.75 * os.path.getsize(tmp_path / "full.mcap")
+
+
+ROOM = 1 << 15
+
+
+def data(length: int) -> bytes:
+    return np.random.default_rng(length).integers(0, 9, length, np.uint8).tobytes()
+
+
+def memory(compressor: Compressor) -> int:
+    return sum(context.memory_size() for context in compressor.contexts.values())
+
+
+def test_memory_is_taken_once_whatever_comes() -> None:
+    """A session grew by 0.9 MB where it was kept from its pipe for 0.1 s: the chunk after that was long."""
+    ours, plain = Compressor(ROOM), zstandard.ZstdCompressor()
+    taken, one = {memory(ours)}, set()
+    lengths = np.random.default_rng(0).integers(1, ROOM, 400).tolist()
+    for length in (*[ROOM // 40] * 300, ROOM, *lengths, 1, ROOM):
+        ours.compress(data(length))
+        plain.compress(data(length))
+        taken.add(memory(ours))
+        one.add(plain.memory_size())
+    assert len(taken) == 1 < len(one)
+
+
+def test_a_frame_is_what_one_context_makes_of_it() -> None:
+    ours, plain = Compressor(ROOM), zstandard.ZstdCompressor()
+    for length in (0, 1, 700, 1024, 1025, ROOM, 12, 5 * ROOM):
+        assert ours.compress(data(length)) == plain.compress(data(length))

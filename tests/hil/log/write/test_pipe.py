@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from hil.log.read.run import Run, read_run
 from hil.log.records import Channel
 from hil.log.write.mcap_sink import McapSink
-from hil.log.write.pipe_block import BLOCK_ID, FIRST_BLOCK_ID, HEAD
-from hil.log.write.pipe_sink import PipeSink
+from hil.log.write.pipe_sink import BLOCK_ID, FIRST_BLOCK_ID, HEAD, PipeSink
 from hil.log.write.pump import PumpReport, pump
 from hil.log.write.sinks import MemorySink, PayloadWriter, record_to, records_to
 from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
@@ -360,8 +359,7 @@ def test_a_reader_that_is_gone_never_raises_into_the_loop(ends: Ends) -> None:
 _RIG = """
 import os, signal, sys
 from hil.log.records import Channel
-from hil.log.write.pipe_block import BLOCK_ID, FIRST_BLOCK_ID, HEAD
-from hil.log.write.pipe_sink import PipeSink
+from hil.log.write.pipe_sink import BLOCK_ID, FIRST_BLOCK_ID, HEAD, PipeSink
 from tests.hil.log.recording import TABLE, record
 sink = PipeSink(int(sys.argv[1]), TABLE)
 print(record(sink, 400), flush=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.log.write import pipe_block
+from hil.log.write import pipe_sink
 from hil.log.write.provenance import Provenance, commit, loop_form
 
 
@@ -44,9 +44,9 @@ def test_a_run_logs_its_commit_and_stays_the_same_file() -> None:
     assert first.summary["log"]["sha256"] == second.summary["log"]["sha256"]
 
 
-@pytest.mark.parametrize(("file", "form"), [("pipe_block.py", "interpreted"), ("pipe_block.cpython-311.so", "compiled")])
+@pytest.mark.parametrize(("file", "form"), [("pipe_sink.py", "interpreted"), ("pipe_sink.cpython-311.so", "compiled")])
 def test_a_log_says_whether_its_loop_was_compiled(file: str, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
     assert hil.run("dc-motor-hinf", duration=0.1).run.metadata["loop"] == loop_form()
-    monkeypatch.setattr(pipe_block, "__file__", f"/somewhere/{file}")
+    monkeypatch.setattr(pipe_sink, "__file__", f"/somewhere/{file}")
     about = Provenance(experiment="x", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:")
     assert loop_form() == about.metadata()["hilrig"]["loop"] == form

@@ -8,8 +8,8 @@ import pytest
 from msgspec.structs import replace
 
 from hil.errors import HilError
-from hil.log.read import measured_frames as module
-from hil.log.read.measured_frames import measured_frames
+from hil.log.read import can_log as module
+from hil.log.read.can_log import measured_frames
 from hil.log.read.run import Run
 
 MS = 1_000_000
