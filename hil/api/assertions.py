@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from design.monte_carlo.confidence import SequentialTest
-from hil.api.arguments import checked_arguments
-from hil.api.experiment_source import Source, as_change, checked_experiment
+from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment
 from hil.compose.loop import compose
 from hil.errors import HilError, nearest
 from hil.experiment import Experiment

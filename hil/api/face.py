@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from msgspec import structs
 
-from hil.api.arguments import checked_arguments
-from hil.api.experiment_source import Source, as_change, checked_experiment, load_experiment, object_of
+from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment, load_experiment, object_of
 from hil.compose.loop import compose
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment

@@ -149,8 +149,7 @@ class Runner:
         from hil.plugins.user_modules import refuse_shadowed_packages
 
         refuse_shadowed_packages()
-        from hil.api.arguments import check_kind
-        from hil.api.experiment_source import load_experiment
+        from hil.api.experiment_source import check_kind, load_experiment
         from hil.errors import HilError
         from hil.session import ClockName, run_session
 

@@ -12,12 +12,10 @@ from typing import Any
 
 import click
 
-from hil.cli.guard import Guard
-from hil.cli.interrupts import Terminated, signals_as_exceptions
+from hil.cli.guard import Guard, Terminated, signals_as_exceptions
 from hil.errors import HilError, is_message, nearest
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
-from hil.plugins.process_guard import WATCH, ProcessState
-from hil.plugins.user_modules import refuse_shadowed_packages
+from hil.plugins.user_modules import WATCH, ProcessState, refuse_shadowed_packages
 
 COMMANDS = {
     "run": "Run an experiment, log it, print its summary.",
@@ -59,6 +57,7 @@ COMMANDS = {
 _SHARED_FILES = {
     "rig": "one_end", "controller": "one_end", "discover": "one_end", "keys": "one_end",
     "report": "log_files", "recover": "log_files", "export": "log_files", "layout": "log_files",
+    "replay": "log_files", "run": "run", "live": "run",
     "show": "list", "schema": "list", "solve": "list",
     "can": "can", "dbc": "can", "vcan": "can",
     "new": "new", "check": "new",

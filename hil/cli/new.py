@@ -190,7 +190,7 @@ def _earned(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> li
 
         return check_plant(made)
     from hil.plugins.checks import check_controller, check_law
-    from hil.plugins.protocols import Designer
+    from hil.plugins.user_plugins import Designer
 
     if group == "laws":
         return check_law(made)

@@ -37,10 +37,10 @@ def rig(ctx: click.Context, /, experiment: str, wait: float | None, **options: o
     The controller is `hil controller EXPERIMENT` elsewhere, or a program of your own: hil new controller NAME --language python
     --for EXPERIMENT. The same as `hil run --clock real --external` with all the time that it takes.
     """
-    from hil.cli.run import LONGEST_WAIT_S, command
+    from hil.cli.run import LONGEST_WAIT_S, run
 
     wait = LONGEST_WAIT_S if wait is None else wait
-    ctx.invoke(command, experiment=experiment, clock="real", external=True, wait=wait, **options)
+    ctx.invoke(run, experiment=experiment, clock="real", external=True, wait=wait, **options)
 
 
 @click.command()

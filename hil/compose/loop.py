@@ -31,10 +31,9 @@ from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
-from hil.plugins.protocols import Designer, FieldFault, GainsOnFile, GivesGains, NamedController
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
-from hil.plugins.user_plugins import words
+from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop

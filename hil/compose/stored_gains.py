@@ -22,7 +22,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment, parse_table
 from hil.experiment.table import plain
 from hil.files import read_regular
-from hil.plugins.protocols import Designer, GainsOnFile, GivesGains, NamedController
+from hil.plugins.user_plugins import Designer, GainsOnFile, GivesGains, NamedController
 from hil.rig.loop import Gains
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ from hil.errors import HilError, nearest
 from hil.experiment.table import Seconds, Table
 from hil.experiment.tables import HIDDEN, Experiment, Links, Network
 from hil.plugins.fields import is_table, keys_of
-from hil.plugins.protocols import FieldFault
+from hil.plugins.user_plugins import FieldFault
 
 _UNIONS: Final = (typing.Union, types.UnionType)
 _LISTS: Final = (list, tuple, set, frozenset, collections.abc.Sequence, collections.abc.Collection, collections.abc.Set)

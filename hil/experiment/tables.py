@@ -17,7 +17,7 @@ from transport.links.traits import KeyTable, traits_of
 
 if TYPE_CHECKING:
     from design.controllers import Controller
-    from hil.plugins.protocols import Designer
+    from hil.plugins.user_plugins import Designer
     from plants.parts.protocols import Plant
     from transport.laws import NetworkLaw
 

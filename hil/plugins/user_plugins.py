@@ -1,18 +1,89 @@
-"""What a plug-in of a user lacks or does wrong, in its author's words: one sentence instead of a traceback of our own code."""
+"""What the plug-ins of an experiment fulfil, and what one of a user lacks or does wrong, in its author's words.
+
+By these protocols the loop is composed, run and certified. Plants have theirs in :mod:`plants.parts.protocols`, controllers in
+:mod:`design.controllers.contract`, network laws in :mod:`transport.laws`. A fault is one sentence instead of a traceback of our
+own code.
+"""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from design.controllers import Controller
-from hil.plugins.protocols import Designer
+from design.controllers import Controller, LoopModel, RunningController
 from hil.plugins.registry import Group
 from hil.plugins.user_modules import OUR_FOLDERS
 from plants.errors import PlantError
 from plants.parts.check import check_plant
+
+if TYPE_CHECKING:
+    from design.requests.tracking import DesignTask
+
+
+@runtime_checkable
+class FieldFault(Protocol):
+    """A ValueError that names the field at fault, so that it is shown with its path.
+
+    `FieldError` of plants, transport and design is one; a plug-in may raise any of them, or its own.
+    """
+
+    field: str
+    message: str
+
+
+class NamedController(Protocol):
+    """A controller that says under which plug-in name the log's experiment makes it again."""
+
+    @property
+    def kind(self) -> str: ...
+
+    def start(self, model: LoopModel) -> RunningController: ...
+
+
+@runtime_checkable
+class GivesGains(Protocol):
+    """A designer whose gains may be written down already, as printed ones are; one without this solves whenever it is asked."""
+
+    @property
+    def gains_given(self) -> bool:
+        """Whether nothing is solved."""
+        ...
+
+    def solve(self, task: DesignTask) -> NamedController: ...
+
+
+@runtime_checkable
+class GainsOnFile(Protocol):
+    """A designer whose gains may stand in a file of the user's, with the problem that they solve."""
+
+    file: str
+
+    def unfit(self, task: DesignTask) -> str:
+        """Return in what the problem of the file differs from that of the loop; empty where it does not."""
+        ...
+
+    def solve_again(self, task: DesignTask) -> NamedController:
+        """Return gains that solve what the file asks for, for the loop."""
+        ...
+
+
+@runtime_checkable
+class Designer(Protocol):
+    """A ``[controller]`` table that says what is to be achieved; what runs is what it solves to.
+
+    It returns gains and nothing else: whether their loop is certified is said by :mod:`hil.certify.certify` alone.
+    """
+
+    def solve(self, task: DesignTask) -> NamedController:
+        """Return the controller that runs.
+
+        Raises:
+            ValueError: a field that does not fit the loop; best one that `FieldFault`.
+            DesignError: no gains meet the request; the message has the number that decides it.
+        """
+        ...
 
 
 def needs(made: object, what: str, names: Mapping[str, str]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from hil.cli.bench import show_table, status_line
-from hil.cli.interrupts import signals_as_exceptions
+from hil.cli.guard import signals_as_exceptions
 from hil.errors import HilError
 from hil.files import check_output, write_output
 

@@ -20,8 +20,8 @@ from hil.experiment.table import UnavailablePlugin
 from hil.log.append_column import AppendColumn, pieces, whole
 from hil.log.run import Run
 from hil.log.topics import APPLIED, SENSOR, TIMING, channels_of, in_log_of
-from hil.plugins.protocols import Designer
 from hil.plugins.registry import OBJECT
+from hil.plugins.user_plugins import Designer
 from hil.rig.loop import Loop
 from hil.runtime.changes import take
 from hil.runtime.nodes.actuator_node import OK, row_index

@@ -26,7 +26,7 @@ while time.monotonic() < end:
 """
 WAITS = """
 import time
-from hil.cli.interrupts import Terminated, signals_as_exceptions
+from hil.cli.guard import Terminated, signals_as_exceptions
 try:
     with signals_as_exceptions():
         import swallows
@@ -66,7 +66,7 @@ def test_an_import_without_an_end_is_ended(tmp_path: Path) -> None:
 
 DELETES = """
 import time
-from hil.cli.interrupts import Terminated, signals_as_exceptions
+from hil.cli.guard import Terminated, signals_as_exceptions
 class Slow:
     def __del__(self):
         print("deleting", flush=True)

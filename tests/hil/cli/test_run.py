@@ -153,7 +153,7 @@ def test_the_summary_says_units_certificate_and_every_output_on_eighty_columns(c
 
 
 def test_a_run_whose_timing_is_not_valid_says_why() -> None:
-    from hil.cli.run_summary import timing_rows
+    from hil.cli.page_text import timing_rows
     from hil.measure.summary import timing_metrics
 
     late = np.array([0, 1, 1])

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from design.controllers import Known, MultiSampleController, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
-from hil.cli.run_summary import show
+from hil.cli.page_text import print_summary
 from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
@@ -120,7 +120,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
     assert session.status == 0 and set(nodes) == {"angle", "speed"}
     assert all(sum(node["mode_counts"]) == 20 for node in nodes.values())  # of a node its own draws alone
     assert sum(node["fates"]["delivered"] for node in nodes.values()) == session.summary["network"]["sc"]["fates"]["delivered"]
-    show(session.summary)
+    print_summary(session.summary)
     heads = ("angle to controller", "speed to controller", "to actuator")
     reported = " ".join(capsys.readouterr().out.split())  # a row may go on below itself
     assert all(reported.count(head) == 1 for head in heads) and "no modes" not in reported

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.cli.run_summary import show
+from hil.cli.page_text import print_summary
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
@@ -78,7 +78,7 @@ def test_the_page_has_the_load_of_nodes_that_send_several_messages() -> None:
 
 
 def test_a_way_over_the_bus_is_called_by_the_bus_and_not_by_the_law_behind_it(session, capsys) -> None:  # type: ignore[no-untyped-def]
-    show(session.summary)
+    print_summary(session.summary)
     lines = capsys.readouterr().out.splitlines()
     for way in ("to controller", "to actuator"):
         line = next(line for line in lines if line.startswith(way))
@@ -127,7 +127,7 @@ def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_received(ca
     experiment = load_experiment(NAME, duration="1", sets=[more, "limits.watchdog_slots=1000"])
     done = simulated_session(compose(experiment, certify=False), 0)
     run = done.run
-    show(done.summary)
+    print_summary(done.summary)
     assert " % of it: the lower ones are not sent, or ever later" in " ".join(capsys.readouterr().out.split())
     found = bus_of(view_of(run, experiment))
     assert found is not None and found.stated_load > 1 and found.load > 0.99

@@ -6,6 +6,7 @@ printed in millimetres.
 
 from __future__ import annotations
 
+import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, chdir
@@ -19,14 +20,12 @@ if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
-    from hil.notebook.paper_figure import PaperFigure
-
 
 MM_PER_INCH = 25.4
 FORMATS = (".svg", ".pdf", ".png")
 
 
-def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> PaperFigure:
+def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: float, height_mm: float) -> Figure:
     """Return a figure, and write it to a file where one is asked for.
 
     Args:
@@ -38,7 +37,10 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
         HilError: if matplotlib is not installed, or for another ending or size.
     """
     context = paper_style("plot")
-    from hil.notebook.paper_figure import PaperFigure
+    from matplotlib.figure import Figure
+
+    class PaperFigure(Figure):  # of matplotlib's own a notebook shows only those that pyplot made
+        _repr_svg_ = svg_of
 
     if path is not None and Path(path).suffix not in FORMATS:
         raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
@@ -53,10 +55,18 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     return sheet
 
 
+def svg_of(sheet: Figure) -> str:
+    """Return the element ``<svg>`` of a figure, as a cell shows it."""
+    picture = io.StringIO()
+    sheet.savefig(picture, format="svg", metadata={"Date": None})
+    text = picture.getvalue()
+    return text[text.find("<svg") :]
+
+
 def as_svg(paint: Callable[[Figure], None]) -> str:
     """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
     try:
-        return drawn(paint, None, 160.0, 90.0).svg()
+        return svg_of(drawn(paint, None, 160.0, 90.0))
     except HilError:
         return ""
 
