@@ -22,11 +22,11 @@ from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
+from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import KEY_BYTES, session_wire
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.slot import OnFrame, Slot
-from hil.runtime.time.clock import monotonic_ns
 from tests.forked_program import forked
 from transport.links import Link
 from transport.links.can_bus import HilBus

@@ -22,7 +22,7 @@ from hil.files import check_output, write_output
 from hil.log.write.provenance import package_versions
 from hil.measure.measure import Named
 from hil.notebook import Cell, Result, SingleResult, data_frame
-from hil.runtime.time.clock import monotonic_ns
+from hil.runtime.clock import monotonic_ns
 from transport.law_tests.analysis import LawAnalysis, analyse_law
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ import numpy as np
 
 from hil.bench import Pair, open_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
+from hil.runtime.clock import monotonic_ns
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import die_with_parent, go_real_time
-from hil.runtime.time.clock import monotonic_ns
 from transport.links.python_can import can
 
 BUSES: Final = (

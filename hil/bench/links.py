@@ -22,9 +22,9 @@ from typing import Any, Final, cast
 from hil.bench import Pair, open_pair
 from hil.bench.plain_links import UNIX, ZENOH, PlainSocket, PlainZenoh
 from hil.experiment.tables import Affinity, Timing
+from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time
-from hil.runtime.time.clock import RealClock, monotonic_ns
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 from transport.links.traits import LinkTraits, scheme_of, traits_of, without_options
 

@@ -25,9 +25,9 @@ from hil.log.topics import PROBE
 from hil.log.topics.topic import Logged
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
+from hil.runtime.clock import RealClock, monotonic_ns, wall_clock
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import die_with_parent
-from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock
 from transport import ControlPacket, Link, SensorPacket, TransportError, decode, encode_control, encode_sensor, open_link
 
 LEAD_NS: Final = 5_000_000

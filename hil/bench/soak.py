@@ -23,8 +23,8 @@ from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.summary import LATENESS_SHARE, OVERRUN_SHARE, percentiles
+from hil.runtime.clock import monotonic_ns, pause
 from hil.runtime.real.child import python_module
-from hil.runtime.time.clock import monotonic_ns, pause
 
 Found = Literal["holds", "does not hold", "undecided"]
 

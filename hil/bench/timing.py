@@ -24,8 +24,8 @@ from hil.experiment import load_experiment
 from hil.log.topics import TIMING
 from hil.measure.summary import Array, percentiles, timing_metrics
 from hil.pages.live.watch import watched
+from hil.runtime.clock import pause
 from hil.runtime.real.child import PYTHON
-from hil.runtime.time.clock import pause
 from hil.session import run_session
 
 LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")

@@ -106,7 +106,7 @@ def _of_traffic(
     path: Path, bitrate: str | None, dbitrate: str | None, seconds: float, errors: ErrorBursts | None
 ) -> BusAnalysis:  # fmt: skip
     from hil.design_questions.bus_analysis import analyse_traffic
-    from hil.rig.traffic_file import read_traffic
+    from hil.rig.named_files import read_traffic
     from hil.runtime.streams import rng_for
     from transport.can_bus_model import BitRates
     from transport.errors import FieldError

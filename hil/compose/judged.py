@@ -22,10 +22,18 @@ from hil.experiment import Experiment
 from hil.plugins.user_modules import is_ours
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import Loop, digest_of
-from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains, never_received, waited_for
+from hil.rig.loop_chains import (
+    ANY_PHASE,
+    IN_PHASE,
+    STOPPED,
+    chance_behind_cuts,
+    loop_chains,
+    never_received,
+    waited_for,
+    watchdog_chance,
+)
 from hil.rig.schedules import whole_again
 from hil.rig.spec import RigSpec
-from hil.rig.watchdog_trips import STOPPED, chance_behind_cuts, watchdog_chance
 from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant, Plant
 

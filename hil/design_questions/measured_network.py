@@ -19,7 +19,7 @@ from hil.design_questions.design_problem import TrackingTarget, digest_of_design
 from hil.errors import HilError
 from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain
-from hil.rig.packet_ages import Receiver, ages_of, delays_of
+from hil.rig.receiver import Receiver, ages_of, delays_of
 from transport.law_fit.proportions import AgeRegion, behind_late, confidence_region, seen_correlations
 from transport.laws import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 

@@ -17,7 +17,7 @@ from hil.log.topics import panels
 from hil.log.write.sinks import PayloadWriter, together
 from hil.rig.loop import Loop
 from hil.runtime.changes import Changes
-from hil.runtime.time.clock import Clock
+from hil.runtime.clock import Clock
 from hil.session import Onlooker
 
 PORT: Final = 8765

@@ -17,8 +17,7 @@ from msgspec import Struct
 
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
 from hil.rig.delay_chains import delay_chain
-from hil.rig.node_channels import recorded_chain
-from hil.rig.packet_ages import Receiver, received, why_no_ages
+from hil.rig.receiver import Receiver, received, recorded_chain, why_no_ages
 from hil.rig.sensors import SharedMedium
 from hil.rig.spec import RigSpec
 from transport.can_bus_model import BitRates

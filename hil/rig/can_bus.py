@@ -265,7 +265,7 @@ def recorded_faults(medium: Medium, at: str, owner: Mapping[tuple[bool, int], st
     """
     if not medium.recorded:
         return
-    from hil.rig.traffic_file import MOST, due_of
+    from hil.rig.named_files import MOST, due_of
 
     last = 0
     for i, line in enumerate(medium.recorded):

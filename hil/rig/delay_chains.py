@@ -20,7 +20,7 @@ from design.controllers import (
     sojourns_distinguished,
 )
 from design.errors import FieldError
-from hil.rig.packet_ages import Received, received, why_no_ages
+from hil.rig.receiver import Received, received, why_no_ages
 from hil.rig.spec import RigSpec
 from transport.laws import NetworkLaw, SemiMarkovLaw
 from transport.laws.delay_states import DelayStates, delay_states

@@ -1,16 +1,32 @@
-"""Files that an experiment names, read from beside it: recorded ages, latencies, traffic. It then needs no other file."""
+"""Files that an experiment names, read from beside it: recorded ages, latencies, traffic. It then needs no other file.
+
+Background traffic is a CSV table, a DBC whose messages say their cycle time (GenMsgCycleTime), or recorded frames: each is a line
+of an experiment, such as ``12000000 123#1122``, nanoseconds and the frame as candump writes it.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
 from hil.errors import ExperimentError, HilError
-from hil.experiment.nodes import can_faults_of
+from hil.experiment.nodes import TrafficTable, can_faults_of
+from hil.experiment.table import Seconds
 from hil.experiment.table_check import fault_at
 from hil.experiment.tables import Experiment
+from hil.files import open_regular
+from transport.can_bus_model import CanFrame
+from transport.errors import FieldError
 from transport.laws import NetworkLaw, load_files, slots_served
+from transport.wire import frame_length
+
+if TYPE_CHECKING:
+    import csv
+
+    from transport.can_bus_model.traffic import Due
 
 
 def with_named_files(e: Experiment) -> Experiment:
@@ -59,7 +75,6 @@ def with_traffic_files(e: Experiment) -> Experiment:
     for name, medium in e.network.media.items():
         if not medium.traffic_file:
             continue
-        from hil.rig.traffic_file import RECORDINGS, read_recorded, read_traffic
 
         path = Path(e.folder) / medium.traffic_file
         try:
@@ -74,3 +89,195 @@ def with_traffic_files(e: Experiment) -> Experiment:
         if faults:
             raise ExperimentError(e.name, [f"network.media.{name}.{fault}" for fault in faults])
     return replace(e, network=replace(e.network, media=media))
+
+
+LARGEST = 16_000_000
+_DURATIONS = ("period", "offset", "jitter")
+_FLAGS = {"": False, "0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
+_TOO_LONG: Final = re.compile(r"^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}", re.MULTILINE)
+"""cantools keeps every bit of a message in a list."""
+
+
+def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
+    """Return the messages of a file that ends in .csv or .dbc.
+
+    Args:
+        path: a CSV file has a head with the keys of a traffic table, ``can_id`` and ``period`` among them.
+
+    Raises:
+        HilError: it cannot be read, or says something that no message has; with the line or the name of the message.
+    """
+    if path.suffix not in (".csv", ".dbc"):
+        raise HilError(f"{path}: the ending {path.suffix!r} names no table of traffic, expected .csv or .dbc")
+    try:
+        with open_regular(path, "a table of traffic") as file:
+            text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
+    except (OSError, ValueError) as error:
+        raise HilError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    if len(text) > LARGEST:
+        raise HilError(f"{path}: more than {LARGEST} characters")
+    found = _of_csv(path, text) if path.suffix == ".csv" else _of_dbc(path, text)
+    if not found:
+        raise HilError(f"{path}: no message that is sent again and again")
+    return found
+
+
+def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
+    import csv  # loaded where there is such a file
+
+    try:
+        return _of_rows(path, csv.DictReader(text.splitlines()))
+    except csv.Error as error:  # of the head, too
+        raise HilError(f"{path}: is no table: {error}") from error
+
+
+def _of_rows(path: Path, rows: csv.DictReader[str]) -> tuple[TrafficTable, ...]:
+    unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
+    missing = {"can_id", "period"} - set(rows.fieldnames or ())
+    if unknown or missing:
+        known = ", ".join(TrafficTable.__struct_fields__)
+        said = f"no column {min(missing)!r}" if missing else f"an unknown column {min(unknown, key=str)!r}"
+        raise HilError(f"{path}: line 1: {said}, expected some of {known}")
+    found = []
+    for row in rows:
+        try:
+            found.append(_table({key: value.strip() for key, value in row.items() if value and value.strip()}))
+        except (ValueError, AttributeError, TypeError) as error:
+            raise HilError(f"{path}: line {rows.line_num}: {error}") from error
+    return tuple(found)
+
+
+def _table(said: dict[str, Any]) -> TrafficTable:
+    values: dict[str, Any] = {}
+    for key, value in said.items():
+        try:
+            if key in _DURATIONS:
+                values[key] = Seconds.parse(value if not value.replace(".", "", 1).isdigit() else float(value))
+            elif key in ("can_id", "length"):
+                values[key] = int(value, 0)
+            elif key in ("extended", "fd"):
+                values[key] = _FLAGS[value.lower()]
+            else:
+                values[key] = value
+        except (ValueError, KeyError) as error:
+            raise ValueError(f"{key}: {value!r:.60}, {error}") from error
+    return _sound(values)
+
+
+def _sound(values: dict[str, Any]) -> TrafficTable:
+    faults = list(TrafficTable.faults(values))
+    if faults:
+        raise ValueError("; ".join(faults))
+    try:
+        return TrafficTable(**values)
+    except TypeError as error:
+        raise ValueError(str(error)) from error
+
+
+def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
+    import cantools
+
+    beyond = _TOO_LONG.search(text)
+    if beyond is not None:
+        raise HilError(f"{path}: is no DBC: {beyond[0].strip()[:80]!r}: no message has so many bits")
+    try:
+        database: Any = cantools.database.load_string(text, "dbc", strict=False)
+    except Exception as error:  # of any kind, from whatever stands in the file
+        raise HilError(f"{path}: is no DBC: {str(error).partition(chr(10))[0]:.200}") from error
+    found = []
+    for message in database.messages:
+        if message.cycle_time:
+            try:
+                values = {
+                    "name": message.name, "can_id": message.frame_id, "period": Seconds(message.cycle_time / 1000),
+                    "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
+                    "node": message.senders[0] if message.senders else "",
+                }  # fmt: skip
+                found.append(_sound(values))
+            except (ValueError, TypeError, OverflowError) as error:  # an attribute of another type or size than the format has
+                raise HilError(f"{path}: message {message.name}: {error}") from error
+    return tuple(found)
+
+
+MOST: Final = 100_000
+RECORDINGS: Final = (".log", ".asc", ".blf")
+_LINE: Final = re.compile(r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))")
+
+
+def line_of(at_ns: int, frame: CanFrame) -> str:
+    """Return the line of a frame.
+
+    >>> line_of(12_000_000, CanFrame(identifier=0x123, data=b"12"))
+    '12000000 123#3132'
+    """
+    identifier = f"{frame.identifier:08X}" if frame.extended else f"{frame.identifier:03X}"
+    if frame.remote:
+        return f"{at_ns} {identifier}#R{frame.dlc or ''}"
+    flags = f"#{frame.bitrate_switch | frame.error_state << 1}" if frame.fd else ""
+    return f"{at_ns} {identifier}#{flags}{frame.data.hex().upper()}"
+
+
+def read_recorded(path: Path) -> list[str]:
+    """Return the frames of a recording as lines of an experiment, from time 0 on.
+
+    Args:
+        path: ends in one of `RECORDINGS`.
+
+    Raises:
+        HilError: it cannot be read, has no frame, or no time stamps.
+    """
+    from hil.files.can_logs import can_frames  # python-can is imported for a recording alone
+
+    found: list[tuple[float, CanFrame]] = []
+    for i, message in enumerate(can_frames(path)):
+        if message.is_error_frame:
+            continue
+        data = b"" if message.is_remote_frame else bytes(message.data)
+        try:
+            frame = CanFrame(
+                identifier=message.arbitration_id, extended=message.is_extended_id, remote=message.is_remote_frame,
+                dlc=message.dlc if message.is_remote_frame else None, fd=message.is_fd,
+                data=data.ljust(frame_length(len(data)), b"\0") if message.is_fd else data,
+                bitrate_switch=message.is_fd and message.bitrate_switch,
+                error_state=message.is_fd and message.error_state_indicator,
+            )  # fmt: skip
+        except FieldError as error:
+            raise HilError(f"{path}: frame {i + 1}: {error}") from error
+        found.append((message.timestamp, frame))
+        if len(found) > MOST:
+            raise HilError(f"{path}: more than {MOST} frames")
+    if not found:
+        raise HilError(f"{path}: no frame")
+    if len(found) > 1 and all(at == found[0][0] for at, _ in found):
+        raise HilError(f"{path}: every frame has the time stamp {found[0][0]:g}; a recording with time stamps is needed")
+    first = min(at for at, _ in found)
+    return [line_of(round((at - first) * 1e9), frame) for at, frame in sorted(found, key=lambda each: each[0])]
+
+
+def due_of(line: str, node: int = 0) -> Due:
+    """Return the frame of a line.
+
+    Args:
+        line: of `line_of`.
+        node: who sends it.
+
+    Raises:
+        ValueError: it is none.
+    """
+    found = _LINE.fullmatch(line)
+    if found is None:
+        raise ValueError(f"{line!r:.60}, expected nanoseconds and a frame, as in '12000000 123#1122'")
+    from transport.can_bus_model.traffic import Due  # loaded where there is a bus
+
+    at, identifier, kind, dlc, flags, flexible, classic = found.groups()
+    number, extended = int(identifier, 16), len(identifier) == 8
+    if kind.startswith("#R"):
+        return Due(int(at), node, CanFrame(identifier=number, extended=extended, remote=True, dlc=int(dlc or 0)))
+    if flags is not None:
+        data = bytes.fromhex(flexible)
+        frame = CanFrame(
+            identifier=number, extended=extended, fd=True, data=data.ljust(frame_length(min(len(data), 64)), b"\0"),
+            bitrate_switch=bool(int(flags) & 1), error_state=bool(int(flags) & 2),
+        )  # fmt: skip
+        return Due(int(at), node, frame)
+    return Due(int(at), node, CanFrame(identifier=number, extended=extended, data=bytes.fromhex(classic)))

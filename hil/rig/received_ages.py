@@ -3,7 +3,7 @@
 In slot k the newest packet of a node that may be there is the newest that it sent in or before slot k - a(k), with a(k) the age
 that its network law lets a receiver measure. So the state of a node is that of its law and, for j = 0, 1, ..., the age of the
 newest sample that was sent in or before slot k - j, or, under a packet law, when each packet comes that is on its way
-(`hil.rig.node_channels`); that of a medium whose turn it is, or what waits for the bus. From slot 0 on
+(`hil.rig.receiver`); that of a medium whose turn it is, or what waits for the bus. From slot 0 on
 every state is found that can come about. A sample older than every age that the law draws and every age that the controller tells
 apart was received before: of it the chain says no more than that the controller holds it.
 """
@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from hil.rig.node_channels import SURE, Chance, Channel, channel_of
-from hil.rig.packet_ages import Received
+from hil.rig.receiver import SURE, Chance, Channel, Received, channel_of
 from hil.rig.sensors import Sensor, SharedMedium
 from hil.rig.spec import RigSpec
 

@@ -13,7 +13,7 @@ from msgspec import Struct, structs
 
 from design.controllers import LoopModel, SensorNodes
 from hil.experiment.tables import Links
-from hil.rig.packet_ages import Receiver
+from hil.rig.receiver import Receiver
 from hil.rig.schedules import FaultSchedule
 from hil.rig.sensors import Sensor, SharedMedium
 from plants.parts.linear import Signal

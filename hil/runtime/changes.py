@@ -1,9 +1,20 @@
-"""Changes of a run: which come when, and how a rig, its controller and its log take one."""
+"""Changes of a run: which come when, how a rig, its controller and its log take one, and how it comes to them in real time.
+
+In real time they travel from the process that watches a run to those that keep time. They are asked for `LEAD_S` before their
+slot, so that each has come when its slot begins; no process waits for them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, Final, Literal
+import os
+import pickle
+import socket
+import struct
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from io import BytesIO
+from typing import IO, Any, Final, Literal
 
 from msgspec import Struct
 
@@ -15,8 +26,6 @@ from hil.runtime.nodes.rig import Rig
 
 LATE: Final = "change late"
 """Kind of the event that logs one that came behind its slot, in real time."""
-
-
 END: Final = "end"
 """Path of the change that ends a run."""
 RUN_ENDED: Final = "the run was ended"
@@ -63,3 +72,126 @@ def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
     claimed = {} if verdict is None else {"kind": verdict.kind, "state": verdict.state, "reason": verdict.reason}
     text = RUN_ENDED if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
     sink.event(t_ns, CHANGE, text, slot=k, path=change.path, value=change.value, certificate=claimed)
+
+
+LEAD_S: Final = 0.15
+_HEAD: Final = struct.Struct("<I")
+_READ_BYTES: Final = 1 << 16
+
+Dump = Callable[[object, IO[bytes]], None]
+"""Pickles an object into a file."""
+
+
+class Lines:
+    """The ends that send, one for each process by its name; they never wait.
+
+    Args:
+        there: False for a run that takes no changes: no line is opened, and nothing is sent.
+    """
+
+    def __init__(self, there: bool) -> None:
+        self._there = there
+        self._ends: dict[str, socket.socket] = {}
+        self._waiting: dict[str, bytearray] = {}
+        self._theirs: dict[str, socket.socket] = {}
+
+    def open(self, name: str) -> int:
+        """Return the file descriptor that a process inherits, in place of the one of that name before it; -1 for none."""
+        if not self._there:
+            return -1
+        self._close(name)
+        self._ends[name], self._theirs[name] = socket.socketpair()
+        self._ends[name].setblocking(False)
+        self._waiting[name] = bytearray()
+        return self._theirs[name].fileno()
+
+    def passed(self, name: str, *more: int) -> tuple[int, ...]:
+        """Return all that a process inherits, with other descriptors."""
+        return (*more, self._theirs[name].fileno()) if self._there else more
+
+    def put(self, name: str, slot: int, change: Change, dump: Dump = pickle.dump) -> None:
+        """Let a change be sent to a process, where there is one of that name."""
+        if name in self._ends:
+            text = BytesIO()
+            dump((slot, change), text)
+            self._waiting[name] += _HEAD.pack(len(text.getvalue())) + text.getvalue()
+
+    def flush(self) -> None:
+        """Send as much as there is room for; to a process that has ended nothing."""
+        for name, waiting in self._waiting.items():
+            if waiting:
+                with suppress(OSError):
+                    del waiting[: self._ends[name].send(waiting)]
+
+    def close(self) -> None:
+        """Send nothing more."""
+        for name in list(self._ends):
+            self._close(name)
+
+    def _close(self, name: str) -> None:
+        for ends in (self._ends, self._theirs):
+            if name in ends:
+                ends.pop(name).close()
+
+
+class Receiver:
+    """The end that receives, in a loop that never waits for it.
+
+    Args:
+        fd: of the line; -1 for none.
+    """
+
+    def __init__(self, fd: int) -> None:
+        self._fd, self._bytes = fd, bytearray()
+        self._come: deque[tuple[int, Change]] = deque()
+        if fd >= 0:
+            os.set_blocking(fd, False)
+
+    def due(self, k: int) -> Iterator[tuple[int, Change]]:
+        """Give the changes that have come for slots up to k, with their slots; costs one system call where none has."""
+        if self._fd >= 0:
+            self._read()
+        while self._come and self._come[0][0] <= k:
+            yield self._come.popleft()
+
+    def _read(self) -> None:
+        try:
+            self._bytes += os.read(self._fd, _READ_BYTES)
+        except BlockingIOError:
+            return
+        except OSError:  # the other end has gone: so will this process
+            self._fd = -1
+            return
+        while len(self._bytes) >= _HEAD.size:
+            end = _HEAD.size + _HEAD.unpack_from(self._bytes)[0]
+            if len(self._bytes) < end:
+                return
+            self._come.append(pickle.loads(bytes(self._bytes[_HEAD.size : end])))
+            del self._bytes[:end]
+
+
+class Ahead:
+    """Asks for the changes of every slot once, ahead of the run.
+
+    Args:
+        changes: asked, None for a run that takes none.
+        period_ns: length of a slot, ns.
+    """
+
+    def __init__(self, changes: Changes | None, period_ns: int) -> None:
+        self._changes, self._period_ns = changes, period_ns
+        self._lead, self._next = 1 + round(LEAD_S * 1e9 / period_ns), 0
+
+    def at(self, now_ns: int) -> Iterator[tuple[int, Change]]:
+        """Give changes with their slots.
+
+        Args:
+            now_ns: session time, ns; below 0 before slot 0.
+        """
+        if self._changes is None:
+            return
+        end = now_ns // self._period_ns + self._lead
+        for k in range(self._next, end + 1):
+            self._next = k + 1
+            for change in self._changes(k):
+                yield k, change

@@ -16,11 +16,10 @@ from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.runtime.changes import Changes, log_change, take
+from hil.runtime.clock import Clock, Kernel, VirtualClock
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
-from hil.runtime.time.clock import Clock, VirtualClock
-from hil.runtime.time.kernel import Kernel
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
 
@@ -88,9 +87,8 @@ def run_virtual(
     node = ControlNode(loop)
     slot = Slot(rig, DirectExchange(node), sink.commit, lambda: kernel.stopped)
     run = slot.run if changes is None else _changing(slot, rig, node, sink, changes, e.period_ns, kernel.stop)
-    kernel.every(e.period_ns, e.slots, run)
     try:
-        kernel.run()
+        kernel.run(e.period_ns, e.slots, run)
         rig.compare(node.departed)
     except BaseException as error:
         if not failed(error):

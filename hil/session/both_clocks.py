@@ -15,8 +15,8 @@ from hil.log.write.sinks import PayloadWriter, Sink
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import Changes
+from hil.runtime.clock import Clock
 from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals, failure_of
-from hil.runtime.time.clock import Clock
 from hil.runtime.virtual import run_virtual
 
 FORCE_S = 0.5

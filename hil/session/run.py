@@ -27,8 +27,8 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of, no_link, refuse_undisturbed
+from hil.runtime.clock import monotonic_ns, wall_clock
 from hil.runtime.real.machine import machine
-from hil.runtime.time.clock import monotonic_ns, wall_clock
 from hil.runtime.virtual import rehearsal, simulate_as_logged
 from hil.session.both_clocks import Onlooker, run_in_real_time, run_in_virtual_time
 from hil.session.finished import (

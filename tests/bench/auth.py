@@ -7,7 +7,7 @@ import statistics
 from collections.abc import Callable
 from typing import Any
 
-from hil.runtime.time.clock import monotonic_ns
+from hil.runtime.clock import monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, encode_control, encode_sensor, memory_pair
 from transport.links.authenticated_link import HELLO, AuthenticatedLink, cmac
 from transport.packets import EMPTY

@@ -26,9 +26,9 @@ from hil.log.write.provenance import Provenance
 from hil.log.write.pump import pump
 from hil.log.write.sinks import PayloadWriter, Record
 from hil.rig.loop import Loop
+from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import die_with_parent, go_real_time
-from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.runtime.virtual import run_virtual
 
 EXPERIMENT: Final = "dc-motor-1khz"

@@ -35,7 +35,7 @@ from hil.log.recordings.read import read_recording
 from hil.log.recordings.recording import packet_records
 from hil.measure.identification_records import read_signal_table
 from hil.pages.live.script import read_script
-from hil.rig.traffic_file import read_traffic
+from hil.rig.named_files import read_traffic
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.sweep import SweepStore
 from plants import FMU

@@ -19,7 +19,7 @@ from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING, panels
 from hil.log.write.sinks import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, LATE, Change, Changes
-from hil.runtime.time.clock import PacedClock
+from hil.runtime.clock import PacedClock
 from hil.session.replay.recorded import Asked
 from transport.draws import REASONS
 

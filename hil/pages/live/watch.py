@@ -17,8 +17,8 @@ from hil.pages.live.desk import Desk
 from hil.pages.live.server import LivePage
 from hil.pages.live.side import Side
 from hil.pages.viewers import Beside
+from hil.runtime.clock import PacedClock, pause
 from hil.runtime.real.ending import StopSignals
-from hil.runtime.time.clock import PacedClock, pause
 from hil.session import ClockName, Onlooker, Session, run_session
 from hil.session.replay.replay import experiment_of
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from hil.experiment import Experiment
 from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
 from hil.rig.loop import Loop
+from hil.rig.named_files import due_of
 from hil.rig.schedules import bus_faults
-from hil.rig.traffic_file import due_of
 from hil.runtime.streams import rng_for
 from transport.can_bus_model import CanFrame
 from transport.can_bus_model.bus import CanBus, Transmission

@@ -19,12 +19,11 @@ from hil.rig.session_link import FirstIdentifiers
 from hil.rig.watched import EQUAL, JumpStep, OneStep
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
-from hil.runtime.nodes.fault_injector import FaultInjector
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
+from hil.runtime.nodes.network import FaultInjector, clock_of, sensor_medium_of
 from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
-from hil.runtime.nodes.sensor_medium import clock_of, sensor_medium_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
 from hil.runtime.streams import begun, rng_for

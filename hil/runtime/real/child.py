@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import IO, Final
 
 from hil.plugins.first_instants import collect_garbage_again
-from hil.runtime.time.clock import monotonic_ns
+from hil.runtime.clock import monotonic_ns
 
 PYTHON: Final = (sys.executable, "-P")
 """Python that does not look into its working folder, where a ``pickle.py`` would stand before the standard library's."""

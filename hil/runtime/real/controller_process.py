@@ -18,12 +18,12 @@ from msgspec import Struct, structs
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
+from hil.runtime.changes import Receiver
+from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.ending import failure_of
+from hil.runtime.real.exchange import warm_up_controller
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.warm_up import warm_up_controller
-from hil.runtime.time.clock import monotonic_ns
 from transport.links import OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free

@@ -19,18 +19,15 @@ from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, about_rig, link_faults
-from hil.runtime.changes import log_change, log_late, take
+from hil.runtime.changes import Receiver, log_change, log_late, take
+from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
-from hil.runtime.real.change_line import Receiver
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, failure_of
-from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink
+from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.warm_up import WarmUpRig
 from hil.runtime.slot import Slot
-from hil.runtime.time.clock import RealClock, monotonic_ns, wall_clock_ns
-from hil.runtime.time.kernel import Kernel
 from plants.errors import PlantError
 from transport.links import Discoverable, Link, OnBus, TransportError
 from transport.links.opening import open_link
@@ -77,7 +74,7 @@ class RealLoop:
         self._on_bus = link if isinstance(link, OnBus) else None
         self._wrong, self._seed = link_faults(e, job.loop.rig, job.link), job.seed
         self._sink = sink
-        self._period_ns = e.period_ns
+        self._period_ns, self._slots = e.period_ns, e.slots
         self._log = record_to(sink, channels[TIMING.name])
         self._t_ns = self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
@@ -85,7 +82,6 @@ class RealLoop:
             link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
-        self.kernel.every(e.period_ns, e.slots, self._run)
 
     def pause(self) -> None:
         """Wait as long as between two slots, `PACE_NS` at most."""
@@ -100,6 +96,10 @@ class RealLoop:
         self.clock.begin(start_ns)
         self._sink.begin(wall_clock_ns(start_ns))
         self._change(0)
+
+    def run(self) -> None:
+        """Run the slots to the end of the session, or until it is stopped."""
+        self.kernel.run(self._period_ns, self._slots, self._run)
 
     def _run(self, t_ns: int) -> None:
         self._t_ns, self._woken_ns = t_ns, self.clock.now()
@@ -187,7 +187,7 @@ def _run(job: Job) -> None:
         failed = False
         if not stopped:
             try:
-                real.kernel.run()
+                real.run()
                 if not stopped:
                     real.rig.compare(None if node is None else node.departed)
             except BaseException as error:  # whatever a part of the user's own raises

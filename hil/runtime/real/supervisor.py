@@ -23,13 +23,12 @@ from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
-from hil.runtime.changes import Changes
+from hil.runtime.changes import Ahead, Changes, Dump, Lines
+from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, rig_process
-from hil.runtime.real.change_line import Ahead, Dump, Lines
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
-from hil.runtime.time.clock import monotonic_ns
 from transport.links.mesh_peer import bus_directory, clear_dead_channels
 
 EVERY_NS: Final = 1_000_000_000

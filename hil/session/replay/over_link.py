@@ -25,9 +25,9 @@ from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
 from hil.measure.summary import percentiles
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
+from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.nodes.wire import Wire, before
 from hil.runtime.real.exchange import Handshake
-from hil.runtime.time.clock import RealClock, monotonic_ns
 from hil.session.replay.compare import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of

@@ -30,7 +30,7 @@ def test_garbage_is_looked_for_again_and_not_among_modules(arguments: list[str],
         assert others < frozen
         unneeded = {"importlib.metadata", "importlib.resources", "email", "scipy", "pandas", "matplotlib", "rich", "can", "zenoh"}
         unneeded |= {"control", "csv", "difflib", "socket", "mcap", "threadpoolctl", "html", "shutil", "tempfile"}
-        unneeded |= {"hil.notebook", "click.shell_completion", "hil.rig.traffic_file"}
+        unneeded |= {"hil.notebook", "click.shell_completion", "hil.rig.named_files"}
         unneeded |= {"plants.parts.flow", "transport.laws.semi_markov", "design.controllers.scheduled_gain"}
         unneeded |= {"hil.runtime.real.supervisor", "hil.runtime.real.child", "hil.runtime.real.rig_process"}  # of real time
         unneeded |= {"design.requests.tracking", "transport.laws.latency", "transport.can_bus_model.bus"}  # of other experiments

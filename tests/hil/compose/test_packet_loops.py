@@ -18,7 +18,7 @@ from design.processes.delay_chain import DelayChain
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import predict
-from hil.rig.packet_ages import Receiver, received
+from hil.rig.receiver import Receiver, received
 from hil.sweeps.seeds import run_seeds
 from transport.laws.packet import GilbertElliott, PacketLaw
 

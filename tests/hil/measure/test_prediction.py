@@ -14,7 +14,7 @@ import pytest
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import PredictedSum, predict
-from hil.rig.watchdog_trips import watchdog_chance
+from hil.rig.loop_chains import watchdog_chance
 from hil.sweeps.seeds import run_seeds
 
 RUNS = 400

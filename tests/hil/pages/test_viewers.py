@@ -17,7 +17,7 @@ from hil.log.read.run import read_run
 from hil.log.records import CDR_HEADER
 from hil.pages.live.side import Side
 from hil.pages.viewers import Beside, Foxglove
-from hil.runtime.time.clock import PacedClock
+from hil.runtime.clock import PacedClock
 from hil.session import run_session
 from tests.ports import free_port
 from tests.waiting import until

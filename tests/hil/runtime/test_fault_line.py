@@ -21,12 +21,13 @@ from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.actuator_node import HOLD
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.network import FaultInjector
 from hil.runtime.real.supervisor import run_real
 from hil.runtime.virtual import simulate
 from hil.session import run_session, simulated_session
 from hil.session.replay.replay import verify
 from hil.sweeps.lockstep import supports_batch
-from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
+from transport.packets import EMPTY, SensorPacket, decode, encode_sensor, packet_size
 
 MOTOR = shipped()["dc-motor-hinf"].read_text().replace('duration = "50 s"', 'duration = "3 s"') + "watchdog_slots = 40\n"
 FIRST, END = 24, 34  # slots of 1.2 s to 1.7 s, while the step is followed
@@ -215,3 +216,11 @@ def test_a_fault_that_the_run_never_reaches_is_reported(tmp_path: Path) -> None:
     assert session.summary["problems"] == {"faults": said} == read_run(tmp_path / "run.mcap").summary["problems"]
     assert session.status == 0 and simulated_session(loop_of(late), 0).summary["problems"] == {"faults": said}
     assert simulated_session(loop_of(faulty("cut", 'link = "sc"')), 0).summary["problems"] == {}
+
+
+def test_a_flipped_bit_leaves_the_length_that_a_frame_states() -> None:
+    """Of 256 bits of the frame more than 10 state its length: 300 draws hit none of them with probability 1e-5 at most."""
+    faults, frame = FaultInjector(compose(load_experiment("dc-motor-hinf")), 0), encode_sensor(SensorPacket(7, 0, 0, (0.5,)))
+    wrong = [faults.flip(frame) for _ in range(300)]
+    assert {packet_size(each) for each in wrong} == {packet_size(frame)} and len(set(wrong)) > 50
+    assert {(int.from_bytes(each) ^ int.from_bytes(frame)).bit_count() for each in wrong} == {1}

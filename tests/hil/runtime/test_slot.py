@@ -1,8 +1,9 @@
-"""The order of a slot, and the arrays that the motor of the thesis must keep giving."""
+"""The order of a slot, the arrays that the motor of the thesis must keep giving, and no memory that grows with the slots."""
 
 from __future__ import annotations
 
 import hashlib
+import tracemalloc
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +19,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import session_wire
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange, simulate
 
@@ -94,3 +96,36 @@ def test_a_slot_that_a_signal_cuts_off_is_counted_nowhere() -> None:
     run = Run.from_memory(sink)
     summary = summarise(view_of(run, loop.experiment))
     assert rig.outcome()["slots"] == summary["slots"] == len(run.arrays["/actuator/applied"]) == 3
+
+
+@pytest.mark.parametrize("name", ["dc-motor-1khz", "dc-motor-packets"])
+def test_no_node_of_a_rig_grows_with_its_slots(name: str) -> None:
+    loop = compose(load_experiment(name))
+    rig = Rig(loop, 0, MemorySink(channels_of(loop), []), channels_of(loop), lambda: None, session_wire(b"k" * 16))
+    node = ControlNode(loop)
+
+    class Here:
+        def ask(self, t_ns: int, frames: list[bytes]) -> None:
+            self.frames = frames
+
+        def answer(self, t_ns: int, on_frame) -> None:  # type: ignore[no-untyped-def]
+            for data in map(node.on_frame, self.frames):
+                if data is not None:
+                    on_frame(data)
+
+    slot = Slot(rig, Here())  # type: ignore[arg-type]
+
+    def run(first: int, last: int) -> None:
+        for k in range(first, last):
+            slot.run(k * loop.experiment.period_ns)
+
+    run(0, 1000)
+    tracemalloc.start()
+    try:
+        run(1000, 3000)
+        before, _ = tracemalloc.get_traced_memory()  # what is replaced from now on was itself traced
+        run(3000, 4250)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 5_000  # a list of one number a slot has 10,000 bytes more

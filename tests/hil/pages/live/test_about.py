@@ -10,7 +10,7 @@ from hil.compose.loop import compose
 from hil.experiment import Experiment
 from hil.pages.live.about import about, controllers, controllers_of, presets
 from hil.pages.live.side import Side
-from hil.runtime.time.clock import PacedClock
+from hil.runtime.clock import PacedClock
 from plants.parts.protocols import GoesOn
 from transport.laws import ChainLaw
 

@@ -15,13 +15,12 @@ from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
+from hil.runtime.clock import Kernel, VirtualClock
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.slot import Slot
-from hil.runtime.time.clock import VirtualClock
-from hil.runtime.time.kernel import Kernel
 from hil.runtime.virtual import simulate
 from transport.packets import ControlPacket, encode_control
 
@@ -77,8 +76,7 @@ def drive(loop: Loop, answer: Callable[[int], bytes | None], slots: int) -> Memo
     sink = MemorySink(channels_of(loop))
     kernel = Kernel(VirtualClock())
     rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop, VIRTUAL)
-    kernel.every(loop.experiment.period_ns, slots, Slot(rig, Script(loop, answer)).run)
-    kernel.run()
+    kernel.run(loop.experiment.period_ns, slots, Slot(rig, Script(loop, answer)).run)
     return sink
 
 

@@ -30,8 +30,7 @@ from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
 from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude
 from hil.runtime.virtual import simulate
 from plants.delayed_states import START_5_4
-from tests.hil.runtime.nodes.many_runs import states_of_many
-from tests.hil.runtime.nodes.state_moments import StateMoments, state_moments
+from tests.hil.runtime.nodes.many_runs import StateMoments, state_moments, states_of_many
 from transport.packets import EMPTY, SensorPacket, decode
 
 

@@ -1,6 +1,10 @@
-"""What is asked of a child fifty times a second costs nothing that adds up."""
+"""What is asked of a child fifty times a second costs nothing that adds up, what it loads, and which signals stop it."""
 
+from __future__ import annotations
+
+import json
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -9,7 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from hil.runtime.real.child import Child, is_stopped, python_module
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
+from hil.runtime.real.child import PYTHON, Child, is_stopped, python_module
+from hil.runtime.real.ending import StopSignals
 from tests.waiting import until
 
 OFTEN = """
@@ -137,3 +144,53 @@ def test_a_child_has_one_blas_thread_where_its_user_says_nothing_else(
     said = environment.read_bytes().split(b"\0")
     child.kill()
     assert f"OPENBLAS_NUM_THREADS={expected}".encode() in said
+
+
+TRY = """
+import json, pickle, sys
+from importlib import import_module
+import_module(sys.argv[1])
+from transport.links.opening import open_link
+loop = pickle.load(sys.stdin.buffer)
+loop.start_controller()
+open_link("can:hil:loads" + sys.argv[2], "rig").close()
+print(json.dumps(sorted(sys.modules)))
+"""
+OTHERS = ("can", "scipy", "difflib", "importlib.resources", "click", "rich", "hil.compose", "hil.certify", "hil.session")
+OTHERS += ("importlib.metadata", "email", "design.networked_loop", "design.jump_linear", "design.requests")
+OTHERS += ("transport.laws.latency", "transport.can_bus_model.bus", "transport.links.timed_sender")
+
+
+@pytest.mark.parametrize("name", ["rig", "controller"])
+def test_a_process_of_a_session_loads_neither_certifiers_nor_python_can(name: str) -> None:
+    job, module = pickle.dumps(compose(load_experiment("dc-motor-hinf"))), f"hil.runtime.real.{name}_process"
+    done = subprocess.run([*PYTHON, "-c", TRY, module, name], input=job, capture_output=True, check=True)
+    loaded = {module for module in json.loads(done.stdout) if module.startswith(OTHERS)}
+    unneeded = {module for module in loaded if module in OTHERS or module.startswith(tuple(f"{other}." for other in OTHERS))}
+    assert not unneeded
+
+
+THREE = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+@pytest.mark.parametrize("ignored", [signal.SIGINT, signal.SIGHUP])
+def test_what_is_ignored_stays_ignored_and_sigterm_still_stops(ignored: int) -> None:
+    before = signal.signal(ignored, signal.SIG_IGN)
+    try:
+        with StopSignals() as signals:
+            signal.raise_signal(ignored)
+            assert signals.seen is None
+            signal.raise_signal(signal.SIGTERM)
+            assert signals.seen == signal.SIGTERM
+        assert signal.getsignal(ignored) == signal.SIG_IGN
+    finally:
+        signal.signal(ignored, before)
+
+
+@pytest.mark.parametrize("number", THREE)
+def test_each_stops_and_every_handler_comes_back(number: int) -> None:
+    before, reported = [signal.getsignal(each) for each in THREE], []
+    with StopSignals(reported.append) as signals:
+        signal.raise_signal(number)
+    assert signals.seen == number and reported == [number]
+    assert [signal.getsignal(each) for each in THREE] == before

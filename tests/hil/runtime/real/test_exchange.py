@@ -1,16 +1,37 @@
-"""The exchange over a link ends whatever arrives, and a link is warm and empty before slot 0. Time is a number here."""
+"""The exchange over a link ends whatever arrives, and a link is warm and empty before slot 0. Time is a number here.
+
+What is done once before a session answers as a session does, leaves no trace, and hides no fault of a control law.
+"""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from hil.compose.loop import compose
+from hil.experiment import load_experiment
 from hil.log.topics import channels_of
+from hil.log.write.sinks import MemorySink
+from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO
-from hil.runtime.nodes.wire import VIRTUAL, session_wire
-from hil.runtime.real.exchange import MOST_FRAMES, REHEARSALS, Handshake, LinkExchange
+from hil.runtime.nodes.rig import Rig
+from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
+from hil.runtime.real.exchange import (
+    MOST_FRAMES,
+    REHEARSALS,
+    WARM_UP_SLOTS,
+    Handshake,
+    LinkExchange,
+    WarmUpExchange,
+    WarmUpRig,
+    warm_up_controller,
+)
+from hil.runtime.slot import Slot
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 from transport.wire import echo
@@ -243,57 +264,59 @@ def test_the_deadline_runs_from_the_moment_the_question_left() -> None:
         assert (b"answer" in ear.received) is received
 
 
-@pytest.mark.parametrize("planned", [False, True])
-def test_a_bus_that_has_faults_ahead_learns_them_in_session_time_long_before_slot_0(
-    planned: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import os
-    from types import SimpleNamespace
-
-    from hil.compose.loop import compose
-    from hil.experiment import load_experiment
-    from hil.log.write.pipe_sink import PipeSink
-    from hil.rig.session_link import no_link
-    from hil.runtime.real import rig_process
-    from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
-    from transport.can_bus_model.disturbances import BusFault
-
-    loop = compose(load_experiment("dc-motor-hinf"), certify=False)
-    read, write = os.pipe()
-    job = Job(loop=loop, link=no_link(loop.rig), seed=7, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
-    real = RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), VIRTUAL)
-    now, disturbed = 5_000 * MS, []
-    monkeypatch.setattr(rig_process, "monotonic_ns", lambda: now)
-    fault = BusFault(first_ns=10, end_ns=20, rate=0.5)
-    real._wrong = [fault] * planned
-    real._on_bus = SimpleNamespace(disturb=lambda faults, seed: disturbed.append((faults, seed)))  # type: ignore[assignment]
-    real.clock = SimpleNamespace(begin=disturbed.append)  # type: ignore[assignment]
-    real.begin()
-    start = now + (PLAN_NS if planned else SETTLE_NS)
-    assert disturbed == [([fault._replace(first_ns=start + 10, end_ns=start + 20)], 7)] * planned + [start]
-    assert PLAN_NS >= 10 * SETTLE_NS
-    for fd in (read, write):
-        os.close(fd)
+@pytest.fixture(scope="module")
+def loop() -> Loop:
+    return compose(load_experiment("dc-motor-hinf"), certify=False)
 
 
-def test_an_overrun_is_a_slot_that_ends_after_its_period() -> None:
-    import os
-    from types import SimpleNamespace
+@pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16), 1000)])
+def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
+    rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, wire)
+    slot = Slot(rig, WarmUpExchange(loop, wire))
+    for k in range(10):
+        slot.run(k * loop.experiment.period_ns)
+    assert rig.outcome()["late"] == rig.outcome()["foreign"] == 0
+    rehearsed = WarmUpRig(loop, wire).warm_up()
+    for _ in range(3):
+        rehearsed.run()
 
-    from hil.compose.loop import compose
-    from hil.experiment import load_experiment
-    from hil.log.write.pipe_sink import PipeSink
-    from hil.rig.session_link import no_link
-    from hil.runtime.real.rig_process import Job, RealLoop
 
-    loop = compose(load_experiment("dc-motor-hinf"))
-    read, write = os.pipe()
-    job = Job(loop=loop, link=no_link(loop.rig), seed=0, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
-    real = RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), VIRTUAL)
-    period = loop.experiment.period_ns
-    for end, overruns in ((period, 0), (period + 1, 1), (3 * period, 2)):
-        real.clock = SimpleNamespace(now=lambda end=end: end)  # type: ignore[assignment]
-        real._commit()
-        assert real.overruns == overruns
-    for fd in (read, write):
-        os.close(fd)
+class Law:
+    """A control law that counts its slots, and fails or dawdles in one of them."""
+
+    def __init__(self, loop: Loop, fails_in: int = -1) -> None:
+        self.asked, self._running, self._fails_in = [], loop.start_controller(), fails_in
+        self.selection = loop.selection
+
+    def start(self, model: object) -> Law:
+        return self
+
+    def rows(self, k: int, *known: Any) -> Any:
+        self.asked.append(k)
+        if k == self._fails_in:
+            raise ZeroDivisionError("of the law")
+        return self._running.rows(k, *known)
+
+
+def test_a_control_law_runs_before_the_session_and_may_fail_there(loop: Loop) -> None:
+    for law in (Law(loop), Law(loop, fails_in=7)):
+        warm_up_controller(replace(loop, controller=law))
+        assert law.asked[-1] == (7 if law._fails_in == 7 else WARM_UP_SLOTS - 1)
+
+
+def test_a_part_that_failed_is_not_asked_again_before_the_session(loop: Loop) -> None:
+    for law, last in ((Law(loop), WARM_UP_SLOTS - 1), (Law(loop, fails_in=7), 7)):
+        WarmUpRig(replace(loop, controller=law), VIRTUAL, local=True).warm_up()
+        assert law.asked[-1] == last
+
+
+def test_a_slow_control_law_does_not_hold_the_session(loop: Loop, monkeypatch: pytest.MonkeyPatch) -> None:
+    law, clock = Law(loop), SimpleNamespace(t_ns=0)
+
+    def now() -> int:
+        clock.t_ns += 100_000_000
+        return clock.t_ns
+
+    monkeypatch.setattr("hil.runtime.real.exchange.monotonic_ns", now)
+    warm_up_controller(replace(loop, controller=law))
+    assert 1 <= len(law.asked) <= 5

@@ -1,17 +1,18 @@
-"""Two clocks, one meaning: session time in nanoseconds. No other file reads a clock or sleeps."""
+"""The clocks of session time, in nanoseconds, and the slots that begin on one. No other file reads a clock, or sleeps."""
 
 from __future__ import annotations
 
 import ctypes
 import threading
 import time
+from collections.abc import Callable
 from typing import Final, Protocol
 
 TIMER_ABSTIME = 1
 
 
 class Clock(Protocol):
-    """Where an event kernel gets its time from."""
+    """Where a kernel gets its time from."""
 
     def wait_until(self, t_ns: int) -> None:
         """Return when session time is at least ``t_ns`` (or a signal arrived)."""
@@ -179,3 +180,32 @@ def wall_clock() -> str:
 def wall_clock_ns(monotonic: int) -> int:
     """Return what the clock on the wall says, ns since 1970, at an instant of ``CLOCK_MONOTONIC``: provenance likewise."""
     return time.time_ns() + monotonic - time.monotonic_ns()
+
+
+class Kernel:
+    """Begins the slots of a session on a clock, each with its *nominal* time.
+
+    Attributes:
+        stopped: whether :meth:`stop` was called.
+
+    >>> kernel, seen = Kernel(VirtualClock()), []
+    >>> kernel.run(10, 3, seen.append); seen
+    [0, 10, 20]
+    """
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self.stopped = False
+
+    def stop(self) -> None:
+        """Begin no further slot (safe in a signal handler)."""
+        self.stopped = True
+
+    def run(self, period_ns: int, slots: int, handler: Callable[[int], None]) -> None:
+        """Call ``handler(t_ns)`` at 0, ``period_ns``, ... : ``slots`` times, or until :meth:`stop`."""
+        for t_ns in range(0, slots * period_ns, period_ns):
+            if not self.stopped:
+                self._clock.wait_until(t_ns)
+            if self.stopped:
+                return
+            handler(t_ns)

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 
-from hil.runtime.changes import Change
-from hil.runtime.real.change_line import Ahead, Lines, Receiver
+from hil.runtime.changes import Ahead, Change, Lines, Receiver
 
 PERIOD_NS = 10_000_000
 

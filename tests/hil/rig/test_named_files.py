@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from hil.errors import HilError
-from hil.rig import traffic_file
-from hil.rig.traffic_file import due_of, read_recorded, read_traffic
+from hil.rig import named_files
+from hil.rig.named_files import due_of, read_recorded, read_traffic
 
 FRAMES = "(10.004000) can0 123#1122\n(10.000000) can0 18FF0001#R2\n(10.001000) can0 200##1AABBCC\n"
 
@@ -22,7 +22,7 @@ FRAMES = "(10.004000) can0 123#1122\n(10.000000) can0 18FF0001#R2\n(10.001000) c
     ],
 )
 def test_a_recording_that_is_none_is_refused(text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(traffic_file, "MOST", 3)
+    monkeypatch.setattr(named_files, "MOST", 3)
     path = tmp_path / "car.log"
     path.write_text(text)
     with pytest.raises(HilError, match=f"car.log: {message}"):
@@ -55,9 +55,9 @@ def test_a_table_of_traffic_is_known_by_its_ending_and_bounded(tmp_path: Path, m
     path = tmp_path / "a.csv"
     path.write_text("can_id,period\n0x12,1\n")
     assert [each.can_id for each in read_traffic(path)] == [0x12]
-    monkeypatch.setattr(traffic_file, "LARGEST", len(path.read_text()))
+    monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()))
     assert read_traffic(path)
-    monkeypatch.setattr(traffic_file, "LARGEST", len(path.read_text()) - 1)
+    monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()) - 1)
     with pytest.raises(HilError, match=r"a\.csv: more than 20 characters"):
         read_traffic(path)
     path.write_text("can_id,period\n")

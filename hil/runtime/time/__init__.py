@@ -1,1 +1,0 @@
-"""The clock and the event kernel; no other file reads a clock or sleeps."""
