@@ -1,8 +1,16 @@
-"""Runs to report on: real loops in virtual time, kept in memory; times of a real-time run are added where wanted."""
+"""Runs to report on: real loops in virtual time, kept in memory; times of a real-time run are added where wanted.
+
+And their pages, of which no certificate is computed, and what ran where (versions) is left out.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
+from typing import Any, Final
+
 import numpy as np
+from msgspec.structs import replace
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
@@ -10,14 +18,21 @@ from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink
+from hil.measure.view import RunView, view_of
+from hil.pages.live.about import Window, about, picture
+from hil.pages.live.side import Side
+from hil.pages.run_page import LoggedRun, logged_run, render_report, runs_page
+from hil.pages.viewers import foxglove, plotjuggler
+from hil.runtime.clock import PacedClock
 from hil.runtime.virtual import run_virtual
+from tests.hil.pages.whole_pages import GOOD, lines, rounded
 from transport.draws import REASONS
 
 
-def run_of(name: str, *sets: str, timed: bool = False) -> Run:
+def run_of(name: str, *sets: str, timed: bool = False, certify: bool = True) -> Run:
     """Return a finished run of a shipped experiment; `timed` adds what a real-time run measures of itself."""
     experiment = load_experiment(name, sets)
-    loop = compose(experiment)
+    loop = compose(experiment, certify=certify)
     sink = MemorySink(channels_of(loop))
     rig = run_virtual(loop, experiment.seed, sink)
     if timed:
@@ -48,3 +63,94 @@ def run_of(name: str, *sets: str, timed: bool = False) -> Run:
         resolved=dict(about.resolved),
         certificate=loop.certificate or {},
     )
+
+
+CERTIFICATE: Final[dict[str, Any]] = {
+    "state": "certified", "kind": "mean-square stability", "reason": "stable over this network", "stable": True,
+    "quantity": "second-moment radius per slot", "number": 0.8977276639, "limit": 1.0, "method": "second moments (Theorem 7.1)",
+    "assumptions": ["no packet is later than its law says", "no limit trips"], "mean_square_radius": 0.8977276639,
+    "h2_norm": 3.892,
+    "hinf_norm": None, "rounding": 7e-10, "modes": 6, "order": 5, "digest": "156cfcef", "delays": [6, 7], "felt_n_per_m": [[7.4,
+                                                                                                                            1.0]],
+    "static_compliance_m_per_n": 0.134, "worst_delay": 6, "ends_within": {"angle_rms": 0.01, "speed": (1.0, 2.0)}, "nothing": [],
+}  # fmt: skip
+REFUSED: Final = {"state": "refused", "reason": "not stable", "number": [1.5, 2]}
+EVENTS: Final = [
+    {"slot": 7, "t_s": 0.35, "kind": "late", "severity": "warning", "message": "second", "data": {}},
+    {"slot": 1, "t_s": 0.05, "kind": "<b>", "severity": "error", "message": "first", "data": {}},
+    {"slot": 9, "t_s": 0.45, "kind": "note", "message": "third", "data": {}},
+]  # fmt: skip
+
+
+def view(name: str, *sets: str, timed: bool = False, certificate: Mapping[str, Any] = CERTIFICATE, **about: Any) -> RunView:
+    """A short run, in which nothing says what ran it."""
+    run = run_of(name, *sets, timed=timed, certify=False)
+    about = {"versions": {"hilrig": "1"}, "session": {"started": "now"}, "events": run.events + about.pop("events", [])} | about
+    return view_of(replace(run, certificate=dict(certificate), **about))
+
+
+def folder() -> dict[str, list[str]]:
+    """The page of a folder of logs."""
+
+    def logged(name: str, shown: RunView, drawn: bool = True) -> LoggedRun:
+        return logged_run(f"{name}.mcap", f"{name}.html", shown, drawn=drawn)
+
+    runs = [
+        logged("a", view("dc-motor-hinf", "duration=0.5")), logged("b", view("dc-motor-hinf", "duration=0.5", "seed=3"),
+                                                                   drawn=False),
+        logged("c", view("omni-push", "duration=0.5", certificate=REFUSED)), logged("d", view("dc-motor-h2", "duration=0.5",
+                                                                                              certificate={})),
+        LoggedRun(name="e.mcap", failure="is no MCAP file", numbers={}), logged("f", view("dc-motor-local", "duration=5")),
+    ]  # fmt: skip
+    many = [LoggedRun(name=f"{i}.mcap", page=f"{i}.html", verdict=GOOD, numbers={"n": i, "m": None}) for i in range(61)]
+    pages = {"few": runs_page("folder <&>", runs), "many": runs_page("many", [*many, runs[0]])}
+    return {f"{name}: {section}": own for name, page in pages.items() for section, own in lines(page).items()}
+
+
+PACKETS: Final = (
+    'network.sc.law={kind="packet", latency="60 ms", loss={p_gb=0.1, p_bg=0.5}, duplication=0.2}',
+    "network.sc.max_age=8",
+)
+RUNS: Final[dict[str, tuple[str, ...]]] = {
+    "plain": ("dc-motor-hinf", "duration=2"), "packets": ("dc-motor-smith", "duration=3", *PACKETS),
+    "bursty": ("dc-motor-bursty", "duration=20"),
+    "nodes": ("dc-motor-two-nodes", "duration=1", "reference.0.at=0.1", "controller={kind='local', gain=[[-0.05, -0.006]]}"),
+    "turns": ("multisensor-published", "duration=1"), "bus": ("dc-motor-busy-can", "duration=0.5",
+                                                              "network.media.bus.bit_error_rate=0.002"),
+    "slide": ("omni-slide", "duration=3"), "fault": ("vtol-fault-published", "duration=1"),
+    "jump": ("smjls-robust-published", "duration=1"), "one slot": ("dc-motor-hinf", "duration=0.05"),
+    "stopped": ("dc-motor-local",),
+    "theorem": ("omni-theorem61", "duration=2"), "friction": ("dc-motor-h2-friction", "duration=1.5"),
+}  # fmt: skip
+
+
+def run_page(name: str) -> dict[str, list[str]]:
+    """The page of a run."""
+    return lines(render_report(view(*RUNS[name], events=EVENTS if name == "plain" else [])))
+
+
+def in_time() -> dict[str, list[str]]:
+    """The page of a run in real time that another program answered, and of one that was late, without a certificate."""
+    late = view("dc-motor-1khz", "duration=2.1", timed=True, session={"external_controller": "True"}, certificate=REFUSED)
+    few = view("dc-motor-h2", "duration=1", timed=True, certificate={})
+    return lines(render_report(late)) | {f"few: {name}": own for name, own in lines(render_report(few)).items()}
+
+
+def live() -> dict[str, list[str]]:
+    """What the live page is given of a log, and of a run that may be changed."""
+    shown = view(*RUNS["nodes"], timed=True, events=EVENTS)
+    assert shown.experiment is not None
+    side, acts = Side(), Side(PacedClock(), acts=True)
+    loop = compose(shown.experiment, certify=False)
+    side.show(shown.run, loop)
+    acts.begin(loop, {})
+    drawn = np.frombuffer(picture(side.records(), side.traces, Window.over(*side.span(), 9)), "<f4").reshape(len(side.traces), -1)
+    said = {"about": about([side, acts], "here"), "now": side.now(1, True), "acts": acts.now(0, True), "span": side.span()}
+    layouts = {"foxglove": foxglove(shown.run.schemas).splitlines(), "plotjuggler": plotjuggler(shown.run.schemas).splitlines()}
+    drawn_lines = [f"{trace}: {rounded(values.astype(float))}" for trace, values in zip(side.traces, drawn)]
+    return layouts | {name: _json(one) for name, one in said.items()} | {"picture": drawn_lines}
+
+
+def _json(value: Any) -> list[str]:
+    plain = json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
+    return json.dumps(plain, indent=0, ensure_ascii=False).splitlines()
