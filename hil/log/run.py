@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Iterator, MutableMapping, Sequence
-from typing import Any, Final, Protocol, runtime_checkable
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import force_setattr
 
 from hil.errors import HilError, unknown_name
 from hil.log.append_column import ROWS, pieces
@@ -115,13 +116,63 @@ def _table(schema: Schema, records: Sequence[bytes], payload_at: int, time_at: i
     return table
 
 
-@runtime_checkable
 class InPieces(Protocol):
-    """Arrays that need not be whole in memory."""
+    """Records of a topic that need not be whole in memory; `numbers` may lack what is raw."""
 
-    def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]: ...
+    def array(self) -> StructuredArray: ...
 
-    def numbers(self, topic: str) -> StructuredArray: ...
+    def pieces(self, rows: int) -> Iterator[StructuredArray]: ...
+
+    def numbers(self) -> StructuredArray: ...
+
+
+class Arrays(MutableMapping[str, StructuredArray]):
+    """Topic to its records as one array, read only, made when it is first asked for; one that is not there is named.
+
+    Args:
+        held: of every topic, an array or what makes it.
+    """
+
+    def __init__(self, held: Mapping[str, StructuredArray | InPieces]) -> None:
+        self._held = {topic: _fixed(each) if isinstance(each, np.ndarray) else each for topic, each in held.items()}
+
+    def __getitem__(self, topic: str) -> StructuredArray:
+        if topic not in self._held:
+            raise missing(topic, [*self])
+        held = self._held[topic]
+        if not isinstance(held, np.ndarray):
+            held = self._held[topic] = _fixed(held.array())
+        return held
+
+    def __setitem__(self, topic: str, array: StructuredArray) -> None:
+        self._held[topic] = array
+
+    def __delitem__(self, topic: str) -> None:
+        del self._held[topic]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._held)
+
+    def __contains__(self, topic: object) -> bool:
+        return topic in self._held
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]:
+        """Give the records of a topic piece by piece."""
+        held = self._held[topic]
+        return pieces(held, rows) if isinstance(held, np.ndarray) else held.pieces(rows)
+
+    def numbers(self, topic: str) -> StructuredArray:
+        """Return the records of a topic, perhaps without what is raw."""
+        held = self._held[topic]
+        return held if isinstance(held, np.ndarray) else held.numbers()
+
+
+def _fixed(array: StructuredArray) -> StructuredArray:
+    array.setflags(write=False)  # a record is no measure's to change
+    return array.view(Records)
 
 
 class Run(Struct, frozen=True, kw_only=True):
@@ -156,18 +207,14 @@ class Run(Struct, frozen=True, kw_only=True):
     start_ns: int = 0
 
     def __post_init__(self) -> None:
-        if isinstance(self.arrays, dict):  # others make their arrays when they are asked for
-            for topic, array in self.arrays.items():
-                array.setflags(write=False)  # a record is no measure's to change
-                self.arrays[topic] = array.view(Records)
+        if not isinstance(self.arrays, Arrays):
+            force_setattr(self, "arrays", Arrays(self.arrays))
 
     @classmethod
     def from_memory(cls, sink: MemorySink, **about: Any) -> Run:
         """Run of what a ``MemorySink`` kept; ``about`` takes the fields that a sink does not know, by name."""
         schemas = {topic: sink.channels[topic].schema for topic in sink.payloads if topic != EVENTS_TOPIC}
-        arrays = _Arrays(
-            (topic, assemble(schema, sink.payloads[topic], times=sink.times[topic])) for topic, schema in schemas.items()
-        )
+        arrays = {topic: assemble(schema, sink.payloads[topic], times=sink.times[topic]) for topic, schema in schemas.items()}
         return cls(arrays=arrays, schemas=schemas, events=decode_events(sink.payloads.get(EVENTS_TOPIC, ())), **about)
 
     def needs(self, *topics: str) -> None:
@@ -183,19 +230,12 @@ class Run(Struct, frozen=True, kw_only=True):
     def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
         """Give the records of a topic piece by piece: a long log is never whole in memory."""
         self.needs(topic)
-        return self.arrays.pieces(topic, rows) if isinstance(self.arrays, InPieces) else pieces(self.arrays[topic], rows)
+        return cast(Arrays, self.arrays).pieces(topic, rows)
 
     def numbers(self, topic: str) -> StructuredArray:
         """Return the records of a topic; those of raw frames may lack the field ``data``."""
         self.needs(topic)
-        return self.arrays.numbers(topic) if isinstance(self.arrays, InPieces) else self.arrays[topic]
-
-
-class _Arrays(dict[str, StructuredArray]):
-    """Topic to records in memory; a topic that is not there is named with what is known of it."""
-
-    def __missing__(self, topic: str) -> StructuredArray:
-        raise missing(topic, [*self])
+        return cast(Arrays, self.arrays).numbers(topic)
 
 
 def records_sha256(run: Run) -> str:

@@ -121,7 +121,7 @@ def pairwise_sum(of: Callable[[int, int], npt.NDArray[np.floating[Any]]], n: int
     return pairwise_sum(of, half, begin) + pairwise_sum(of, n - half, begin + half)
 
 
-Array: TypeAlias = npt.NDArray[np.floating[Any]]
+Array: TypeAlias = npt.NDArray[np.float64]
 
 
 class Followed(Struct, frozen=True, kw_only=True):

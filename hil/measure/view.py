@@ -106,9 +106,8 @@ class RunView:
 
     def tracking(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return times in s (n,), tracked outputs (n, p) and their reference (n, p), of the slots that have both."""
-        names = list(self.signals.tracked)
-        measurement, reference = self._paired()
-        return seconds(measurement), matrix(measurement, names), matrix(reference, names)
+        whole_run = self.followed()
+        return whole_run.of(0, whole_run.slots)
 
     def followed(self) -> Followed:
         """Return the same, to be read in blocks."""

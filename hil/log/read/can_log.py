@@ -128,14 +128,12 @@ def can_topics(run: Run, topics: Sequence[str]) -> list[str]:
     return there[:1] if there[0] == BUS.name else there
 
 
-def has_fd(run: Run, topics: Sequence[str]) -> bool:
-    """Return whether frames of these topics are CAN FD."""
-    return bool((run.numbers(BUS.name)["flags"] & FD).any()) if topics[0] == BUS.name else _framing(run)[0]
-
-
-def has_errors(run: Run, topics: Sequence[str]) -> bool:
-    """Return whether one of these frames was destroyed."""
-    return topics[0] == BUS.name and bool(run.numbers(BUS.name)["operation"].any())
+def beyond_classic(run: Run, topics: Sequence[str]) -> str:
+    """Return what these topics have beside whole frames of classic CAN, in words; nothing where they have no more."""
+    if topics[0] != BUS.name:
+        return "CAN FD" if _framing(run)[0] else ""
+    frames = run.numbers(BUS.name)
+    return "CAN FD" if (frames["flags"] & FD).any() else "frames that were destroyed" if frames["operation"].any() else ""
 
 
 def can_messages(run: Run, topics: Sequence[str]) -> Iterator[Any]:

@@ -6,7 +6,7 @@ The columns of a long log grow in files without a name (`hil.log.append_column`)
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, MutableMapping
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -14,8 +14,7 @@ import numpy as np
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT
 from hil.log.records import TIME_FIELD, Schema
-from hil.log.run import Records, StructuredArray, assemble, run_dtype
-from hil.log.topics import missing
+from hil.log.run import StructuredArray, assemble, run_dtype
 
 TOGETHER: Final = 4096
 """Messages that are turned into numbers together."""
@@ -63,11 +62,8 @@ class Columns:
         if self._raw is None:
             self._numbers.extend(found)
             return
-        numbers = np.empty(len(found), self._numbers.dtype)
-        for name in numbers.dtype.names or ():
-            numbers[name] = found[name]
         data = found[self._raw].tolist()
-        self._numbers.extend(numbers)
+        self._numbers.extend(found[[*(self._numbers.dtype.names or ())]].astype(self._numbers.dtype))
         self._lengths.extend(np.array([len(each) for each in data], np.int64))
         self._bytes.extend(np.frombuffer(b"".join(data), np.uint8))
 
@@ -103,50 +99,3 @@ class Columns:
             return self.numbers()
         parts = [*self.pieces()]
         return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, self._dtype)
-
-
-class Topics(MutableMapping[str, StructuredArray]):
-    """Topic to its records as one array, made when it is first asked for.
-
-    Args:
-        columns: of every topic.
-    """
-
-    def __init__(self, columns: Mapping[str, Columns]) -> None:
-        self._topics = dict.fromkeys(columns)
-        self._columns = dict(columns)
-        self._arrays: dict[str, StructuredArray] = {}
-
-    def __getitem__(self, topic: str) -> StructuredArray:
-        if topic not in self._topics:
-            raise missing(topic, [*self])
-        if topic not in self._arrays:
-            array = self._arrays[topic] = self._columns[topic].array().view(Records)
-            array.setflags(write=False)  # a record is no measure's to change
-        return self._arrays[topic]
-
-    def __setitem__(self, topic: str, array: StructuredArray) -> None:
-        self._topics[topic] = None
-        self._arrays[topic] = array
-
-    def __delitem__(self, topic: str) -> None:
-        del self._topics[topic]
-        self._columns.pop(topic, None)
-        self._arrays.pop(topic, None)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._topics)
-
-    def __contains__(self, topic: object) -> bool:
-        return topic in self._topics
-
-    def __len__(self) -> int:
-        return len(self._topics)
-
-    def pieces(self, topic: str, rows: int = ROWS) -> Iterator[StructuredArray]:
-        """Give the records of a topic piece by piece."""
-        return pieces(self._arrays[topic], rows) if topic in self._arrays else self._columns[topic].pieces(rows)
-
-    def numbers(self, topic: str) -> StructuredArray:
-        """Return the records of a topic, perhaps without what is raw."""
-        return self._arrays[topic] if topic in self._arrays else self._columns[topic].numbers()

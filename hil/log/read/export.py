@@ -33,7 +33,7 @@ from numpy.lib import format as npy
 from hil.errors import HilError, nearest
 from hil.files import written_whole
 from hil.log.append_column import pieces
-from hil.log.read.can_log import can_messages, can_topics, has_errors, has_fd
+from hil.log.read.can_log import beyond_classic, can_messages, can_topics
 from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.run import StructuredArray
@@ -134,7 +134,7 @@ def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) 
                 padded = (_padded(piece, most) for piece in run.pieces(topic, ROWS))
                 _add_array(file, f"{name}_data", np.dtype(np.uint8), (len(lengths), most), padded)
                 _add_array(file, f"{name}_length", lengths.dtype, lengths.shape, [lengths])
-            packed = (_of_fields(piece, dtype) for piece in pieces(numbers, ROWS))
+            packed = (piece[fields].astype(dtype) for piece in pieces(numbers, ROWS))
             _add_array(file, name, dtype, numbers.shape, packed)
 
 
@@ -146,13 +146,6 @@ def _padded(piece: StructuredArray, most: int) -> np.ndarray[Any, np.dtype[np.ui
     return np.frombuffer(b"".join(item.ljust(most, b"\0") for item in piece["data"]), np.uint8)
 
 
-def _of_fields(piece: StructuredArray, dtype: np.dtype[Any]) -> StructuredArray:
-    out = np.empty(len(piece), dtype)
-    for name in dtype.names or ():
-        out[name] = piece[name]
-    return out
-
-
 def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:
     from transport.links.python_can import can, with_mf4
 
@@ -161,9 +154,8 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
         wanted = can_topics(run, topics)
     except HilError as error:
         raise HilError(f"{target}: {error}") from None
-    lacks = "CAN FD" if has_fd(run, wanted) else "frames that were destroyed" if has_errors(run, wanted) else ""
-    if target.suffix == ".trc" and lacks:
-        raise HilError(f"{target}: python-can writes classic frames only as .trc, and this log has {lacks}; export .asc instead")
+    if target.suffix == ".trc" and (has := beyond_classic(run, wanted)):
+        raise HilError(f"{target}: python-can writes classic frames only as .trc, and this log has {has}; export .asc instead")
     if target.suffix == ".mf4" and find_spec("asammdf") is None:
         raise HilError(f"{target}: .mf4 needs asammdf: pip install 'hilrig[mf4]'")
     make = with_mf4() if target.suffix == ".mf4" else can.Logger  # which picks the writer by the ending

@@ -17,10 +17,11 @@ from mcap.records import Channel
 
 from hil.errors import HilError
 from hil.log.events import decode_events
-from hil.log.read.columns import Columns, Topics
+from hil.log.read.columns import Columns
 from hil.log.read.mcap_file import Content, open_mcap, start_said
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
+from hil.log.run import Arrays
 from hil.log.run import Run as Run
 from hil.log.topics import MEASUREMENT, REFERENCE, TOPICS, Logged
 from hil.log.write.provenance import FORMAT
@@ -244,7 +245,7 @@ def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, A
     check_words(content.metadata["hilrig"], resolved, summary)
     text = content.attachments.get("experiment.toml")
     return Run(
-        arrays=Topics(columns),
+        arrays=Arrays(columns),
         schemas=schemas,
         events=events,
         metadata=content.metadata["hilrig"],

@@ -19,7 +19,7 @@ import zstandard
 
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.write import mcap_records as mcap
-from hil.log.write.mcap_records import BEHIND, HEAD, MAGIC
+from hil.log.write.mcap_records import BEHIND, HEAD, LENGTH, MAGIC, behind_length, record
 from hil.log.write.open_chunk import Messages, OpenChunk
 
 Index = Literal["full", "chunk"]
@@ -34,6 +34,7 @@ INDEX_WAITING: Final = 1 << 16
 """Bytes of it that wait in memory: in real time a chunk ends 20 times a second, and what holds its place must not add up."""
 
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
+_OF_CHANNEL: Final = struct.Struct("<HQ")
 
 
 class Stream(Protocol):
@@ -133,7 +134,7 @@ class McapWriter:
         self.chunk = OpenChunk()
         self.start_ns = self.behind_ns = 0
         self._write(MAGIC)
-        self._write(mcap.header(profile, library))
+        self._write(record(mcap.HEADER, profile, library))
 
     def _write(self, data: bytes) -> None:
         self._data_crc = zlib.crc32(data, self._data_crc)
@@ -141,29 +142,30 @@ class McapWriter:
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        data = mcap.metadata(name, values)
-        self._metadata.append(mcap.metadata_index(self._stream.tell(), len(data), name))
+        data = record(mcap.METADATA, name, values)
+        self._metadata.append(record(mcap.METADATA_INDEX, struct.pack("<QQ", self._stream.tell(), len(data)), name))
         self._write(data)
 
     def add_attachment(self, name: str, media_type: str, content: bytes, *, create_time: int = 0, log_time: int = 0) -> None:
         """Write an attachment; times in ns."""
-        data = mcap.attachment(log_time, create_time, name, media_type, content)
-        self._attachments.append(
-            mcap.attachment_index(self._stream.tell(), len(data), log_time, create_time, len(content), name, media_type)
-        )
+        times, length = struct.pack("<QQ", log_time, create_time), struct.pack("<Q", len(content))
+        data = record(mcap.ATTACHMENT, times, name, media_type, length, content, bytes(LENGTH.size))[: -LENGTH.size]
+        data += LENGTH.pack(zlib.crc32(memoryview(data)[mcap.RECORD.size :]))
+        place = struct.pack("<QQ", self._stream.tell(), len(data))
+        self._attachments.append(record(mcap.ATTACHMENT_INDEX, place, times, length, name, media_type))
         self._write(data)
 
     def register_schema(self, name: str, encoding: str, text: bytes) -> int:
         """Add a schema to the open chunk; return its number."""
         number = len(self._schemas) + 1
-        self._schemas.append(mcap.schema(number, name, encoding, text))
+        self._schemas.append(record(mcap.SCHEMA, struct.pack("<H", number), name, encoding, behind_length(text)))
         self._opening.append(self._schemas[-1])
         return number
 
     def register_channel(self, topic: str, encoding: str, schema_id: int, metadata: Mapping[str, str] | None = None) -> int:
         """Add a channel to the open chunk; return its number."""
         number = len(self._channels) + 1
-        self._channels.append(mcap.channel(number, schema_id, topic, encoding, metadata or {}))
+        self._channels.append(record(mcap.CHANNEL, struct.pack("<HH", number, schema_id), topic, encoding, metadata or {}))
         self._opening.append(self._channels[-1])
         return number
 
@@ -206,48 +208,49 @@ class McapWriter:
         opening = b"".join(self._opening)
         self._opening.clear()
         data, messages, first, last = self.chunk.end(opening)
-        packed = self._compress(data)
-        at = self._stream.tell()
-        self._write(mcap.chunk(first, last, data, COMPRESSION, packed))
-        length = self._stream.tell() - at
+        packed, at, span = self._compress(data), self._stream.tell(), struct.pack("<QQ", first, last)
+        sizes = struct.pack("<QI", len(data), zlib.crc32(data))
+        self._write(record(mcap.CHUNK, span, sizes, COMPRESSION, struct.pack("<Q", len(packed)), packed))
+        place = struct.pack("<QQ", at, self._stream.tell() - at)
         indexes, offsets = self._indexes(messages)
         self._write(indexes)
-        index = mcap.chunk_index(first, last, at, length, offsets, len(indexes), COMPRESSION, len(packed), len(data))
+        lengths = struct.pack("<QQ", len(packed), len(data))
+        index = record(mcap.CHUNK_INDEX, span, place, offsets, struct.pack("<Q", len(indexes)), COMPRESSION, lengths)
         self._chunks += 1
         self._chunk_indexes.extend(np.frombuffer(index, np.uint8))
         self._start = first if self._start is None else min(self._start, first)
         self._end = max(self._end, last)
         self._chunk_ended(data, messages)
 
-    def _indexes(self, messages: Messages) -> tuple[bytes, dict[int, int]]:
+    def _indexes(self, messages: Messages) -> tuple[bytes, bytes]:
         """Return the message indexes of a chunk, and where in the file that of every channel begins."""
-        found = []
+        found, offsets = [], b""
         begin = self._stream.tell()
-        offsets: dict[int, int] = {}
         for channel, (times, begins) in messages.items():
             self._counts[channel] = self._counts.get(channel, 0) + len(times)
             if self._index == "chunk":
                 continue
             entries = np.empty((len(times), 2), "<u8")
             entries[:, 0], entries[:, 1] = times, begins
-            offsets[channel] = begin
+            offsets += _OF_CHANNEL.pack(channel, begin)
             found += [_INDEX_HEAD.pack(mcap.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes), entries.tobytes()]
             begin += _INDEX_HEAD.size + entries.nbytes
-        return b"".join(found), offsets
+        return b"".join(found), behind_length(offsets)
 
     def finish(self) -> None:
         """Write the rest, the summary and the footer."""
         self._end_chunk()
-        self._stream.write(mcap.data_end(self._data_crc))
+        self._stream.write(record(mcap.DATA_END, LENGTH.pack(self._data_crc)))
         start = self._stream.tell()
-        statistics = mcap.statistics(
-            self._start or 0, self._end, len(self._schemas), len(self._attachments), len(self._metadata), self._chunks,
-            self._counts, len(self._channels),
+        numbers = struct.pack(
+            "<QHIIIIQQ", sum(self._counts.values()), len(self._schemas), len(self._channels), len(self._attachments),
+            len(self._metadata), self._chunks, self._start or 0, self._end,
         )  # fmt: skip
+        counted = b"".join(_OF_CHANNEL.pack(number, count) for number, count in self._counts.items())
         groups: tuple[tuple[int, Iterable[bytes]], ...] = (
             (mcap.SCHEMA, self._schemas),
             (mcap.CHANNEL, self._channels),
-            (mcap.STATISTICS, (statistics,)),
+            (mcap.STATISTICS, (record(mcap.STATISTICS, numbers, behind_length(counted)),)),
             (mcap.CHUNK_INDEX, (piece.tobytes() for piece in pieces(self._chunk_indexes.array(), INDEX_PIECE))),
             (mcap.ATTACHMENT_INDEX, self._attachments),
             (mcap.METADATA_INDEX, self._metadata),
@@ -259,9 +262,7 @@ class McapWriter:
                 self._stream.write(data)
                 tail += len(data)
                 crc = zlib.crc32(data, crc)
-            offsets += mcap.summary_offset(opcode, begin, tail - begin)
-        footer = struct.pack("<BQQQ", mcap.FOOTER, 20, start, tail)
+            offsets += record(mcap.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, begin, tail - begin))
+        footer = record(mcap.FOOTER, struct.pack("<QQI", start, tail, 0))[: -LENGTH.size]
         crc = zlib.crc32(footer, zlib.crc32(offsets, crc))
-        self._stream.write(offsets)
-        self._stream.write(mcap.footer(start, tail, crc))
-        self._stream.write(MAGIC)
+        self._stream.write(offsets + footer + LENGTH.pack(crc) + MAGIC)

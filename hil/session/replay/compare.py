@@ -52,18 +52,15 @@ class Comparison:
             times.clear()
             payloads.clear()
 
-    def differences(self, slots: int) -> list[Difference]:
+    def differences(self, slots: int, *, far: bool = False) -> list[Difference]:
         """Return the first difference of every topic in slots below a number, after the last comparison.
 
         Args:
             slots: later ones are left out.
+            far: only those beyond `NEAR`.
         """
-        found = [own.finish(slots).exact for own in self._topics.values()]
-        return [difference for difference in found if difference is not None and difference[0] < slots]
-
-    def far(self, slots: int) -> list[Difference]:
-        """Return of every topic the first difference beyond `NEAR`, as `differences`."""
-        found = [own.finish(slots).far for own in self._topics.values()]
+        ended = [own.finish(slots) for own in self._topics.values()]
+        found = [own.far if far else own.exact for own in ended]
         return [difference for difference in found if difference is not None and difference[0] < slots]
 
 

@@ -193,7 +193,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
         if k % BATCH == BATCH - 1:
             again.compare()
     again.compare()
-    far = again.far(slots) + ([] if recorded.far is None else [recorded.far]) + short
+    far = again.differences(slots, far=True) + ([] if recorded.far is None else [recorded.far]) + short
     exact = again.differences(slots) + ([] if recorded.difference is None else [recorded.difference])
     likeness: Likeness = "different" if far else "same within 1e-9" if exact else "same bits"
     _, text = min(far or exact, default=(slots, None))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pickle
 import re
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +18,7 @@ from hil.errors import HilError
 from hil.log.records import Channel, Field, Schema, field_name
 from hil.log.run import assemble
 from hil.log.topics import Logged, channels
-
-
-class Signal(NamedTuple):
-    name: str
-    unit: str
-
+from tests.hil.log.recording import Signal
 
 TABLE = channels(Logged(
     states=(Signal("angle", "rad"), Signal("speed", "rad/s")),

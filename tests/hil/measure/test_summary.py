@@ -27,20 +27,6 @@ from tests.hil.pages.runs import run_of
 from transport.laws.age import MarkovAge
 
 
-def test_summary_is_plain_json_with_the_promised_keys() -> None:
-    summary = json.loads(json.dumps(summarise(view_of(run_of("dc-motor-hinf"))), allow_nan=False))
-    assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "metrics", "network", "timing"} <= set(summary)
-    assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
-    for side in ("sc", "ca"):
-        assert {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"} <= set(
-            summary["network"][side]
-        )
-    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
-    assert summary["slots"] == 1000 and summary["duration_s"] == 50.0
-    assert summary["timing"]["valid"] is True
-    assert summary["safety"] is None
-
-
 def test_published_gains_reach_the_error_of_the_reference_computation() -> None:
     # 12.03, sd 0.41 over 10,000 runs: eight seeds lie within 5 standard errors (false alarm below 1e-6).
     experiment = load_experiment("dc-motor-hinf")
@@ -68,6 +54,7 @@ def test_run_stopped_by_safety_names_the_reason() -> None:
     summary = summarise(view_of(run_of("dc-motor-local")))
     assert summary["safety"] is not None and "limit" in summary["safety"]
     assert summary["slots"] < 1000
+    json.dumps(summary, allow_nan=False)
 
 
 def test_summary_survives_a_run_that_ended_at_once() -> None:

@@ -63,6 +63,7 @@ def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
         assert sum(summary["network"][side]["mode_counts"]) == summary["slots"] == 1000
         assert 1e-6 < summary["network"][side]["p_value"] <= 1
     assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
+    assert summary["timing"]["valid"] is True and summary["safety"] is None and summary["duration_s"] == 50.0
     assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
     assert summary["log"]["dropped"] == 0
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import os
 import stat
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zstandard
 from mcap.reader import make_reader
-from mcap_ros2.decoder import DecoderFactory
 
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -28,7 +25,6 @@ from hil.runtime.virtual import run_virtual
 from tests.bench.plain_log import PlainSink
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import PERIOD_NS, TABLE, assert_same_arrays, provenance, record
-from tests.waiting import LIMIT_S
 
 
 def write(path: Path, slots: int = 500) -> tuple[McapSink, MemorySink]:
@@ -67,57 +63,6 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     assert run.codes["reason"] == ["delivered", "lost"]
     assert run.summary["metrics"] == {"sse": 1.5}
     assert run.summary["log"]["dropped"] == 0
-
-
-def test_mcaps_own_reader_and_its_ros2_decoder_read_the_file(tmp_path: Path) -> None:
-    _, memory = write(tmp_path / "run.mcap", slots=50)
-    same = Run.from_memory(memory)
-    with open(tmp_path / "run.mcap", "rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()], validate_crcs=True)
-        summary = reader.get_summary()
-        assert summary is not None and summary.statistics is not None
-        assert summary.statistics.message_count == sum(map(len, memory.payloads.values()))
-        assert {a.name for a in summary.attachment_indexes} == {"experiment.toml", "resolved.json", "certificate.json"}
-        seen = dict.fromkeys(TABLE, 0)
-        for schema, channel, message, decoded in reader.iter_decoded_messages(topics=list(TABLE)):
-            expected = same.arrays[channel.topic][seen[channel.topic]]
-            seen[channel.topic] += 1
-            assert schema is not None and schema.name == TABLE[channel.topic].schema.name
-            assert message.log_time == message.publish_time == expected["t_ns"]
-            for name in expected.dtype.names[1:]:
-                got = getattr(decoded, name)
-                got = bytes(got) if name == "data" else got
-                assert got == expected[name] or (got != got and expected[name] != expected[name])
-        assert seen == {topic: len(array) for topic, array in same.arrays.items()}
-        events = [decode_event(m.data) for _, c, m in reader.iter_messages(topics=["/events"])]
-        assert events == same.events
-
-
-_WRITE = """
-import hashlib, sys
-from hil.log.write.mcap_sink import McapSink
-from hil.log.write.provenance import commit
-from tests.hil.log.recording import TABLE, provenance, record
-with McapSink(sys.argv[1], TABLE, provenance()) as sink:
-    record(sink, 6000)
-    sink.event(1, "set", "unordered", names={"b", "a", "c"}, more={"x", "y"})
-    sink.summary({"modes": {"q", "r"}})
-print(hashlib.sha256(open(sys.argv[1], "rb").read()).hexdigest())
-"""
-
-
-def test_the_same_records_give_the_same_file_in_two_processes(tmp_path: Path) -> None:
-    hashes = []
-    for seed in ("1", "2"):
-        (tmp_path / seed).mkdir()
-        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": os.getcwd()}
-        done = subprocess.run(
-            [sys.executable, "-c", _WRITE, tmp_path / seed / f"run{seed}.mcap"],
-            env=environment, capture_output=True, text=True, check=True, timeout=LIMIT_S,
-        )  # fmt: skip
-        hashes.append(done.stdout)
-    assert hashes[0] == hashes[1]
-    assert len(hashes[0]) == 65
 
 
 def test_in_real_time_records_are_on_the_disk_within_100_ms(tmp_path: Path) -> None:

@@ -63,6 +63,14 @@ def test_numbers_that_are_not_finite_become_text() -> None:
     assert plain((math.nan, math.inf, -math.inf, 1.0)) == ["nan", "inf", "-inf", 1.0]
 
 
+def test_sets_and_tables_stand_in_one_order_in_every_process() -> None:
+    names = [f"name {i}" for i in range(20)]
+    data = {"set": {*names}, "table": dict.fromkeys(reversed(names), 1)}
+    assert plain(data)["set"] == sorted(names)
+    texts = [encode_event(0, "a", "b", data=dict(items)) for items in ([*data.items()], [*data.items()][::-1])]
+    assert texts[0] == texts[1] and b'"name 0":1,"name 1":1,"name 10":1' in texts[0]
+
+
 def test_a_sink_in_memory_keeps_only_the_topics_that_are_wanted() -> None:
     sink = MemorySink(TABLE, topics={"/plant/state"})
     assert sink.channel("/network/sc") is None
