@@ -1,4 +1,4 @@
-"""The thesis's numbers beside computed ones: a room a chapter, each with a module ``numbers`` that holds its `Chapter`.
+"""The thesis's numbers beside computed ones: a module a chapter, such as ``chapter7``, that holds its `Chapter`.
 
 A statement is data: what is printed, which computed number, by which rule (``statements``); a row is a statement judged, and no
 verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, and
@@ -43,8 +43,8 @@ __all__ = [
 
 def chapters() -> tuple[str, ...]:
     """Names of the chapters that can be reproduced, e.g. ``("ch2", "ch3")``."""
-    rooms = (info.name for info in pkgutil.iter_modules(__path__) if info.ispkg)
-    return tuple(sorted(f"ch{room.removeprefix('chapter')}" for room in rooms if room.startswith("chapter")))
+    names = (info.name.removeprefix("chapter") for info in pkgutil.iter_modules(__path__))
+    return tuple(sorted(f"ch{name}" for name in names if name.isdigit()))
 
 
 def compute_chapter(chapter: str, progress: Progress = lambda step: None, kept: Checkpoint | None = None) -> Reproduction:
@@ -83,6 +83,5 @@ def seconds_left(chapter: str, kept: Checkpoint | None = None) -> float:
 def _asked(chapter: str) -> Chapter:
     if chapter not in chapters():
         raise KeyError(chapter)
-    room = importlib.import_module(f"hil.thesis.chapter{chapter.removeprefix('ch')}.numbers")
-    asked: Chapter = room.CHAPTER
+    asked: Chapter = importlib.import_module(f"hil.thesis.chapter{chapter.removeprefix('ch')}").CHAPTER
     return asked

@@ -1,7 +1,7 @@
 """A chapter as a list of stages, each of which gives rows and figures and stands alone: what was done could be kept.
 
-A chapter's room has a module ``numbers`` with ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage computes
-numbers by name and says how far it is; its `Statement` s are judged by them.
+The module of a chapter has ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage computes numbers by name and
+says how far it is; its `Statement` s are judged by them.
 Stages share nothing but the code they call.
 """
 

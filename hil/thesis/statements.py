@@ -1,6 +1,6 @@
 """A statement of the thesis as data: what is said, what is printed, which computed number, by which rule.
 
-A chapter's room computes numbers under names; a table of statements refers to them as a format string does, ``"J[1]"``, and
+A chapter computes numbers under names; a table of statements refers to them as a format string does, ``"J[1]"``, and
 `judge` puts the two together. Words may quote numbers in braces. No statement has code of its own::
 
     Statement("J of (5.16)", "220.2", (equal("J for I(0) = 2", "J[1]", "220.2"),), basis="others: {J[0]:.3f}")

@@ -13,8 +13,8 @@ from design.requests.scheduled import QuadraticConstraint, Scheduled
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
-from hil.thesis.chapter4 import further
-from hil.thesis.chapter4.further import CONSTRAINTS, constraints
+from hil.thesis import chapter4
+from hil.thesis.chapter4 import CONSTRAINTS, constraints
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -82,7 +82,7 @@ def test_gains_for_a_constraint_are_stored_and_read(tmp_path: Path) -> None:
 
 def test_the_rows_on_constraints_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of gains by one alternation, whose level is as good a one to hold a constraint against."""
-    monkeypatch.setattr(further, "fault_tolerant_feedback", partial(further.fault_tolerant_feedback, rounds=1))
+    monkeypatch.setattr(chapter4, "fault_tolerant_feedback", partial(chapter4.fault_tolerant_feedback, rounds=1))
     rows = judge(CONSTRAINTS, constraints(lambda text, done=0, total=0, /: None))
     assert [row.verdict for row in rows] == ["reproduced", "reproduced"]
     assert_every_number_decides(rows)

@@ -24,8 +24,8 @@ from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import _with_seen_sensors, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
-from hil.thesis.chapter4 import further
-from hil.thesis.chapter4.further import GAIN_BOUND, SENSOR_FAULT, sensor_fault
+from hil.thesis import chapter4
+from hil.thesis.chapter4 import GAIN_BOUND, SENSOR_FAULT, sensor_fault
 from hil.thesis.statements import judge
 from plants import DelayedVTOL, FaultyVTOL, check_plant
 from tests.hil.thesis.judging import assert_every_number_decides
@@ -103,7 +103,7 @@ def designs() -> dict[str, Any]:
         return analyse_fault_tolerant(system, gain, process)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(further, "fault_tolerant_feedback", feedback)
+        patch.setattr(chapter4, "fault_tolerant_feedback", feedback)
         return sensor_fault(lambda text, done=0, total=0, /: None)
 
 

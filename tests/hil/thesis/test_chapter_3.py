@@ -16,7 +16,7 @@ from design.as_printed.examples import chapter3_gain, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain
 from design.semi_markov_loop.certificate import JumpCertificate
 from hil.pages.html.figures import Bars, Figure
-from hil.thesis.chapter3 import numbers
+from hil.thesis import chapter3 as numbers
 from hil.thesis.noisy_runs import NoisyRuns
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides

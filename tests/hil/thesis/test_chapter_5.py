@@ -19,9 +19,22 @@ from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from hil.thesis import Statement, chapters
-from hil.thesis.chapter5 import equation_rows as equations
-from hil.thesis.chapter5.further import FURTHER, any_order, delay, further, proof_numbers, variant_plant
-from hil.thesis.chapter5.numbers import FIGURES, GAINS, THEOREM, figures, gains_numbers, published_plant, theorem_numbers
+from hil.thesis import chapter5_equations as equations
+from hil.thesis.chapter5 import (
+    FIGURES,
+    FURTHER,
+    GAINS,
+    THEOREM,
+    any_order,
+    delay,
+    figures,
+    further,
+    gains_numbers,
+    proof_numbers,
+    published_plant,
+    theorem_numbers,
+    variant_plant,
+)
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -118,7 +131,7 @@ def test_rows_beyond_the_chapter_say_what_was_found_of_each(monkeypatch: pytest.
         ("common_bound", lambda loop, start: (float(start @ start), P)), ("tangent_scheme", lambda *given: proof),
         ("cone_complementarity", lambda plant, mask, x0, bound: proof._replace(bounds=(bound,))),
     ):  # fmt: skip
-        monkeypatch.setattr(f"hil.thesis.chapter5.further.{name}", answer)
+        monkeypatch.setattr(f"hil.thesis.chapter5.{name}", answer)
     steps: list[str] = []
     found = further(PLANT, lambda text, done=0, total=0, /: steps.append(text))
     assert steps[0] == "input weight" and len(steps) == 4

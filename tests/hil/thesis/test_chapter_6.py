@@ -18,10 +18,9 @@ from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HeldDevice, push_response
 from design.passivity.transparency import distortion
 from hil.thesis import chapters, reproduce
-from hil.thesis.chapter6.equation_rows import WALL, loop_of, wall
-from hil.thesis.chapter6.material_rows import LATER, OWN, materials
-from hil.thesis.chapter6.numbers import PASSIVITY, PUSH, passivity, push
-from hil.thesis.chapter6.statement_rows import STATEMENTS, statements
+from hil.thesis.chapter6 import PASSIVITY, PUSH, passivity, push
+from hil.thesis.chapter6_equations import STATEMENTS, loop_of, statements
+from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
 from hil.thesis.pages import chapter_page
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
@@ -76,7 +75,7 @@ def test_statements_with_the_number_that_decides_each():
 
 def test_couplers_per_material_with_the_number_that_decides_each(monkeypatch):
     """Over shorter stays at each speed, so 36 modes instead of 120; the verdict on `omni-paces` is of its own stays."""
-    monkeypatch.setattr("hil.thesis.chapter6.material_rows.STAYS", ((2, 4), (3, 5), (1, 3)))
+    monkeypatch.setattr("hil.thesis.chapter6_wall.STAYS", ((2, 4), (3, 5), (1, 3)))
     found = judge((*OWN, *LATER), materials(DEVICE))
     assert_every_number_decides(found)
     verdicts = {r.item: r.verdict for r in found}

@@ -11,27 +11,20 @@ from design.monte_carlo.parallel_runs import Workers
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem
 from hil.thesis import reproduce
-from hil.thesis.chapter7.designs import published
-from hil.thesis.chapter7.emulated import errors, sums_of_squares
-from hil.thesis.chapter7.friction import (
-    EXPERIMENT,
-    EXPERIMENT_ROWS,
-    Imperfections,
-    errors_of_all,
-    experiment,
-    loop_of,
-    misfit,
-)
-from hil.thesis.chapter7.further import LEVELS, TRADE_OFF, trade_off
-from hil.thesis.chapter7.models import H2, VTOL_LOCAL, motor, peak, vtol
-from hil.thesis.chapter7.tables import (
+from hil.thesis.chapter7_delays import LEVELS, TRADE_OFF, trade_off
+from hil.thesis.chapter7_designs import published
+from hil.thesis.chapter7_friction import EXPERIMENT, EXPERIMENT_ROWS, Imperfections, errors_of_all, experiment, loop_of, misfit
+from hil.thesis.chapter7_models import H2, VTOL_LOCAL, motor, peak, vtol
+from hil.thesis.chapter7_runs import (
     PERIODS_S,
     TABLE_7_1_ROWS,
     TABLE_7_2_ROWS,
+    errors,
     motor_numbers,
     motor_prediction,
     motor_signals,
     motor_table,
+    sums_of_squares,
     vtol_numbers,
     vtol_table,
 )
@@ -66,7 +59,7 @@ def test_table_7_2_was_made_at_half_the_stated_period():
 
 def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1(monkeypatch):
     """Its runs span seven decades: 0.3319 and 0.2051 are among them, and so is 1000; the rank decides nothing."""
-    monkeypatch.setattr("hil.thesis.chapter7.tables.VTOL_RUNS", 2000)
+    monkeypatch.setattr("hil.thesis.chapter7_runs.VTOL_RUNS", 2000)
     values = dict.fromkeys(("local H2", "local H-infinity"), vtol_numbers("local H2"))
     rows = judge(TABLE_7_1_ROWS[2:], values)
     assert [r.verdict for r in rows] == ["undecided"] * 2 and "passes at the size 0.5, 2" in rows[0].rule
@@ -134,7 +127,7 @@ def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_del
     Of the five levels of `hil reproduce` the tightest, beside no level: the claims rest on these two. One start of
     each descent, all in this process.
     """
-    monkeypatch.setattr("hil.thesis.chapter7.further.LEVELS", LEVELS[:1])
+    monkeypatch.setattr("hil.thesis.chapter7_delays.LEVELS", LEVELS[:1])
     monkeypatch.setattr("hil.thesis.chapter7.emulated.Workers", lambda **_: Workers())
     monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
     found = trade_off(quietly)

@@ -11,8 +11,8 @@ from click.testing import CliRunner
 
 from design.as_printed.examples import chapter4_process
 from hil.thesis import Reproduction, Row, Step, compute_chapter, reproduce
-from hil.thesis.chapter2.feasibility import FEASIBILITY, feasibility
-from hil.thesis.chapter4.simulations import detection_fault, lifetimes
+from hil.thesis.chapter2_feasibility import FEASIBILITY, feasibility
+from hil.thesis.chapter4_simulations import detection_fault, lifetimes
 from hil.thesis.pages import chapter_page
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides

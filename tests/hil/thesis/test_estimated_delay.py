@@ -10,9 +10,9 @@ import pytest
 from scipy.optimize import minimize
 
 from design.tracking.synthesis import TrackingProblem
-from hil.thesis.chapter7.designs import PLANTS
-from hil.thesis.chapter7.estimate import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
-from hil.thesis.chapter7.models import NETWORK, motor
+from hil.thesis.chapter7_delays import ESTIMATED, by_estimate, estimated_delay, packet_by_packet
+from hil.thesis.chapter7_designs import PLANTS
+from hil.thesis.chapter7_models import NETWORK, motor
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -26,7 +26,7 @@ def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
 def test_rows_on_the_estimate_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     """By one start of each descent, of those by differences by two steps, and by 4000 runs packet by packet."""
     monkeypatch.setattr("scipy.optimize.minimize", partial(minimize, options={"maxiter": 2}))
-    monkeypatch.setattr("hil.thesis.chapter7.estimate.packet_by_packet", partial(packet_by_packet, runs=4000))
+    monkeypatch.setattr("hil.thesis.chapter7_delays.packet_by_packet", partial(packet_by_packet, runs=4000))
     monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
     steps: list[tuple[int, int]] = []
     values: dict[str, Any] = dict(estimated_delay(lambda text, done=0, total=0, /: steps.append((done, total))))

@@ -14,7 +14,7 @@ import pytest
 
 import hil.thesis
 from hil.thesis import VERDICTS, Check, Statement, chapters, power
-from hil.thesis.chapter2.numbers import REMARK_2_2
+from hil.thesis.chapter2 import REMARK_2_2
 from hil.thesis.judgement import OFF, Between, Row, rank, share_interval
 from hil.thesis.pages import power_in_words, turns
 from hil.thesis.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, not_judged, run, says, within
@@ -202,7 +202,7 @@ def test_a_number_that_judges_nothing_is_found_out() -> None:
 
 def statements() -> list[Statement]:
     """Return every statement of every chapter."""
-    rooms = (importlib.import_module(f"hil.thesis.chapter{name.removeprefix('ch')}.numbers") for name in chapters())
+    rooms = (importlib.import_module(f"hil.thesis.chapter{name.removeprefix('ch')}") for name in chapters())
     return [said for room in rooms for stage in room.CHAPTER.stages for said in stage.statements]
 
 

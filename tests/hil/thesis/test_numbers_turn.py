@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 from hil.thesis import Stage, Statement
-from hil.thesis.chapter7.designs import NAME, NAMES, SERIES
-from hil.thesis.chapter7.friction import EXPERIMENT, STEADY
-from hil.thesis.chapter7.friction import NAMES as CONTROLLERS
-from hil.thesis.chapter7.models import EIGENVALUES
-from hil.thesis.chapter7.tables import TABLE_7_1, TABLE_7_2, UNKNOWN
+from hil.thesis.chapter7_designs import NAME, NAMES, SERIES
+from hil.thesis.chapter7_friction import EXPERIMENT, STEADY
+from hil.thesis.chapter7_friction import NAMES as CONTROLLERS
+from hil.thesis.chapter7_models import EIGENVALUES
+from hil.thesis.chapter7_runs import TABLE_7_1, TABLE_7_2, UNKNOWN
 from hil.thesis.statements import judge
 
 Numbers = dict[str, Any]
@@ -224,7 +224,7 @@ TURNED = [(name, item, n) for name, table in CHAPTERS.items() for item, (*_, tur
 
 
 def stages_of(chapter: str) -> tuple[Stage, ...]:
-    found: tuple[Stage, ...] = importlib.import_module(f"hil.thesis.{chapter}.numbers").CHAPTER.stages
+    found: tuple[Stage, ...] = importlib.import_module(f"hil.thesis.{chapter}").CHAPTER.stages
     return found
 
 

@@ -13,8 +13,8 @@ import pytest
 from design.as_printed.chapters_2_to_4 import inequality_at
 from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
 from design.semi_markov_loop.certificate import JumpCertificate
-from hil.thesis.chapter3 import partitions as section
-from hil.thesis.chapter3.partitions import FURTHER, PARTITIONS, further, interval_matrices, partitions, rates_inside
+from hil.thesis import chapter3_partitions as section
+from hil.thesis.chapter3_partitions import FURTHER, PARTITIONS, further, interval_matrices, partitions, rates_inside
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 

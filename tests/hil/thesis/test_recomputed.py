@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from design.as_printed.examples import chapter2_process, chapter3_process
-from hil.thesis.chapter2.in_the_loop import MARKOV, markov, markov_approximation, mean_sojourns
-from hil.thesis.chapter3.partitions import FURTHER
-from hil.thesis.chapter3.partitions import further as delays
-from hil.thesis.chapter4.further import OTHER_FAULTS, other_faults
-from hil.thesis.chapter4.numbers import GAMMA, RECOMPUTED, recomputed
-from hil.thesis.chapter4.simulations import simulate
-from hil.thesis.chapter7.further import INTEGRAL, integral_action
+from hil.thesis.chapter2_feasibility import MARKOV, markov, markov_approximation, mean_sojourns
+from hil.thesis.chapter3_partitions import FURTHER
+from hil.thesis.chapter3_partitions import further as delays
+from hil.thesis.chapter4 import OTHER_FAULTS, other_faults
+from hil.thesis.chapter4_simulations import GAMMA, RECOMPUTED, recomputed, simulate
+from hil.thesis.chapter7_friction import INTEGRAL, integral_action
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -66,7 +65,7 @@ def test_a_comparison_under_bounds_that_are_not_printed_is_decided_where_all_say
 def test_gains_of_the_corollaries_are_those_of_their_sections(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under one bound, in the place of all three, and by 10 runs."""
     for name, value in (("BOUNDS", (50.0,)), ("RUNS", 10), ("simulate", partial(simulate, runs=10))):
-        monkeypatch.setattr(f"hil.thesis.chapter4.numbers.{name}", value)
+        monkeypatch.setattr(f"hil.thesis.chapter4_simulations.{name}", value)
     found = recomputed(_quiet)
     rows = judge(RECOMPUTED, {name: numbers if name == "size" else 3 * numbers for name, numbers in found.items()})
     assert [row.verdict for row in rows] == ["not reproduced", "not reproduced", "reproduced", "not reproduced"]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.thesis.chapter2.in_the_loop import IN_THE_LOOP, comparison, settled, settling_time
+from hil.thesis.chapter2_runs import IN_THE_LOOP, comparison, settling_time
+from hil.thesis.chapter2_runs import settled_on_the_rig as settled
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 

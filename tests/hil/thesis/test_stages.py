@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hil.pages.html.figures import Figure
-from hil.thesis.chapter4 import simulations as chapter4
+from hil.thesis import chapter4_simulations as chapter4
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -197,7 +197,7 @@ def fewer_runs(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.usefixtures("fewer_runs")
 @pytest.mark.parametrize(("chapter", "title"), sorted({*ROWS, *DRAWN}))
 def test_a_stage_computes_what_it_did(chapter: str, title: str) -> None:
-    stages = importlib.import_module(f"hil.thesis.{chapter}.numbers").CHAPTER.stages
+    stages = importlib.import_module(f"hil.thesis.{chapter}").CHAPTER.stages
     (stage,) = (stage for stage in stages if stage.title == title)
     steps: list[tuple[int, int]] = []
     values = stage.compute(lambda text, done=0, total=0, /: steps.append((done, total)))

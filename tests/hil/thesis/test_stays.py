@@ -5,7 +5,7 @@ import pytest
 
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.thesis.chapter7.further import DELAYS, PERIOD_S, STAY, STAYS, stays
+from hil.thesis.chapter7_delays import DELAYS, PERIOD_S, STAY, STAYS, stays
 from hil.thesis.statements import judge
 from plants.dc_motor import DCMotor
 from tests.hil.thesis.judging import assert_every_number_decides

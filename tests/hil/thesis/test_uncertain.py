@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hil.thesis.chapter7.further import UNCERTAIN, uncertain
+from hil.thesis.chapter7_designs import UNCERTAIN, uncertain
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 

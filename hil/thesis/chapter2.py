@@ -23,11 +23,33 @@ from design.semi_markov_loop.robust_feedback import FeedbackRequest, Synthesis, 
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse
 from design.semi_markov_loop.system import JumpSystem
-from hil.thesis.chapter import Chapter, ReportProgress, Stage
-from hil.thesis.chapter2.feasibility import FEASIBILITY, FORMS, SECTIONS, feasibility, verdict_of
-from hil.thesis.chapter2.figures import SETTLING, certified_scales, settling, weibull_process
-from hil.thesis.chapter2.in_the_loop import IN_THE_LOOP, MARKOV, in_the_loop, markov
+from hil.pages.html.figures import BarGroup, Bars
+from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, feasibility, markov, verdict_of
+from hil.thesis.chapter2_runs import IN_THE_LOOP, SETTLING, in_the_loop, settling, weibull_process
 from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says
+
+
+def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
+    """What every method certifies, by the number of sections."""
+    counts = (1, 2, 4, 8)
+    names = {"pwl": "linear in h (ours)", "pwc": "constant per section (sound)", "printed": "printed (unsound)"}
+    groups = tuple(
+        BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed") for m in ("pwl", "pwc", "printed")
+    )
+    bars = Bars(
+        title="largest certified scale of the uncertainty",
+        categories=[f"M = {n}" for n in counts],
+        groups=groups,
+        x_label="sections",
+        y_label="scale",
+    )
+    return Plot(
+        title="What partitioning buys",
+        panels=(bars,),
+        intro="A_i(t), B_2(t) as printed, equal probability, |K| <= 100.",
+    )
+
 
 THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")
 
@@ -94,7 +116,6 @@ def _autonomous(*modes: list[list[float]]) -> JumpSystem:
 
 GAINS = {"ours": ("(2.27)", chapter2_gain), "other": ("[1, 2]", chapter2_reference_gain)}
 
-
 CELLS_S: Partition = ((0.0, 0.2, 0.4, CHAPTER2_BOUNDARY_S, 1.2, 1.8, 2.5, 3.5, 4.6),) * 2
 """Between which a Lyapunov matrix is linear."""
 
@@ -103,9 +124,7 @@ def _moments(report_progress: ReportProgress) -> dict[str, Any]:
     """Exact second moments of the example under both controllers, for every constant sigma, rho of -1, 0 and 1."""
     process, nominal, moved = chapter2_process(), chapter2_system("none"), chapter2_system("vertices")
     ends = [nominal, moved.at_vertex(0), moved.at_vertex(1)]
-    each = [
-        JumpSystem(a=np.stack([one.a[0], two.a[1]]), b=np.stack([one.b[0], two.b[1]])) for one, two in product(ends, ends)
-    ]
+    each = [JumpSystem(a=np.stack([one.a[0], two.a[1]]), b=np.stack([one.b[0], two.b[1]])) for one, two in product(ends, ends)]
     return {
         name: {
             "radius": second_moment_radius(nominal, gain(), process), "decay": second_moment_decay(nominal, gain(), process) / 2,
@@ -244,3 +263,4 @@ CHAPTER = Chapter(
         Stage("a Markov approximation", markov, 6, MARKOV),
     ),
 )
+# fmt: on

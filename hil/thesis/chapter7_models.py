@@ -111,6 +111,8 @@ def _response(A: Array, B: Array) -> list[float]:
 
 HALF = 0.5e-4
 EIGENVALUES = ((1.0028, 0.0026), (1.0028, -0.0026), (0.9977, 0.0), (0.9795, 0.0))
+
+
 # fmt: off
 MODELS = (
     Statement(
@@ -168,7 +170,6 @@ MODELS = (
 )
 # fmt: on
 
-
 ALONE = np.eye(1)
 
 
@@ -225,6 +226,8 @@ def smallest_peak(*starts: npt.ArrayLike) -> Array:
 
 
 VTOL_GAIN = "[-56.0196 -10.5998]"
+
+
 # fmt: off
 LOCAL_DESIGNS = (
     Statement(

@@ -158,8 +158,7 @@ PARTITIONS = (
         basis="one rate in both places, C'C and B'P in the wrong coordinates, sections not linked: part of this may be "
         "what is not sound; the corrected condition has a row of its own",
     ),
-)
-
+)  # fmt: skip
 
 GAMMA = 0.93
 DELAYS_S = (0.1, 0.2, 0.3, 0.6, 1.0, 1.5, 2.0)
@@ -183,9 +182,7 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
         steady = replace(system, delay_slopes=np.full(system.modes, slope))
         levels["slopes"].append(number_of(analyse_delayed(steady, printed, process).gamma))
     curve = Series(label="printed gains", x=np.array(DELAYS_S), y=np.array(levels["delays"]))
-    figure = Figure(
-        title="certified gamma", series=(curve,), x_label="largest delay", x_unit="s", y_label="gamma", sync=None
-    )
+    figure = Figure(title="certified gamma", series=(curve,), x_label="largest delay", x_unit="s", y_label="gamma", sync=None)
     return levels | {
         "parts": parts, "first": "; ".join(" ".join(f"{v:.4f}" for v in row) for row in found[0, 0]),
         "off": float(np.abs(found - printed.gain).max()) if found.shape == printed.gain.shape else math.nan,

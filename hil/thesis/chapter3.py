@@ -15,7 +15,7 @@ from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
 from design.semi_markov_loop.system import DelayedJumpSystem
 from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
-from hil.thesis.chapter3.partitions import BOUNDS, FURTHER, PARTITIONS, SECTIONS, WHOLE, further, partitions
+from hil.thesis.chapter3_partitions import BOUNDS, FURTHER, PARTITIONS, SECTIONS, WHOLE, further, partitions
 from hil.thesis.judgement import rank
 from hil.thesis.noisy_runs import NoisyRuns, delayed_runs
 from hil.thesis.statements import Statement, above, below, number_of, run, says
@@ -232,3 +232,4 @@ CHAPTER = Chapter(
         Stage("simulations", _simulations, 40, SIMULATIONS),
     ),
 )
+# fmt: on

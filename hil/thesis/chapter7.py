@@ -1,4 +1,7 @@
-"""Figures 7.2 to 7.4 and 7.6 to 7.8: runs of the rig, with the predicted band, the fitted motor, and the Smith predictor."""
+"""Chapter 7: the networked DC motor and the VTOL; every number of Section 7.4 beside what a correct computation gives.
+
+Here too Figures 7.2 to 7.4 and 7.6 to 7.8: runs of the rig, with the predicted band, the fitted motor, and the Smith predictor.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,32 @@ from hil.measure.tracking import tracking_of_batch
 from hil.pages.html.figures import Band, Figure, Marker, Series
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
-from hil.thesis.chapter import Plot, ReportProgress
-from hil.thesis.chapter7.emulated import numbers_of, on_all_cores
-from hil.thesis.chapter7.friction import Imperfections, loop_of
-from hil.thesis.chapter7.models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, everywhere, vtol
-from hil.thesis.chapter7.tables import CONTROLLERS, motor_prediction
+from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.thesis.chapter7_delays import ESTIMATED, STAYS, TRADE_OFF, estimated_delay, stays, trade_off
+from hil.thesis.chapter7_designs import DESIGNS, INFORMED, UNCERTAIN, designs, gain_bounds, information, uncertain
+from hil.thesis.chapter7_friction import EXPERIMENT_ROWS, INTEGRAL, Imperfections, experiment, fit, integral_action, loop_of
+from hil.thesis.chapter7_models import (
+    LOCAL_DESIGNS,
+    MODELS,
+    NETWORK,
+    VTOL_H2,
+    VTOL_HINF,
+    VTOL_LOCAL,
+    everywhere,
+    local_designs,
+    models,
+    vtol,
+)
+from hil.thesis.chapter7_runs import (
+    CONTROLLERS,
+    TABLE_7_1_ROWS,
+    TABLE_7_2_ROWS,
+    motor_prediction,
+    motor_table,
+    numbers_of,
+    on_all_cores,
+    vtol_table,
+)
 from hil.thesis.statements import Statement, above, below
 
 Array = npt.NDArray[np.float64]
@@ -113,6 +137,8 @@ def smith(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 SMITH_BASIS = f"mean of {SMITH_RUNS} runs with the same delays, differences with 4 standard errors; the Smith gain is not printed"
+
+
 # fmt: off
 SMITH = (
     Statement(
@@ -202,3 +228,31 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
         name = "H2" if kind == "vtol-h2" else "H-infinity"
         plots.append(Plot(title=f"Figure {number}: {name} controller of the VTOL", panels=panels))
     return {"figures": plots}
+
+
+def _experiment(report_progress: ReportProgress) -> dict[str, Any]:
+    """The experiment column of Table 7.2 with a fitted motor, and Figures 7.6 to 7.8."""
+    motor, misfit = fit(report_progress)
+    return experiment(motor, misfit, report_progress) | {"figures": motor_plots(motor, report_progress)}
+
+
+CHAPTER = Chapter(
+    title="Chapter 7: robust tracking control of a networked DC motor",
+    stages=(
+        Stage("models and statements", models, 1.5, MODELS),
+        Stage("designs", designs, 45, DESIGNS),
+        Stage("designs without the network", local_designs, 3, LOCAL_DESIGNS),
+        Stage("Table 7.1", vtol_table, 8, TABLE_7_1_ROWS),
+        Stage("Figures 7.2 and 7.3", vtol_plots, 1),
+        Stage("Table 7.2, simulation", motor_table, 10, TABLE_7_2_ROWS),
+        Stage("Smith predictor", smith, 3, SMITH),
+        Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, EXPERIMENT_ROWS),
+        Stage("what the actuator knows", information, 25, INFORMED),
+        Stage("an estimate of d", estimated_delay, 7, ESTIMATED),
+        Stage("gain bounds", gain_bounds, 10),
+        Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
+        Stage("uncertain plants", uncertain, 9, UNCERTAIN),
+        Stage("integral action", integral_action, 2, INTEGRAL),
+        Stage("the stay of d", stays, 0.5, STAYS),
+    ),
+)

@@ -1,1 +1,0 @@
-"""Chapter 3: H-infinity control under time-varying delays."""

@@ -1,1 +1,0 @@
-"""Chapter 4: fault-tolerant control with random detection delays."""

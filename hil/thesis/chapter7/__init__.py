@@ -1,1 +1,0 @@
-"""Chapter 7: output tracking over networks, send all, apply one."""
