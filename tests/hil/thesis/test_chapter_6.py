@@ -20,7 +20,7 @@ from design.passivity.transparency import distortion
 from hil.thesis import chapters, reproduce
 from hil.thesis.chapter6 import PASSIVITY, PUSH, passivity, push
 from hil.thesis.chapter6_equations import STATEMENTS, loop_of, statements
-from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
+from hil.thesis.chapter6_wall import LATER, OWN, materials, wall
 from hil.thesis.pages import chapter_page
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
@@ -117,11 +117,7 @@ def test_figure_6_8_is_drawn_in_millimetres_of_the_depths_that_are_judged():
         assert curve.y == pytest.approx(depth_m / 1e-3, rel=1e-12) and curve.x[-1] == pytest.approx(PERIOD_S * (len(curve.x) - 1))
 
 
-@pytest.mark.parametrize(
-    ("share", "verdict"), [(0.99, "reproduced"), (1.01, "not reproduced"), (9.9, "not reproduced"), (10.1, "claim false")]
-)
-def test_that_the_material_has_a_memory_takes_ten_times_what_chance_gives(share, verdict):
+def test_that_the_material_has_a_memory_takes_ten_times_what_chance_gives():
     numbers = wall()
     assert numbers["limit"] == pytest.approx(float(chi2.isf(1e-3, numbers["freedom"])))
-    found = {row.item.partition(":")[0]: row.verdict for row in judge(WALL, numbers | {"G": share * numbers["limit"]})}
-    assert found["6.1"] == verdict
+    assert numbers["far"] == 10.0 * numbers["limit"]

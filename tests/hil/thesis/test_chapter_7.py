@@ -71,8 +71,8 @@ def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1(monkeypatch):
 
 def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypatch):
     for name, value in (("VTOL_RUNS", 50), ("MOTOR_RUNS", 50), ("MORE_RUNS", 100), ("TABLE_7_2", {"local": ("12.11", "0.0693")})):
-        monkeypatch.setattr(f"hil.thesis.chapter7.tables.{name}", value)
-    monkeypatch.setattr("hil.thesis.chapter7.emulated.Workers", lambda **_: Workers())
+        monkeypatch.setattr(f"hil.thesis.chapter7_runs.{name}", value)
+    monkeypatch.setattr("hil.thesis.chapter7_runs.Workers", lambda **_: Workers())
     vertical, angles = vtol_table(quietly), motor_table(quietly)
     means = {name: [float(found.mean()) for found in each["sums"]] for name, each in vertical.items()}
     assert means["H2"] == pytest.approx([0.0239, 0.0239], rel=0.2) and vertical["H2"]["text"].startswith("0.0239 (0.0084)")
@@ -128,8 +128,8 @@ def test_the_mixed_design_trades_one_norm_for_the_other_and_lost_packets_are_del
     each descent, all in this process.
     """
     monkeypatch.setattr("hil.thesis.chapter7_delays.LEVELS", LEVELS[:1])
-    monkeypatch.setattr("hil.thesis.chapter7.emulated.Workers", lambda **_: Workers())
-    monkeypatch.setattr("hil.thesis.chapter7.designs.TrackingProblem", partial(TrackingProblem, starts=1))
+    monkeypatch.setattr("hil.thesis.chapter7_runs.Workers", lambda **_: Workers())
+    monkeypatch.setattr("hil.thesis.chapter7_designs.TrackingProblem", partial(TrackingProblem, starts=1))
     found = trade_off(quietly)
     rows = judge(TRADE_OFF, found)
     assert [row.verdict for row in rows] == ["reproduced", "reproduced"]

@@ -14,7 +14,6 @@ import pytest
 
 import hil.thesis
 from hil.thesis import VERDICTS, Check, Statement, chapters, power
-from hil.thesis.chapter2 import REMARK_2_2
 from hil.thesis.judgement import OFF, Between, Row, rank, share_interval
 from hil.thesis.pages import power_in_words, turns
 from hil.thesis.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, not_judged, run, says, within
@@ -109,12 +108,6 @@ def test_a_number_under_settings_that_are_not_printed_is_judged_once() -> None:
     for x, verdict in cases:
         found = row(*claims, readings=True, x=x)
         assert found.verdict == verdict and "not printed" in found.rule
-
-
-def test_the_role_of_a_partition_is_decided_where_both_conditions_say_the_same() -> None:
-    for constant, linear, verdict in ((1.05, 1.32, "undecided"), (1.2, 1.3, "reproduced"), (1.01, 1.02, "not reproduced")):
-        said = {name: {"scales": [1.0, 1.0, 1.0], "role": role} for name, role in (("pwc", constant), ("pwl", linear))}
-        assert judge(REMARK_2_2, said | {"sections": [4, 4, 4]})[0].verdict == verdict
 
 
 def test_what_is_not_at_hand_cannot_be_judged() -> None:

@@ -1,4 +1,4 @@
-"""Chapters 2, 4 and 7, row by row: a number that decides is changed, and the verdict of its row turns, and no other one.
+"""Row by row: a number that decides is changed, and the verdict of its row turns, and no other one.
 
 Each row is fed with numbers at which it stands, near its limits; where its print does not hold, with such at which it would.
 """
@@ -88,6 +88,33 @@ CHAPTER_2: Table = {
         {"semi[0]": 0.9, "semi[1]": 1.12, "semi[2]": 1.68}, {"semi[0]": 0.6, "semi[1]": 0.9, "semi[2]": -2.0},
         **{"markov[0]": 0.66, "markov[1]": 0.92, "markov[2]": -1.0}),
 }
+CHAPTER_3: Table = {
+    **{f"gains of section {m + 1}": (FALSE, {f"literal[{m}].verdict": "refused"}, [
+        ({f"literal[{m}].verdict": "certified"}, OK), ({f"literal[{m}].verdict": OPEN}, OPEN)]) for m in (0, 1)},
+    **{f"section {m + 1} with": holds(
+        {f"consistent[{m}].verdict": "certified", f"consistent[{m}].gamma": 0.929},
+        {f"consistent[{m}].verdict": OPEN, f"consistent[{m}].gamma": 0.931}) for m in (0, 1)},
+    "Theorem 3.1": (FALSE, {"accepted.verdict": "certified", "peak": 100.0}, [
+        ({"accepted.verdict": "refused"}, NOT), ({"peak": 0.049}, OK)]),
+    "Lemma 3.1": holds({"boxes[all]": -1e-9}, {"boxes[all]": 1e-9}),
+    "Lemma 3.2": holds({"corners": -1e-9, "inside": -1e-9}, {"corners": 1e-9, "inside": 1e-9}),
+    "Definition 3.1": holds({"rate": 1e-9, "sigma": 1.001, "over": 0.999}, {"rate": -1e-9, "sigma": 0.999, "over": 1.001}),
+    **{f"3.3.3: two partitions (Corollary 3.2) are less conservative than one (Corollary 3.1), {how}": holds(
+        {f"{name}[{n}]": 1.011 for n in (0, 1)}, {f"{name}[{n}]": 1.009 for n in (0, 1)}, OPEN)
+       for how, name in (("by (3.41) as printed", "less"), ("corrected", "gain"))},
+    "the unforced": holds({"unforced": 1e-3}, {"unforced": -1e-3}),
+    "gamma = 0.93": holds({"published.verdict": "certified", "published.gamma": 0.929},
+                          {"published.verdict": "refused", "published.gamma": 0.931}),
+    "3.4: the gains": holds(
+        {"parts[0].verdict": "certified", "parts[1].verdict": "certified", "off": 4e-5},
+        {"parts[0].verdict": "refused", "parts[1].verdict": OPEN, "off": 6e-5}, size=1.7),
+    "(3.2): longer": holds({"rise[delays]": 1e-9, "rise[slopes]": 1e-9}, {"rise[delays]": -1e-9, "rise[slopes]": -1e-9}),
+    "||z|| / ||w||": holds(
+        {f"ratios[{n}]": runs("0.2320") for n in range(4)}, {f"ratios[{n}]": runs("0.2320", 2.0) for n in range(4)}, OPEN,
+        **{f"runs[{n}]": 401 for n in range(4)}),
+    "the ratio is below": holds({"largest": 0.929}, {"largest": 0.931}),
+    "vertical velocity": holds({"rms[0]": 0.99, "rms[1]": 0.99}, {"rms[0]": 1.01, "rms[1]": 1.01}, OPEN),
+}
 CHAPTER_4: Table = {
     "gains (4.30) fulfil": holds(
         {"single.verdict": "certified", "single.gamma": 0.062}, {"single.verdict": "refused", "single.gamma": 1.51}),
@@ -131,6 +158,97 @@ CHAPTER_4: Table = {
     "4.2: a Markov": holds({"over.verdict": "certified"}, {"over.verdict": OPEN}),
     "Remark 4.4": holds({"above": "certified", "below": "refused"}, {"above": OPEN, "below": "certified"}),
     "(4.6) with": holds({"general.verdict": "certified", "margin": 0.15}, {"general.verdict": OPEN, "margin": -1e-3}),
+}
+CHAPTER_5: Table = {
+    "(5.2): the sensors": holds({"wrong": 0}, {"wrong": 1}),
+    "(5.1), (5.4)": holds({"loop": 9e-6}, {"loop": 1.1e-5}),
+    "(5.3): a run": holds({"spent": 220.2}, {"spent": 220.2002}, exact=220.2),
+    "m = tau": holds({"oldest": 5, "m": 3}, {"oldest": 4, "m": 4}, buffer=3),
+    "(5.8): the zero": holds({"differ": 0, "free": 15}, {"differ": 1, "free": 14}),
+    "Remark 5.1": holds({"known": 3, "late": 0}, {"known": 2, "late": 1}),
+    "the controller has 24": (FALSE, {"matrices": 24, "shape[0]": 1, "shape[1]": 4}, [
+        ({"shape[0]": 4}, OK), ({"shape[0]": 2}, NOT), ({"shape[1]": 1}, NOT), ({"shape[0]": 4, "matrices": 23}, NOT)]),
+    "Remark 5.3": (FALSE, {"paths": 1, "strange": 0}, [({"paths": 2}, OK), ({"strange": 1}, NOT)]),
+    "5.4: n = 4": holds(
+        {"n": 4, "p": 1, "tau": 5, "xi": 0.0, "x0": 0.0}, {"n": 5, "p": 2, "tau": 4, "xi": 1e-3, "x0": 1.0}, weight=0.1),
+    "Figures 5.3, 5.4: both": holds({"newest": "certified"}, {"newest": OPEN}, OPEN),
+    "5.5: a stochastic": holds({"random_radius": 0.99}, {"random_radius": 1.01}),
+    "(5.16): zero": holds({"stray": 0.0, "used": 60}, {"stray": 1e-4, "used": 59}),
+    "J of (5.16)": holds({"J[1]": 220.249, "alike": 1}, {"J[1]": 220.251, "alike": 2}),
+    "the proposed controller stabilises": holds({"certificate": "certified"}, {"certificate": "refused"}),
+    "5.5: the proposed": (FALSE, {"less": 0.1, "least": 0.1, "gain": 0.049}, [
+        ({"less": -0.1}, OK), ({"least": -0.1}, NOT), ({"gain": 0.051}, NOT)]),
+    "Theorem 5.1: a bound": (FALSE, {"schur": 1, "radius": 1.01}, [({"schur": 4}, OK), ({"radius": 0.99}, NOT)]),
+    "(5.15)": (FALSE, {"printed": -1.0, "right": 1.0}, [({"printed": 1.0}, OK), ({"right": -1.0}, NOT)]),
+    "historical data": holds({"mean[0]": 1.81}, {"mean[0]": 1.83}, **{"mean[1]": 1.82}),
+    "Remark 5.2": (FALSE, {"missing": 8, "shifted": 0}, [({"missing": 0}, OK), ({"shifted": 1}, NOT)]),
+    **{f"(5.18): an input weight, with the largest input of {gains}": holds(
+        {f"more[{n}]": 9e-10, f"share[{n}]": 0.99}, {f"more[{n}]": 2e-9, f"share[{n}]": 1.01})
+       for n, gains in enumerate(("(5.16)", "(5.17)"))},
+    "(5.2): the order": holds({"order": 1.004}, {"order": 1.006}),
+    "(5.16) feels": holds({"noise[0]": 1.0}, {"noise[0]": 2.0}, **{"noise[1]": 1.5}),
+    "Theorem 5.1: one P": holds({"bound": 250.1}, {"bound": 249.9}, worst=250.0),
+    "Theorem 5.1 on": holds({"tangent[saved]": 1e-9, "tangent[eigenvalue]": -1e-9, "tangent[worst]": 0.99},
+                            {"tangent[saved]": -1e-9, "tangent[eigenvalue]": 1e-9, "tangent[worst]": 1.01}),
+    "Theorem 5.1 by": holds({"cone[bound]": 14.79, "cone[eigenvalue]": -1e-9}, {"cone[bound]": 14.81, "cone[eigenvalue]": 1e-9}),
+    "Figures 5.3, 5.4: the proposed controller is": holds({"rough": 0.99}, {"rough": 1.01}),
+    "Figures 5.3, 5.4: smoother": holds({"x2_x4": 0.4}, {"x2_x4": 0.6}, x1_x3=0.5),
+    "Figures 5.3, 5.4: the proposed controller settles": holds({"later": 1.0}, {"later": 0.0}),
+}
+CHAPTER_6: Table = {
+    "(6.2)": holds(
+        {"fit.inertia.value": 0.7943, "fit.damping.value": 1.9857, "fit.residuals.verdict": "white"},
+        {"fit.inertia.value": 0.7985, "fit.damping.value": 1.9816, "fit.residuals.verdict": "correlated"},
+        **{"fit.inertia.error": 1e-3, "fit.damping.error": 1e-3}),
+    "(6.1)": holds({"far": 1.0, "angle": 10.1}, {"far": 0.99, "angle": 9.9}),
+    "6.2.2: lambda_ii": holds({"rows": 0.0, "entry": 0.15}, {"rows": 1e-3, "entry": 0.0}),
+    "Remark 6.2": holds({"touch": 0.0, "radius": 0.99}, {"touch": 1e-3, "radius": 1.01}),
+    "(6.4) to (6.6)": holds({"rig": 0.9, "delay": 0.15}, {"rig": 1.1, "delay": 0.1}, largest=50.0),
+    "(6.8)": holds({"force": 0.0}, {"force": 1e-8}),
+    "Figures 6.5": holds({"split": 0.0}, {"split": 1e-11}),
+    "(6.17)": (FALSE, {"share": 7e-5, "certifies": "certifies", "norm": 601.0}, [
+        ({"share": 1.1}, OK), ({"certifies": "does not certify"}, NOT), ({"norm": 599.0}, NOT)]),
+    "6.5.2: it is clear": (FALSE, {"felt": 0.009}, [({"felt": 0.011}, OK)]),
+    "Remark 6.1": holds({"repeated": 0.0}, {"repeated": 1e-11}),
+    "6.2.2: with": holds({"least": 0.5, "most": 0.5}, {"least": 0.49, "most": 0.51}),
+    "6.3: constant": holds({"ages": 0.0}, {"ages": 1e-9}),
+    "6.3: a coupler": holds({"needed": 1.984, "bare": 2.0}, {"needed": 1.99, "bare": 1.98}, b=1.9857, least_b=1.9658),
+    "(6.7)": (FALSE, {"nearer": 0.99, "farther": 1.01}, [({"nearer": 1.01}, OK), ({"farther": 0.99}, NOT)]),
+    "6.4: a coupler of": (FALSE, {"meets": "misses (6.9)"}, [({"meets": "meets (6.9)"}, OK)]),
+    "(6.15), (6.16)": holds({"share": 0.99, "ratio": 1.01}, {"share": 1.01, "ratio": 0.99}),
+    "6.6: the coupler": holds({"needed": 1.984}, {"needed": 1.96}, b=1.9857, least_b=1.9658),
+    "6.5: Lambda": holds({"error": 0.0}, {"error": 1e-11}, entry=0.7),
+    "(6.3)": (FALSE, {"apart": 2.0}, [({"apart": 1.0}, OK)]),
+    "6.5.2: material 3": holds({"balance": 0.0, "areas": 1.01}, {"balance": 1e-11, "areas": 0.99}),
+    "6.2.2: one step": holds({"off": 0.019}, {"off": 0.021}),
+    "6.1: the movement": (FALSE, {"G": 101.0, "limit": 10.0, "far": 100.0, "freedom": 4}, [({"G": 99.0}, NOT), ({"G": 9.9}, OK)]),
+    "Figure 6.10": holds({"slide": "found"}, {"slide": "not found"}),
+    "6.3: without": holds({"bare": 2.0, "B": 2.0}, {"bare": 1.9, "B": 1.9}, b=1.9857),
+    "Theorem 6.1": (FALSE, {"radius[2]": 1.1, "meets": "meets (6.9)", "radius[0]": 0.99, "radius[1]": 1.01}, [
+        ({"radius[2]": 0.99}, OK), ({"meets": "misses (6.9)"}, NOT), ({"radius[0]": 1.01}, NOT), ({"radius[1]": 0.99}, NOT)]),
+    "Remark 6.3": (FALSE, {"moments": 1.01}, [({"moments": 0.99}, OK)]),
+    "(6.10)": (FALSE, {"real[0]": 0.1, "real[1]": -0.1}, [({"real[1]": 0.1}, OK), ({"real[0]": -0.1}, NOT)]),
+    "(6.11)": (FALSE, {"press[0]": -0.9, "press[1]": 0.0}, [({"press[0]": 0.0}, OK), ({"press[1]": -1e-3}, NOT)]),
+    "(6.14)": (FALSE, {"printed": 0.0, "meant": 101.0}, [({"printed": 101.0}, OK), ({"meant": 99.0}, NOT)]),
+    "(6.12)": (FALSE, {"best": 1001.0, "without": 1001.0, "bound": 999.0, "off": 1000.0}, [
+        ({"best": 999.0}, OK), ({"without": 999.0}, NOT), ({"bound": 1001.0}, NOT)]),
+    "6.4: C =": (FALSE, {"drift": 1.1}, [({"drift": 0.9}, NOT), ({"drift": 0.009}, OK)]),
+    "6.4: couplers": (FALSE, {"jump": -0.011, "each": "meet (6.9)", "handed": 0.0}, [
+        ({"jump": -0.009}, NOT), ({"jump": 0.0}, OK), ({"each": "miss (6.9)"}, NOT), ({"handed": -1e-3}, NOT)]),
+    "6.4: a coupler for": holds({"own": "certified", "stiffer": 1.01, "clearer": 0.99, "of_ceiling": 0.999},
+                                {"own": "refused", "stiffer": 0.99, "clearer": 1.01, "of_ceiling": 0.997}),
+    "6.4: a weighting": holds({"weighed": 0.99, "softer": 1.01}, {"weighed": 1.01, "softer": 0.99}),
+    "(6.15): the": (FALSE, {"levels": 0.0, "norms": 1.021}, [({"levels": 1e-8}, OK), ({"norms": 1.019}, NOT)]),
+    "6.6: damping": holds({"zones": "certified", "for_b": OPEN}, {"zones": "refused", "for_b": "certified"}),
+    "6.6: a random": holds({"moving": "certified", "each_held": OPEN, "waiting": 1.01},
+                           {"moving": "refused", "each_held": "certified", "waiting": 0.99}),
+    "6.6: a sliding": holds({"paced": 0.99, "paces": "certified"}, {"paced": 1.01, "paces": "refused"}),
+    "Figure 6.8: materials": holds({"apart": 9e-4, "deeper": 0.2509}, {"apart": 1.1e-3, "deeper": 0.2511}, final=30.0),
+    "Figure 6.8: decaying": holds({"overshoot": 1.01, "rest": 0.099}, {"overshoot": 0.99, "rest": 0.101}),
+    "Figure 6.8: the delays": (FALSE, {"start": 0.11}, [({"start": 0.0}, OK), ({"start": 0.09}, NOT)]),
+    "Figure 6.9": holds({"share": 9e-4, "deepest": 4.9}, {"share": 1.1e-3, "deepest": 5.1}),
+    "6.5.2: simulated": holds({"order": 9.9}, {"order": 10.1}),
+    "6.5.2: the trajectory": holds({"arc": 0.049}, {"arc": 0.051}),
 }
 PRINTED = {("motor", "hinf"): 17.4085, ("motor", "h2"): 5.0147, ("vtol", "h2"): 0.1225, ("vtol", "hinf"): 0.3464}
 SYMBOLS = {"h2": "beta_min", "hinf": "gamma_min"}
@@ -219,7 +337,10 @@ CHAPTER_7: Table = {
     "8.2.1: runs": holds({"off": 0.65}, {"off": 4.1}),
 }
 # fmt: on
-CHAPTERS = {"chapter2": CHAPTER_2, "chapter4": CHAPTER_4, "chapter7": CHAPTER_7}
+CHAPTERS = {
+    "chapter2": CHAPTER_2, "chapter3": CHAPTER_3, "chapter4": CHAPTER_4, "chapter5": CHAPTER_5, "chapter6": CHAPTER_6,
+    "chapter7": CHAPTER_7,
+}  # fmt: skip
 TURNED = [(name, item, n) for name, table in CHAPTERS.items() for item, (*_, turns) in table.items() for n in range(len(turns))]
 
 

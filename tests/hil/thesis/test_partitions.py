@@ -24,24 +24,6 @@ def test_all_corners_decide_of_a_box_and_two_do_not() -> None:
     assert interval_matrices("all", seed=1) < 0.0 < interval_matrices("two", seed=1)
 
 
-FOUND: dict[str, Any] = {
-    "boxes": {"all": -1e-9, "two": 0.5}, "corners": -1e-9, "inside": -1e-9, "rate": 1e-9, "sigma": 1.001, "peak": 1.5,
-    "over": 0.999, "levels": {"one": [2.0, 2.0], "two": [1.0, 1.0]}, "less": [1.011, 1.011],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        ("boxes", {"all": 1e-9, "two": 0.5}), ("corners", 1e-9), ("inside", 1e-9), ("rate", -1e-9), ("sigma", 0.999),
-        ("over", 1.001), ("less", [1.011, 1.009]), ("less", [1.009, 1.011]),
-    ],
-)  # fmt: skip
-def test_each_number_of_section_3_3_decides_at_the_sign_or_share_that_is_meant(name: str, wrong: Any) -> None:
-    assert [row.verdict for row in judge(PARTITIONS, FOUND)] == ["reproduced"] * 4
-    assert [row.verdict for row in judge(PARTITIONS, FOUND | {name: wrong})].count("reproduced") == 3
-
-
 def _quiet(text: str, done: int = 0, total: int = 0, /) -> None:
     pass
 
@@ -89,9 +71,6 @@ def test_numbers_of_section_3_3_are_of_what_was_found(monkeypatch: pytest.Monkey
     rows = judge(PARTITIONS, values)
     assert [row.verdict for row in rows] == ["reproduced"] * 4
     assert_every_number_decides(rows)
-    for name, wrong in (("inside", 1e-3), ("corners", 1e-3), ("over", 1.1), ("rate", 0.0), ("sigma", 1.0), ("less", [1.2, 1.0])):
-        verdicts = [row.verdict for row in judge(PARTITIONS, values | {name: wrong})]
-        assert sum(verdict != "reproduced" for verdict in verdicts) == 1, name
 
 
 def test_longer_delays_are_judged_one_after_the_other_and_gains_beside_the_printed_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,8 +105,6 @@ def test_longer_delays_are_judged_one_after_the_other_and_gains_beside_the_print
     assert [*panel.series[0].x] == [*section.DELAYS_S] and [*panel.series[0].y] == values["delays"]
     assert [row.verdict for row in judge(FURTHER, values)] == ["reproduced"] * 2
     assert_every_number_decides(judge(FURTHER, values))
-    for wrong in ({"off": 6e-5}, {"rise": {"delays": -1e-9, "slopes": 1.0}}, {"rise": {"delays": 1.0, "slopes": -1e-9}}):
-        assert sum(row.verdict != "reproduced" for row in judge(FURTHER, values | wrong)) == 1, wrong
     fewer = [delayed_section(None, None, section.SECTIONS, m, None, gain_bound=5.0, gamma=0.93) for m in (0, 1)]
     refused = iter([fewer[0], JumpCertificate(method="printed", verdict="refused", reason="")])
     monkeypatch.setattr(section, "delayed_section", lambda *given, **more: next(refused))
@@ -140,6 +117,3 @@ def test_rows_of_section_3_3_hold_and_turn() -> None:
     rows = judge(PARTITIONS, values)
     assert [row.verdict for row in rows] == ["reproduced"] * 4
     assert_every_number_decides(rows)
-    for name, wrong in (("inside", 1e-3), ("corners", math.nan), ("over", 1.1), ("rate", 0.0), ("less", [1.2, 1.0])):
-        verdicts = [row.verdict for row in judge(PARTITIONS, values | {name: wrong})]
-        assert sum(verdict != "reproduced" for verdict in verdicts) == 1, name
