@@ -23,8 +23,8 @@ import numpy as np
 from design.errors import DesignError
 from design.jump_linear.bounded_real import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
+from design.lmi import solver
 from design.processes.delay_chain import Array
-from design.solvers import solver
 from design.tracking.loop_objective import LoopObjective, check_plant, stabilising
 from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, Progress, certified
@@ -49,7 +49,7 @@ def design_by_ccl(problem: TrackingProblem, *, progress: Progress | None = None)
         NotStable: the gains have no certificate.
         DesignError: an objective or option that this route has not.
     """
-    from design.blas_threads import one_blas_thread
+    from design.whole_process import one_blas_thread
 
     with one_blas_thread():
         check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))

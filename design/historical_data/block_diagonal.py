@@ -25,7 +25,7 @@ import numpy as np
 from design.errors import Infeasible
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop
 from design.historical_data.sensor_schedule import Mask
-from design.solvers import solver
+from design.lmi import solver
 
 MARGIN = 1e-6
 

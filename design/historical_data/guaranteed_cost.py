@@ -11,7 +11,7 @@ the pair (X, Y) is jump-linear:
 .. math:: X(k+1) = \tilde A X(k) + \tilde B K_i Y(k), \qquad P_j(k+1) = \sum_i p_{ij} F_i P_i(k) F_i^T + \pi_j(k+1) W
 
 DEVIATION: Theorem 5.1 bounds J by a functional that is block diagonal in the past; its conditions are infeasible on the chapter's
-own example (see `design.as_printed.chapter5`). The Lyapunov equation on the stacked state is necessary and sufficient.
+own example (see `design.as_printed.chapters_5_and_6`). The Lyapunov equation on the stacked state is necessary and sufficient.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, NotStable
-from design.jump_linear.periodic_chain import periodic_cost, periodic_radius
+from design.jump_linear.order_of_modes import periodic_cost, periodic_radius
 from design.jump_linear.second_moment import backward, forward
 
 Array = npt.NDArray[np.float64]

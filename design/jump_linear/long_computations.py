@@ -18,7 +18,7 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from design.signals_later import signals_later
+from design.whole_process import signals_later
 
 Array = npt.NDArray[np.float64]
 

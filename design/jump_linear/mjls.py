@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from design.errors import FieldError, NotStable
 from design.jump_linear.coupled_lyapunov import factors_of, mean, solve_coupled, transposed_factors
-from design.jump_linear.periodic_chain import periodic_radius
+from design.jump_linear.order_of_modes import periodic_radius
 from design.jump_linear.second_moment import Array, Resolvent, expect
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.processes.delay_chain import check_transition

@@ -7,8 +7,9 @@ same function is evaluated
 - on the returned matrices, whose eigenvalues are the verdict (never the solver's status),
 - on matrices of ``fractions.Fraction`` for an exact proof (``design.lmi.exact``).
 
-Clarabel solves; a verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here). Where that
-leaves a doubt, `design.lmi.decision` asks for a second opinion.
+Clarabel solves min q'x with b - A x in a product of positive semidefinite triangles: upper ones, column by column, off-diagonals
+times sqrt(2). A verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here). Where that leaves a
+doubt, `design.lmi.decision` asks for a second opinion.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import numpy.typing as npt
 from scipy import sparse
 
 from design.errors import FieldError
-from design.lmi.conic_solver import clarabel, excluded, triangle
+from design.lmi import solver
 
 FloatArray = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -234,7 +235,7 @@ class LmiProgram:
         """Demand function(*matrices) < 0."""
         self.inequalities.append(Inequality(name=name, function=function, on=on, strict=strict))
 
-    def _coefficients(self, item: Inequality) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
+    def coefficients(self, item: Inequality) -> tuple[FloatArray, FloatArray, npt.NDArray[np.intp]]:
         """Constant part, coefficient matrices and their columns, by evaluating at 0 and at every basis matrix."""
         names = list(dict.fromkeys(item.on))
         total = sum(self.variables[name].basis.shape[0] for name in names)
@@ -253,7 +254,7 @@ class LmiProgram:
         """A, b and the matrix sizes of: b - A x in a product of PSD triangles; the margin is the last unknown."""
         data, rows, cols, rhs, sizes, top = [], [], [], [], [], 0
         for item in self.inequalities:
-            constant, linear, columns = self._coefficients(item)
+            constant, linear, columns = self.coefficients(item)
             r, c, weight = triangle(constant.shape[0])
             block = linear[:, r, c] * weight
             hit = np.nonzero(block)
@@ -272,16 +273,20 @@ class LmiProgram:
         entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(cols)))
         return sparse.csc_matrix(entries, shape=shape), np.concatenate(rhs), sizes
 
-    def solve(self, minimise: str | None = None, largest_margin: float = 1.0) -> LmiSolution:
-        """Minimise the scalar (1 x 1) of that name, or maximise the margin t <= largest_margin of the strict ones."""
+    def matrices(self, x: FloatArray) -> dict[str, FloatArray]:
+        """The matrices at the solution vector x."""
+        return {name: variable.value(x) for name, variable in self.variables.items()}
+
+    def solve(self, minimise: str | None = None) -> LmiSolution:
+        """Minimise the scalar (1 x 1) of that name, or maximise the margin t <= 1 of the strict ones."""
         a, b, sizes = self._conic(minimise is None)
         q = np.zeros(a.shape[1])
         q[-1 if minimise is None else self.variables[minimise].offset] = -1.0 if minimise is None else 1.0
-        if minimise is None:  # t <= largest_margin, as one more 1 x 1 block
+        if minimise is None:  # t <= 1, as one more 1 x 1 block
             row = sparse.csc_matrix(([1.0], ([0], [self.size])), shape=(1, a.shape[1]))
-            a, b, sizes = sparse.vstack([a, row], format="csc"), np.append(b, largest_margin), [*sizes, 1]
+            a, b, sizes = sparse.vstack([a, row], format="csc"), np.append(b, 1.0), [*sizes, 1]
         x, z, status = clarabel(q, a, b, sizes)
-        matrices = {name: variable.value(x) for name, variable in self.variables.items()}
+        matrices = self.matrices(x)
         margin, slack = verify(self.inequalities, matrices)
         largest = float(np.abs(x).max())
         return LmiSolution(
@@ -289,3 +294,40 @@ class LmiProgram:
             excluded=excluded(q, a, b, sizes, z) if minimise is None else 0.0,
             reach=max(1e3, 10.0 * largest) if self.reach is None else self.reach, solver="clarabel", status=status,
         )  # fmt: skip
+
+
+def triangle(size: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], FloatArray]:
+    """Rows, columns and weights of the triangle of a symmetric matrix; the weights keep the inner product."""
+    rows, cols = np.tril_indices(size)
+    return cols, rows, np.where(rows == cols, 1.0, np.sqrt(2.0))
+
+
+def excluded(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int], z: FloatArray) -> float:
+    """Weak duality: for Z >= 0 and every admissible x, q'x >= (q + A'z)'x - b'z >= -|q + A'z|_1 max|x| - b'z.
+
+    With q'x = -margin, no margin is positive while max|x| <= -b'z / |q + A'z|_1. Z is the solver's, projected on Z >= 0.
+    """
+    if not np.isfinite(z).all():
+        return 0.0
+    projected, top = np.empty_like(z), 0
+    for size in sizes:
+        r, c, weight = triangle(size)
+        matrix = np.zeros((size, size))
+        matrix[r, c] = matrix[c, r] = z[top : top + r.size] / weight
+        values, vectors = np.linalg.eigh(matrix)
+        matrix = (vectors * np.maximum(values, 0.0)) @ vectors.T
+        projected[top : top + r.size] = matrix[r, c] * weight
+        top += r.size
+    return max(0.0, float(-(b @ projected) / max(np.abs(q + a.T @ projected).sum(), 1e-300)))
+
+
+def clarabel(q: FloatArray, a: sparse.csc_matrix, b: FloatArray, sizes: list[int]) -> tuple[FloatArray, FloatArray, str]:
+    """Interior point: x, z and what the solver says of them."""
+    package = solver("clarabel")
+    settings = package.DefaultSettings()
+    settings.verbose = False
+    settings.max_threads = 2
+    cones = [package.PSDTriangleConeT(size) for size in sizes]
+    quadratic = sparse.csc_matrix((q.size, q.size))
+    result = package.DefaultSolver(quadratic, q, a, b, cones, settings).solve()
+    return np.array(result.x), np.array(result.z), str(result.status)

@@ -11,7 +11,6 @@ Reference: Chapter 7, (7.14); the Chapter 7 loop is ``loop_structure(...).mjls(g
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple
@@ -21,7 +20,7 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, Workers, in_chunks, inside_chunk, nobody
+from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, Workers, in_chunks, inside_chunk
 from design.processes.elementary import normal_quantile
 
 FloatArray = npt.NDArray[np.float64]
@@ -118,7 +117,6 @@ def simulate_mjls(
     seed: int = 0,
     first: int = 0,
     workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = nobody,
 ) -> MarkovBatch:
     """Simulate many runs of a jump-linear system, the same numbers for every split.
 
@@ -150,7 +148,7 @@ def simulate_mjls(
         first=first,
         runs=runs,
     )
-    columns = list(zip(*(part for _, part in in_chunks(task, first, runs, CHUNK, workers, progress)), strict=True))
+    columns = list(zip(*(part for _, part in in_chunks(task, first, runs, CHUNK, workers)), strict=True))
     energy, peak, final = (np.concatenate(column) for column in columns[:3])
     # Added in the order of the chunks: a sum of floats depends on its order.
     sums = [reduce(np.add, column) / runs for column in columns[3:]]

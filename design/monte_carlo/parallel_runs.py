@@ -140,33 +140,24 @@ class Workers:
 ONE_CORE: Final = Workers()
 
 
-def nobody(done: int) -> None:
-    """Tell nobody how many runs are done."""
-
-
 def in_chunks(
-    task: Callable[[int], Result], first: int, runs: int, size: int, workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = nobody,
-) -> Iterator[tuple[slice, Result]]:  # fmt: skip
+    task: Callable[[int], Result], first: int, runs: int, size: int, workers: Workers = ONE_CORE
+) -> Iterator[tuple[slice, Result]]:
     """Results of task(chunk) for the chunks that hold the runs first, ..., in order, each with which of its runs are among these.
 
     Args:
         task: computes a chunk of ``size`` runs by its number.
         first, runs, size: which runs, and how many a chunk has.
         workers: who computes.
-        progress: called with how many runs are done.
 
     Raises:
         FieldError: no runs, or a number below 0.
     """
     if runs < 1 or first < 0:
         raise FieldError("runs", f"{runs} from number {first}, expected at least one from number 0 on")
-    chunks, done = range(first // size, (first + runs - 1) // size + 1), 0
+    chunks = range(first // size, (first + runs - 1) // size + 1)
     for chunk, result in zip(chunks, spread(task, chunks, workers)):
-        inside = inside_chunk(chunk, first, runs, size)
-        done += inside.stop - inside.start
-        progress(done)
-        yield inside, result
+        yield inside_chunk(chunk, first, runs, size), result
 
 
 def spread(

@@ -11,7 +11,6 @@ References: thesis Section 2.5 and (2.28); ERRATA 5 and 8.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple
@@ -20,9 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
-from design.monte_carlo.jump_loop import JumpLoop, Segments, segments
-from design.monte_carlo.jump_paths import MatrixFlow
-from design.monte_carlo.parallel_runs import ONE_CORE, Workers, in_chunks, inside_chunk, nobody
+from design.monte_carlo.jump_loop import JumpLoop, MatrixFlow, Segments, segments
+from design.monte_carlo.parallel_runs import ONE_CORE, Workers, in_chunks, inside_chunk
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
@@ -59,7 +57,9 @@ class _Study:
         first = chunk * CHUNK
         matrices = self.loop.matrices(seed=self.seed, first=first, runs=CHUNK)
         flow = MatrixFlow(matrices, dt_s=self.dt_s, longest_s=self.duration_s)
-        found, _ = segments(self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK)
+        found, _ = segments(
+            self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK
+        )
         return flow, found
 
     def settle(self, chunk: int) -> FloatArray:
@@ -116,7 +116,6 @@ def settling_times(
     seed: int = 0,
     first: int = 0,
     workers: Workers = ONE_CORE,
-    progress: Callable[[int], None] = nobody,
 ) -> FloatArray:
     """Settling times (2.28): the first grid time from which on |x(t)|_2 <= band |x(0)|_2 up to the end.
 
@@ -125,7 +124,6 @@ def settling_times(
     Args:
         runs: how many, numbered from ``first``.
         duration_s: length of a run (s), a multiple of the grid's dt_s (s).
-        progress: called with how many runs are done.
 
     Returns:
         T_s (s), shape (runs,); ``inf`` where the last grid point is outside the band.
@@ -136,7 +134,7 @@ def settling_times(
     if not band > 0:
         raise FieldError("band", f"{band!r} is not positive")
     study = _Study(loop=loop, duration_s=duration_s, dt_s=dt_s, seed=seed, band=band)
-    return np.concatenate([part[inside] for inside, part in in_chunks(study.settle, first, runs, CHUNK, workers, progress)])
+    return np.concatenate([part[inside] for inside, part in in_chunks(study.settle, first, runs, CHUNK, workers)])
 
 
 def trajectories(

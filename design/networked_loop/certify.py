@@ -54,7 +54,7 @@ def certify_loop(
     Raises:
         ValueError: wrong shapes; the message starts with the argument at fault.
     """
-    from design.blas_threads import one_blas_thread
+    from design.whole_process import one_blas_thread
 
     structure = loop_structure(
         A, B, C, Lambda, Pi, selection, Q=Q, R=R, output=output, samples=samples, integral=integral  # type: ignore[arg-type]

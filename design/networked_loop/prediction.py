@@ -98,7 +98,7 @@ def predict_tracking(
         ValueError: wrong shapes.
         DesignError: a reference that no input holds.
     """
-    from design.blas_threads import one_blas_thread
+    from design.whole_process import one_blas_thread
 
     sc, ca = as_chain(Lambda, "Lambda"), as_chain(Pi, "Pi")
     structure = loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=1.0 if integral else 0.0)

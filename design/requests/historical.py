@@ -165,7 +165,7 @@ class PublishedHistorical:
 
     def solve(self, task: DesignTask) -> Historical:
         """Return the gains as the controller that runs; nothing is solved."""
-        from design.as_printed.chapter5 import historical_gains, newest_gains
+        from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
 
         if self.gains == "historical":
             return historical_of(historical_gains(), "history")

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from design.controllers import LinearLaw
 from design.errors import DesignError, FieldError
-from design.solvers import solver
+from design.lmi import solver
 
 LocalMethod = Literal["lqr", "lqg", "hinf"]
 Array = npt.NDArray[np.float64]

@@ -14,11 +14,14 @@ References: thesis (4.6), (4.14), (4.23); ERRATA 11, 12 and 13.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import block_diag, eigh
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
@@ -28,9 +31,8 @@ from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, 
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
-from design.semi_markov_loop.decay_rates import proved_decay, worst_growth
-from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.sojourn_grid import pair_cells, pair_corners
+from design.semi_markov_loop.period_moments import gain_mode, moment_operators
+from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
 from design.semi_markov_loop.system import JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
@@ -234,3 +236,83 @@ def analyse_fault_tolerant(
     if not certificate.certified:
         return certificate
     return replace(certificate, decay_rate=proved_decay(system, process, gain, eta, r, certificate.matrices))
+
+
+def worst_growth(
+    system: JumpSystem, gain: ScheduledGain, process: FaultDetection
+) -> tuple[float, dict[str, tuple[float, ...]]] | None:
+    """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds held constant, with these rates.
+
+        d/dt vec M_i = (A_i (+) A_i) vec M_i + sum_j lambda_ji vec M_j - lambda_i vec M_i,     M_i = E x x' 1{mode = i}
+
+    If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these
+    bounds can exist; if it is negative at all corners, nothing is proved about rates that vary.
+
+    Exact at every vertex (spectral abscissa of the second-moment generator), for gains without sections. None if there are
+    more than 4096 vertices.
+    """
+    n_eta, n_r = system.modes, process.detection[0].modes
+    one = ((0.0,),)
+    eta = {cell.mode: cell.rates for cell in cells(process.failure, one * n_eta)}
+    r = {(i, c.mode): c.rates for i in range(n_eta) for c in cells(process.detection[i], one * n_r)}
+    keys: list[tuple[int, ...]] = [*((i,) for i in eta), *r]
+    options = [eta[key[0]] if len(key) == 1 else r[key[0], key[1]] for key in keys]
+    if np.prod([len(option) for option in options]) > 4096:
+        return None
+    acting = [[gain.gain[gain_mode(gain.measured, process, i, k), 0] @ system.shown(i) for k in range(n_r)] for i in range(n_eta)]
+    loops = np.array([system.a[i] + system.b[i] @ each for i, row in enumerate(acting) for each in row])
+    alone = block_diag(*moment_operators(loops))
+    worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
+    for choice in itertools.product(*options):
+        rates = dict(zip(keys, choice))
+        generator = np.zeros((n_eta, n_r, n_eta, n_r))
+        for i, k in itertools.product(range(n_eta), range(n_r)):
+            generator[i, k, :, k] += rates[(i,)]
+            generator[i, k, i, :] += rates[i, k]
+        growth = _abscissa(alone, generator.reshape(n_eta * n_r, -1))
+        if growth > worst[0]:
+            worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rates[key] for key in keys}
+    return worst
+
+
+def mean_square_abscissa(loops: FloatArray, rates: FloatArray) -> float:
+    """Growth rate of E|x|^2 of a Markov jump system dx = A_i x (1/s): the abscissa of blkdiag(A_i (+) A_i) + (Lambda' (x) I).
+
+    Args:
+        loops: shape (N, n, n).
+        rates: jump rates, shape (N, N); the diagonal is ignored.
+    """
+    return _abscissa(block_diag(*moment_operators(loops)), rates)
+
+
+def _abscissa(alone: FloatArray, rates: FloatArray) -> float:
+    modes, size = len(rates), len(alone) // len(rates)
+    rates = rates * (1.0 - np.eye(modes))
+    out = alone.copy()
+    np.einsum("iaja->aij", out.reshape(modes, size, modes, size))[...] += rates.T - np.diag(rates.sum(axis=1))
+    return float(np.linalg.eigvals(out).real.max())
+
+
+def proved_decay(
+    system: JumpSystem,
+    process: FaultDetection,
+    gain: ScheduledGain,
+    eta_nodes: Partition,
+    r_nodes: Partition,
+    matrices: Mapping[str, FloatArray],
+) -> float:
+    """The largest alpha (1/s) such that V falls like e^(-alpha t) with the P of a certificate: E|x|^2 does at least that.
+
+    d/dt V <= -alpha V on every cell at every rate within its bounds, and V falls where a clock enters a new section.
+    """
+    rates = []
+    for eta, r in pair_cells(process, eta_nodes, r_nodes):
+        i, k = eta.mode, r.mode
+        loop = system.a[i] + system.b[i] @ gain.at(gain_mode(gain.measured, process, i, k), r.start) @ system.shown(i)
+        own = matrices[f"P[{i},{k},{eta.index},{r.index}]"]
+        for jumps in pair_corners(process, eta, r):
+            change = symmetric_part(own @ loop)
+            for rate, place in jumps:
+                change = change + rate * (matrices["P[{},{},{},{}]".format(*place)] - own)
+            rates.append(float(eigh(-change, own, eigvals_only=True)[0]))
+    return min(rates)

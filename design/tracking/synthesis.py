@@ -86,7 +86,7 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
     """
     import scipy.linalg  # noqa: F401 - it brings a BLAS of its own, and only those that are loaded are held to one thread
 
-    from design.blas_threads import one_blas_thread
+    from design.whole_process import one_blas_thread
 
     with one_blas_thread():
         return _solve(problem, progress)
@@ -109,7 +109,7 @@ def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ..
         NotStable: the gains have no certificate.
         ValueError: their shape does not fit the problem.
     """
-    from design.blas_threads import one_blas_thread
+    from design.whole_process import one_blas_thread
 
     with one_blas_thread():  # and one order of the sums: a cached design has the same certificate
         structure = problem.structure()

@@ -26,7 +26,7 @@ from design.controllers import (
     packet_samples,
 )
 from design.errors import FieldError, NotStable
-from design.jump_linear.every_order import growth_in_every_order
+from design.jump_linear.order_of_modes import growth_in_every_order
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
 from hil.certify.bounded_departures import Modes, ends_within
@@ -251,9 +251,9 @@ def judge_linear_law(
         input_weight: of z = [C x; rho u], for the norms that stand beside the verdict.
         digest: of the loop that the verdict is on.
     """
-    from design.blas_threads import one_blas_thread
     from design.jump_linear.certificate import certify_system, observed_part
     from design.networked_loop.closed_loop import dynamic_loop
+    from design.whole_process import one_blas_thread
 
     loop, gains = dynamic_loop(model.A, model.B, model.C, sc, ca, law, selection, input_weight=input_weight)
     with one_blas_thread():

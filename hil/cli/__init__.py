@@ -93,7 +93,7 @@ class LazyGroup(click.Group):
             return None
         if cmd_name != "doctor":  # which reports it
             refuse_shadowed_packages()
-            import_module("design.blas_threads").begin_with_one_thread()
+            import_module("design.whole_process").begin_with_one_thread()
         command = command_of(cmd_name)
         if cmd_name != "run":  # whose own modules come when it is called
             collect_garbage_again()

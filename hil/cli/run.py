@@ -16,7 +16,7 @@ from warnings import catch_warnings
 
 import click
 
-from design.signals_later import signals_later
+from design.whole_process import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Within, foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, answer, json_option, visible, wants_json

@@ -191,9 +191,9 @@ def fourth_moments_of(loop: Loop) -> FourthMoments | None:
     Args:
         loop: the composed experiment.
     """
-    from design.blas_threads import one_blas_thread
     from design.jump_linear.higher_moments import FourthMoments, fourth_moments
     from design.networked_loop.closed_loop import loop_structure
+    from design.whole_process import one_blas_thread
 
     if not isinstance(loop.controller, GainTable) or isinstance(loop.experiment.plant, JumpPlant):
         return None

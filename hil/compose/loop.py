@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from msgspec.structs import replace
 
-from design.blas_threads import one_blas_thread
 from design.controllers import (
     Controller,
     GainTable,
@@ -23,6 +22,7 @@ from design.controllers import (
     row_sojourns_distinguished,
 )
 from design.errors import DesignError, FieldError
+from design.whole_process import one_blas_thread
 from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.judged import judge

@@ -21,7 +21,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.blas_threads import one_blas_thread
 from design.errors import DesignError, Infeasible
 from design.jump_linear.mjls import STABILITY_MARGIN
 from design.networked_loop.affine_loop import LoopStructure
@@ -30,6 +29,7 @@ from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
 from design.tracking.robust_synthesis import robust
 from design.tracking.synthesis import Design, Progress
 from design.verdict import State, Verdict, digest
+from design.whole_process import one_blas_thread
 from hil.design_questions.design_problem import TrackingTarget, digest_of_design, on_plant
 from hil.errors import HilError
 from plants.errors import PlantError

@@ -24,13 +24,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.blas_threads import one_blas_thread
 from design.controllers.rendered_wall import RendersWall
 from design.errors import DesignError
 from design.networked_loop.uncertainty import robust_h2
 from design.requests.tracking import solve_tracking
 from design.tracking.robust_synthesis import GUARANTEE, BudgetSpent, EquationBudget, robust
 from design.tracking.synthesis import Design, Progress
+from design.whole_process import one_blas_thread
 from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment

@@ -113,7 +113,7 @@ def _in_phase(sc: DelayChain, ca: DelayChain, drawn: tuple[bool, bool]) -> tuple
         sc, ca: the chains.
         drawn: of each whether a law draws it.
     """
-    from design.jump_linear.periodic_chain import cyclic_classes
+    from design.jump_linear.order_of_modes import cyclic_classes
 
     if gcd(*(len(cyclic_classes(chain.bounds[1])) for chain in settled(sc, ca))) > 1:
         return sc, ca

@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 
-from design.solvers import check_solvers
+from design.lmi import check_solvers
 from hil.errors import unknown_name
 from hil.thesis.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
 from hil.thesis.judgement import VERDICTS, Check, Row, Verdict

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
+from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.historical_data.block_diagonal import (
     BlockDiagonalProof,
     common_bound,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapter5 import historical_gains, newest_gains
+from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at
 from design.historical_data.least_cost import synthesise
 from design.historical_data.lifted_loop import DelayedPlant, close, cycle

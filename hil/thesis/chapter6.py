@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.chapter6 import (
+from design.as_printed.chapters_5_and_6 import (
     DELAY,
     LAMBDA,
     PERIOD_S,

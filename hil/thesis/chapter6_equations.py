@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.chapter6 import DELAY, LAMBDA, PERIOD_S, meets_printed_attenuation, meets_printed_condition
+from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_attenuation, meets_printed_condition
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern, square_rows

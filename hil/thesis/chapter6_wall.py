@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from design.as_printed.chapter6 import (
+from design.as_printed.chapters_5_and_6 import (
     DELAY,
     LAMBDA,
     PERIOD_S,

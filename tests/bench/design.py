@@ -138,10 +138,9 @@ def _second(certificate: JumpCertificate) -> dict[str, Any]:
     """The certificate's inequalities, asked of another modeller and another solver; None where it has none."""
     if certificate.rebuild is None or not certificate.matrices:
         return {"cvxpy": None, "cvxpy_margin": None, "cvxpy_s": None}
-    from design.lmi.decision import second_opinion
-    from design.lmi.exact import as_float
+    from design.lmi.decision import program_of, second_opinion
 
     begun = time.perf_counter()
-    found = second_opinion(certificate.rebuild(as_float), certificate.matrices)
+    found = second_opinion(program_of(certificate))
     spent_s = time.perf_counter() - begun
     return {"cvxpy": "holds" if found.holds else "not found", "cvxpy_margin": found.margin, "cvxpy_s": round(spent_s, 3)}

@@ -50,12 +50,11 @@ def paths(loop: JumpLoop, runs: int) -> list[list[Stretch]]:
     out: list[list[Stretch]] = [[] for _ in range(runs)]
     for visit in loop.visits(DURATION_S, seed=SEED, first=0, runs=CHUNK):
         for k in np.flatnonzero(visit.run < runs):
-            start, stop, age = float(visit.start_s[k]), float(visit.stop_s[k]), float(visit.age_s[k])
-            sections = start + loop.gain.starts_s[visit.seen[k]] - age
-            edges = [*np.maximum(sections, start).tolist(), np.inf]
+            start, stop = float(visit.start_s[k]), float(visit.stop_s[k])
+            edges = [*(start + loop.gain.starts_s[visit.mode[k]]).tolist(), np.inf]
             for section, (a, b) in enumerate(pairwise(edges)):
                 if min(b, stop) > a:
-                    which = loop.index(visit.mode[k : k + 1], visit.seen[k : k + 1], section, visit.run[k : k + 1], CHUNK)
+                    which = loop.index(visit.mode[k : k + 1], section, visit.run[k : k + 1], CHUNK)
                     out[int(visit.run[k])].append((a, min(b, stop), matrices[:, :, int(which[0])]))
     return out
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed.chapter6 import inner_loop
+from design.as_printed.chapters_5_and_6 import inner_loop
 from design.as_printed.examples import chapter2_system
 from design.controllers import LoopModel
 from design.controllers.historical import Historical
@@ -168,12 +168,10 @@ SKEW = np.array([[1.0, 0.5], [0.0, 1.0]])
         (lambda: loop(gain=MOVING), "gain"),
         (lambda: loop(gain=constant_gain(np.zeros((3, 1, 1)))), "gain"),
         (lambda: loop(gain=constant_gain(np.zeros((2, 1, 2)))), "gain"),
-        (lambda: loop(gain=constant_gain(np.zeros((4, 1, 1)), measured=("eta", "r"))), "gain"),
         (lambda: loop(process=ONE), "process"),
         (lambda: loop(start=(1.0, 1.0)), "start"),
         (lambda: loop(start=(math.inf,)), "start"),
         *((lambda mode=mode: loop(mode=mode), "mode") for mode in (-1, 2)),
-        *((lambda mode=mode: loop(detection=mode), "detection") for mode in (-1, 2)),
         (lambda: loop(uncertain=True), "uncertain"),
         (lambda: loop(uncertain=True, system=replace(SYSTEM, uncertainty=BOUNDED)), "uncertain"),
         *((lambda level=level: mean_interval([1.0, 2.0], level), "level") for level in (0.0, 1.0)),
@@ -227,7 +225,7 @@ def test_a_part_that_does_not_fit_is_refused_with_its_field(make: Callable[[], o
         lambda: refine(TWO, uniform(TWO, 1), 1),
         lambda: moments(replace(SYSTEM, uncertainty=BOUNDED), True),
         lambda: moments(SYSTEM, False),
-        lambda: loop(mode=1, detection=1),
+        lambda: loop(mode=1),
         lambda: loop(uncertain=True, system=replace(SYSTEM, uncertainty=SQUARE)),
         lambda: mean_interval([1.0, 2.0], 0.999),
         lambda: RobustScheduled(sections=2),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from design.as_printed import examples
-from design.as_printed.chapter5 import historical_gains, newest_gains
+from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
 from design.as_printed.examples import chapter2_system, chapter4_process, chapter4_rate_knots, chapter4_seen_gain
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from design.as_printed.chapter5 import historical_gains, newest_gains, printed_functional, stabilising_intervals
+from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.errors import Infeasible, NotStable
 from design.historical_data.block_diagonal import (

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from design.lmi.conic_solver import excluded
 from design.lmi.decision import at_gamma, decide, smallest_gamma, with_gamma
 from design.lmi.exact import as_fraction, pivots, prove_inequalities, rounded
-from design.lmi.program import Inequality, LmiProgram, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
+from design.lmi.program import Inequality, LmiProgram, excluded, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
 
 A = np.array([[0.0, 1.0], [-2.0, -0.5]])
 
@@ -89,7 +88,7 @@ def test_probing_reads_every_coefficient() -> None:
         return symmetric_part(p @ left + y @ right) + constant
 
     program.require("any", function, "P", "Y")
-    fixed, linear, columns = program._coefficients(program.inequalities[0])
+    fixed, linear, columns = program.coefficients(program.inequalities[0])
     x = rng.standard_normal(program.size)
     values = {name: variable.value(x) for name, variable in program.variables.items()}
     assert fixed + np.tensordot(x[columns], linear, axes=1) == pytest.approx(function(values["P"], values["Y"]))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from design.monte_carlo.jump_paths import MatrixFlow, apply, multiply, norm_bound
+from design.monte_carlo.jump_loop import MatrixFlow, apply, multiply, norm_bound
 
 RNG = np.random.default_rng(5)
 STACKS = {

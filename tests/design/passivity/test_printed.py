@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from design.as_printed.chapter6 import (
+from design.as_printed.chapters_5_and_6 import (
     DELAY,
     LAMBDA,
     inner_loop,

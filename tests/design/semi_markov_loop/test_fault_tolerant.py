@@ -22,9 +22,15 @@ from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
-from design.semi_markov_loop.decay_rates import mean_square_abscissa, worst_growth
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
-from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, check_loop, loop_inequalities
+from design.semi_markov_loop.fault_tolerant_analysis import (
+    Siqc,
+    analyse_fault_tolerant,
+    check_loop,
+    loop_inequalities,
+    mean_square_abscissa,
+    worst_growth,
+)
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.system import JumpSystem
 

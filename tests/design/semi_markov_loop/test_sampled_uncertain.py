@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from design.semi_markov_loop.sampled_phase import UncertainProgram, uncertain_decrease
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.sampled import MARGIN, sampled_verdict
-from design.semi_markov_loop.sampled_uncertain import UncertainProgram, uncertain_decrease
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 

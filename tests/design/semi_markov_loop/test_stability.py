@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.linalg import expm
 from scipy.special import erf, erfcx
 
 from design.as_printed.chapters_2_to_4 import printed_stability
@@ -24,7 +25,7 @@ from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfN
 from design.processes.partitions import Partition, equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path
-from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
+from design.semi_markov_loop.second_moments import exponential, second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse, largest_decay, stability_inequalities
 from design.semi_markov_loop.system import JumpSystem, NormBounded
 
@@ -332,3 +333,13 @@ def test_a_gain_that_is_linear_in_the_sojourn_has_the_moments_of_its_integral() 
     within = np.trapezoid(1.5 * np.exp(grown - 1.5 * h), h)
     beyond = 1.5 * np.exp(grown[-1] - 1.5 * span) / (1.5 - 2.0 * (a + b * k1))
     assert second_moment_radius(system, gain, process) == pytest.approx(within + beyond, rel=1e-6)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 6])
+def test_stack_agrees_with_scipy(size: int) -> None:
+    rng = np.random.default_rng(size)
+    stack = rng.standard_normal((20, size, size)) * np.geomspace(1e-3, 10, 20)[:, None, None]
+    ours, theirs = exponential(stack), expm(stack)
+    error = np.linalg.norm(ours - theirs, axis=(1, 2)) / np.linalg.norm(theirs, axis=(1, 2))
+    assert error.max() < 1e-12
+    assert exponential(np.zeros((3, size, size))) == pytest.approx(np.stack([np.eye(size)] * 3))

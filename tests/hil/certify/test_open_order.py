@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from design.jump_linear.every_order import growth_in_every_order
+from design.jump_linear.order_of_modes import growth_in_every_order
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.rig.bus_delays import bus_chains

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed.chapter5 import historical_gains, newest_gains
+from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
 from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue, tangent_scheme
 from design.historical_data.guaranteed_cost import cost, start_at, stationary_cost
 from design.historical_data.least_cost import OrderCost, PeakMatch, cyclic_orders

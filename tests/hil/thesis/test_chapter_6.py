@@ -3,7 +3,7 @@
 import pytest
 from scipy.stats import chi2
 
-from design.as_printed.chapter6 import (
+from design.as_printed.chapters_5_and_6 import (
     LAMBDA,
     PERIOD_S,
     energy_of_a_press,

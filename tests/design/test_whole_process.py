@@ -13,7 +13,7 @@ from tests.waiting import LIMIT_S
 LOADED_LATER = """
 import numpy
 from threadpoolctl import threadpool_info
-from design.blas_threads import one_blas_thread
+from design.whole_process import one_blas_thread
 
 def threads():
     return sorted(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
@@ -41,7 +41,7 @@ import os, sys
 first = sys.argv[1:] == ["loaded first"]
 if first:
     import numpy
-from design.blas_threads import begin_with_one_thread, one_blas_thread
+from design.whole_process import begin_with_one_thread, one_blas_thread
 
 begin_with_one_thread()
 import numpy

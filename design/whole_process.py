@@ -1,10 +1,15 @@
-"""One thread of linear algebra: of matrices as small as ours, threads only wait for each other, and sums have one order."""
+"""What is set for a whole process: one thread of linear algebra, and signals that wait.
+
+Of matrices as small as ours, threads of linear algebra only wait for each other, and with one of them sums have one order.
+"""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import lru_cache
 from typing import Any, Final
@@ -42,3 +47,26 @@ def _libraries(_modules: int) -> Any:
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
+
+
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that ask a process to end; `hil.plugins.first_instants`, which imports no package of ours, has them too."""
+
+
+@contextmanager
+def signals_later() -> Iterator[None]:
+    """Let no such signal come before the end of the block: what is made in it has its name by then, and can be taken away.
+
+    The handlers wait, as a mask would hold for one thread only, and the libraries of linear algebra have threads of their own.
+    """
+    came: list[int] = []
+    theirs = {number: handler for number in _ENDING if callable(handler := signal.getsignal(number))}
+    for number in theirs:
+        signal.signal(number, lambda number, _frame: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in theirs.items():
+            signal.signal(number, handler)
+        if came:
+            signal.raise_signal(came[0])

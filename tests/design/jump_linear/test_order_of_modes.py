@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
-from design.jump_linear import periodic_chain
-from design.jump_linear.periodic_chain import cyclic_classes, periodic_cost, periodic_radius
+from design.jump_linear import order_of_modes
+from design.jump_linear.order_of_modes import cyclic_classes, periodic_cost, periodic_radius
 from design.jump_linear.second_moment import backward, mean_square_radius
 
 
@@ -53,5 +53,5 @@ def test_what_arpack_has_not_found_is_not_its_answer(monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr("scipy.sparse.linalg.eigs", tired)
     assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-9)
-    monkeypatch.setattr(periodic_chain, "EIG_DENSE_AFTER", 10)
+    monkeypatch.setattr(order_of_modes, "EIG_DENSE_AFTER", 10)
     assert whole <= periodic_radius(A, transition) < 1.0 and np.isnan(periodic_radius(A, transition, bounded=False))
