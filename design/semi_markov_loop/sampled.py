@@ -38,7 +38,7 @@ from design.semi_markov_loop.sampled_phase import delayed_decrease, uncertain_de
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
 from design.verdict import State, Verdict
 
 TOLERANCE = 1e-6
@@ -181,14 +181,10 @@ def _uncertain(loop: SampledLoop, bracket: str, assumed: tuple[str, ...]) -> Ver
 
 def _constant_plants(system: JumpSystem) -> Iterable[tuple[str, JumpSystem]]:
     """Plants that the uncertainty lets be, each for ever, with what to call them: one that is not stable refutes."""
-    plain = JumpSystem(a=system.a, b=system.b)
-    if system.uncertainty is None:
-        yield "", plain
-        return
-    yield " of the nominal loop", plain
-    if isinstance(system.uncertainty, VertexUncertainty):
-        for i, (da, db) in enumerate(zip(system.uncertainty.da, system.uncertainty.db)):
-            yield f" of the loop at vertex {i + 1} of the uncertainty", JumpSystem(a=system.a + da, b=system.b + db)
+    yield "" if system.uncertainty is None else " of the nominal loop", replace(system, uncertainty=None)
+    for vertex in system.vertices:
+        if vertex is not None:
+            yield f" of the loop at vertex {vertex + 1} of the uncertainty", system.at_vertex(vertex)
 
 
 def _slacks(system: JumpSystem) -> list[float]:
