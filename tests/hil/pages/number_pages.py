@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
+from matplotlib.figure import Figure as Sheet
 
 from design.monte_carlo.confidence import Interval
 from design.passivity.stiffness_map import StiffnessCell
@@ -21,8 +22,9 @@ from hil.pages.many_runs import compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import Points, grid
-from hil.sweeps.trigger_cost import CUT, OpenPoint, TriggerPoint
-from tests.hil.pages.whole_pages import lines
+from hil.sweeps.sweep import Sweep
+from hil.sweeps.trigger_cost import CUT, OpenPoint, TriggerPoint, front, undecided
+from tests.hil.pages.whole_pages import axis_lines, lines
 from transport.law_fit import Candidate as TriedLaw
 from transport.law_fit import LawFit
 from transport.law_fit.latency_families import LatencyFit
@@ -43,33 +45,57 @@ def columns(mean: float, stopped: int = 0, far: float = 0.0) -> dict[str, np.nda
             "none": np.full(7, np.nan)}  # fmt: skip
 
 
-def comparison(**values: dict[str, np.ndarray]) -> str:
-    """The page of a comparison."""
-    return compare_page(Comparison(runs=7, values=values, quantities=OTHERS, cautions={"b": "its mean converges badly"}))
+def comparison(**values: dict[str, np.ndarray]) -> Comparison:
+    """A comparison of experiments of seven runs."""
+    return Comparison(runs=7, values=values, quantities=OTHERS, cautions={"b": "its mean converges badly"})
 
 
-def points(*found: dict[str, np.ndarray], at: Any, cautions: Mapping[int, str] = {0: "converges badly"}) -> str:
-    """The page of a sweep over parameters."""
-    return parameter_page(ParameterSweep(experiment="motor", points=at, columns=found, quantities=OTHERS, cautions=cautions))
+def points(*found: dict[str, np.ndarray], at: Points, cautions: Sequence[int] = (0,), quantities: Any = OTHERS) -> ParameterSweep:
+    """A sweep over parameters of seven runs each."""
+    said = dict.fromkeys(cautions, "bad")
+    return ParameterSweep(experiment="motor", points=at, columns=found, quantities=quantities, cautions=said)
+
+
+SIX: Final = [columns(10.0 + i * i) for i in range(6)]
+FOUND: Final[dict[str, Comparison | ParameterSweep]] = {
+    "near": comparison(a=columns(10.0), b=columns(10.4, far=0.7), c=columns(9.0)),
+    "far": comparison(a=columns(10.0), b=columns(400.0, stopped=2)), "signed": comparison(a=columns(-0.5), b=columns(-300.0)),
+    "stopped": comparison(a=columns(10.0, stopped=7), b=columns(10.0)), "alone": comparison(a=columns(10.0)),
+    "one": points(*SIX[:3], at=grid(["period=25ms,50ms,10ms"])), "part": points(*SIX[:2], at=grid(["period=1,2,3"])),
+    "words": points(*SIX, at=grid(["network.sc.law=markov,'iid',c,d,e,f"]), cautions=range(6)),
+    "two": points(*SIX, at=grid(["plant.gain=100,150", "period=10 ms,25 ms,50 ms"])),
+    "three": points(*SIX, at=grid(["a=1,2", "b=1,2,3", "c=0"])), "drawn": points(*SIX[:5], at=DRAWN),
+    "wide": points(columns(1.0), columns(2.0), columns(900.0, stopped=7), at=grid(["plant.gain=1,2,3"]), cautions=()),
+    "below": points(columns(-1.0), columns(2.0), columns(-900.0), at=grid(["plant.gain=1,2,3"])),
+    "undecided": points(columns(1.0), at=grid(["a=1"]), quantities=OTHERS[1:]),
+    "all stopped": points(columns(1.0, stopped=1), at=grid(["a=1"])),
+}  # fmt: skip
 
 
 def many_runs() -> dict[str, list[str]]:
-    """Comparisons and sweeps, on axes of every kind."""
-    six = [columns(10.0 + i * i) for i in range(6)]
-    pages = {
-        "near": comparison(a=columns(10.0), b=columns(10.4, far=0.7), c=columns(9.0)),
-        "far": comparison(a=columns(10.0), b=columns(400.0, stopped=2)), "signed": comparison(a=columns(-0.5), b=columns(-300.0)),
-        "one": points(*six[:3], at=grid(["period=25ms,50ms,10ms"])),
-        "words": points(*six, at=grid(["network.sc.law=markov,'iid',c,d,e,f"]), cautions=dict.fromkeys(range(6), "bad")),
-        "two": points(*six, at=grid(["plant.gain=100,150", "period=10 ms,25 ms,50 ms"])),
-        "part": points(*six[:2], at=grid(["period=1,2,3"])), "three": points(*six, at=grid(["a=1,2", "b=1,2,3", "c=0"])),
-        "drawn": points(*six[:5], at=DRAWN),
-        "wide": points(columns(1.0), columns(2.0), columns(900.0, stopped=7), at=grid(["plant.gain=1,2,3"])),
-        "below": points(columns(-1.0), columns(2.0), columns(-900.0), at=grid(["plant.gain=1,2,3"])),
-        "undecided": parameter_page(ParameterSweep(experiment="m", points=grid(["a=1"]), columns=(columns(1.0),),
-                                                   quantities=OTHERS[1:])),
-    }  # fmt: skip
+    """Pages of comparisons and sweeps, on axes of every kind."""
+    pages = {name: compare_page(one) if isinstance(one, Comparison) else parameter_page(one) for name, one in FOUND.items()}
     return {f"{name}: {section}": own for name, page in pages.items() for section, own in lines(page).items()}
+
+
+def results() -> dict[str, list[str]]:
+    """What a notebook shows of them, and of sweeps over seeds, with their plots."""
+    stopped = Sweep(columns(3.0, stopped=1), 0, caution="withdrawn", experiment="motor", quantities=OTHERS)
+    shown = FOUND | {"seeds": stopped, "far seeds": Sweep(columns(-3.0, far=200.0), 0, quantities=OTHERS, experiment="motor")}
+    found = {}
+    for name, one in shown.items():
+        found[name] = [repr(one)]
+        for quantity in (None, "peak"):
+            result = one._result(quantity)
+            result.paint(sheet := Sheet())
+            found[name] += [result.line, *result.answer, *result.columns, *map(_row, result.rows), *axis_lines(sheet.axes[0])]
+        words, groups = one._runs()
+        found[name] += [f"{words} {len(groups)}"]
+    return found
+
+
+def _row(cells: Sequence[Any]) -> str:
+    return " | ".join(f"{cell:.6g}" if isinstance(cell, float) else str(cell) for cell in cells)
 
 
 def designs() -> dict[str, list[str]]:
@@ -136,7 +162,10 @@ def designs() -> dict[str, list[str]]:
         "one place": can_priority_page("motor", 5.0, places, places[0], places[0]).html(),
         "stiffness": stiffness_page(cells, mass_kg=0.1, damping_n_s_per_m=1.5).html(), "laws": _laws(),
     }  # fmt: skip
-    return {f"{name}: {section}": own for name, page in pages.items() for section, own in lines(page).items()}
+    told = [_row(each.to_json().items()) for each in (*several, *front(several))]
+    cut = several[4]._replace(of=several[4].of._replace(cut=True))
+    told += map(str, undecided([(0.1, 0.0)] * 5 + [(0.25, 0.5), (0.5, 0.0)], [*several[:4], cut]))
+    return {f"{name}: {section}": own for name, page in pages.items() for section, own in lines(page).items()} | {"points": told}
 
 
 def _laws() -> str:

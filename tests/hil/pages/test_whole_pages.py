@@ -16,7 +16,7 @@ from typing import Final
 
 import pytest
 
-from tests.hil.pages.number_pages import designs, many_runs
+from tests.hil.pages.number_pages import designs, many_runs, results
 from tests.hil.pages.runs import RUNS, folder, in_time, live, run_page
 from tests.hil.pages.whole_pages import digests, every_block, paper
 
@@ -24,8 +24,8 @@ FILE = Path(__file__).parents[2] / "data" / "pages.json"
 WRITTEN = json.loads(FILE.read_text()) if FILE.exists() else {}
 SHOWN = 12
 PAGES: Final[dict[str, Callable[[], dict[str, list[str]]]]] = {
-    "every block": every_block, "paper": paper, "many runs": many_runs, "designs": designs, "folder": folder, "in time": in_time,
-    "live": live, **{name: partial(run_page, name) for name in RUNS},
+    "every block": every_block, "paper": paper, "many runs": many_runs, "results": results, "designs": designs, "folder": folder,
+    "in time": in_time, "live": live, **{name: partial(run_page, name) for name in RUNS},
 }  # fmt: skip
 
 

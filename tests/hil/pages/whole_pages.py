@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.figure import Figure as Sheet
+from matplotlib.ticker import FixedLocator
 
 from hil.pages.html.figures import (
     Badge,
@@ -193,20 +194,23 @@ LOOKS: Final = ("label", "text", "position", "xydata", "xy", "data", "array", "c
 
 
 def paper() -> dict[str, list[str]]:
-    """What a paper shows of each plot; where its axes end by themselves is matplotlib's."""
+    """What a paper shows of each plot."""
     found = {}
     for plot in (each for each in FIGURES if each.title != "Nothing"):
-        axis = Sheet().subplots()
-        draw(plot, axis)
-        named = isinstance(plot, Bars | Matrix) or getattr(plot, "x_ticks", ())
-        found[plot.title] = [
-            *map(_look, (*axis.lines, *axis.patches, *axis.collections, *axis.texts, *axis.images)),
-            f"{axis.get_xscale()} {axis.get_yscale()} {axis.get_xlabel()} {axis.get_ylabel()} {axis.get_aspect()} {axis.axison}",
-            f"{_told(axis.get_ylim()) if getattr(plot, 'y_range', None) else ''} {_told(axis.get_xticks()) if named else ''}",
-            *(text.get_text() for text in axis.get_xticklabels() + axis.get_yticklabels() if isinstance(plot, Bars | Matrix)),
-            *(text.get_text() for text in (axis.get_legend().get_texts() if axis.get_legend() else ())),
-        ]
+        draw(plot, axis := Sheet().subplots())
+        found[plot.title] = [*axis_lines(axis), _told(axis.get_ylim()) if getattr(plot, "y_range", None) else ""]
     return found
+
+
+def axis_lines(axis: Any) -> list[str]:
+    """Return what a plot of matplotlib shows; where its axes end and what they name by themselves is matplotlib's."""
+    named = [side for side in (axis.xaxis, axis.yaxis) if isinstance(side.get_major_locator(), FixedLocator)]
+    return [
+        *map(_look, (*axis.lines, *axis.patches, *axis.collections, *axis.texts, *axis.images)),
+        f"{axis.get_xscale()} {axis.get_yscale()} {axis.get_xlabel()} {axis.get_ylabel()} {axis.get_aspect()} {axis.axison}",
+        *(f"{_told(side.get_ticklocs())} {[text.get_text() for text in side.get_ticklabels()]}" for side in named),
+        *(text.get_text() for text in (axis.get_legend().get_texts() if axis.get_legend() else ())),
+    ]
 
 
 def _look(artist: Any) -> str:

@@ -17,39 +17,13 @@ from hil.cli import main
 from hil.cli.sweep import command
 from hil.compose.loop import compose
 from hil.errors import HilError
+from hil.measure.measure import Quantity
 from hil.sweeps import parameters
 from hil.sweeps.parameters import load_points, sweep_parameters
-from hil.sweeps.points import grid, latin_hypercube
+from hil.sweeps.points import grid
 from hil.sweeps.seeds import run_one_by_one, run_seeds
 
 HERE = Workers(backend="serial")
-
-
-def test_a_latin_hypercube_has_one_point_in_each_part_of_every_range() -> None:
-    points = latin_hypercube(["plant.gain=100:200", "period=10ms:50ms"], 20, seed=3)
-    assert points == latin_hypercube(["plant.gain=100:200", "period=10ms:50ms"], 20, seed=3)
-    assert all(row[1].endswith(" ms") for row in points.values)
-    for column, (low, high) in enumerate([(100, 200), (10, 50)]):
-        x = np.array([float(row[column].split()[0]) for row in points.values])
-        assert sorted(np.floor((x - low) / (high - low) * 20).astype(int)) == list(range(20))
-
-
-@pytest.mark.parametrize("asked", ["period", "=1,2", "period=1,,2", "period="])
-def test_a_grid_of_another_form_is_refused(asked: str) -> None:
-    with pytest.raises(HilError, match="grid"):
-        grid([asked])
-
-
-@pytest.mark.parametrize("asked", ["plant.gain", "plant.gain=2:1", "plant.gain=1:nan", "period=1s:2ms", "plant.gain=1:2:3"])
-def test_a_range_of_another_form_is_refused(asked: str) -> None:
-    with pytest.raises(HilError, match="range"):
-        latin_hypercube([asked], 3)
-
-
-def test_too_many_points_are_refused() -> None:
-    many = ",".join(map(str, range(200)))
-    with pytest.raises(HilError, match="40000 points"):
-        grid([f"seed={many}", f"plant.gain={many}"])
 
 
 def three_seconds(changes: list[str]) -> hil.Experiment:
@@ -168,3 +142,17 @@ def test_a_metric_of_ones_own_stands_in_table_store_and_csv(tmp_path: Path, monk
     for metric, reported in faults.items():
         failed = CliRunner().invoke(command, [*asked, "--metric", metric])
         assert isinstance(failed.exception, HilError) and reported in str(failed.exception)
+
+
+def test_paired_differences_tell_points_apart_that_overlap() -> None:
+    """Two points that share their seeds: the spread over seeds hides a difference of 0.1, the pairs show it."""
+    drawn = 10.0 + np.random.default_rng(0).standard_normal(30)
+    noise = 0.01 * np.random.default_rng(1).standard_normal(30)
+    columns = tuple({"sse": values, "stopped": np.zeros(30)} for values in (drawn, drawn + 0.1 + noise))
+    sse = Quantity(name="sse", title="squared tracking error", better="lower")
+    sweep = parameters.ParameterSweep(experiment="motor", points=grid(["period=25ms,50ms"]), columns=columns, quantities=(sse,))
+    first, second = sweep.intervals("sse")
+    assert first.high > second.low, "the intervals of the points overlap"
+    gap = sweep.difference(1, 0, "sse")
+    assert gap.low > 0.09 and gap.high < 0.11
+    assert sweep.answer("sse").startswith("best point: period=25 ms; ") and "1 of 1 other points differ" in sweep.answer("sse")

@@ -1,4 +1,4 @@
-"""The verdict of a comparison: first in words, with the number and the interval that decide it."""
+"""The verdict of a comparison, first in words, with the number and the interval that decide it; and the axis of its values."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from scipy.stats import binom
 import hil
 from hil.measure.measure import Quantity
 from hil.pages.many_runs import compare_page
+from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for
+from hil.sweeps.sweep import statistics
 
 
 @pytest.fixture(scope="module")
@@ -99,30 +101,6 @@ def test_a_difference_has_its_unit_where_a_share_means_nothing(unit: str, end: s
     assert said == f"b is worse than a: squared error +3, 95 % interval +3 to +3{end} 10 runs"
 
 
-def test_the_table_of_the_page_has_runs_differences_and_intervals_first(both: hil.Comparison) -> None:
-    page = compare_page(both)
-    assert page.index("Differences are against dc-motor-ours-h2") < page.index("share of runs at or below")
-
-
-def test_a_number_that_no_run_has_is_said_and_takes_no_row(both: hil.Comparison) -> None:
-    none = {name: dict(values) | {"sse_after_5s": np.full(30, np.nan)} for name, values in both.values.items()}
-    found = replace(both, values=none)
-    assert found.measured()[1] == "no run has a number for: squared error after 5 s"
-    page = compare_page(found)
-    assert "No run has a number for: squared error after 5 s." in page and page.count("squared error after 5 s") == 1
-    assert found._repr_html_().count("squared error after 5 s") == 1 and "squared error after 5 s" in compare_page(both)
-
-
-def test_a_cell_says_its_verdict_once(both: hil.Comparison) -> None:
-    assert both._repr_html_().count("is worse than dc-motor-ours-h2") == 1 and "is worse than" in repr(both)
-
-
-def test_the_page_begins_with_the_answer(both: hil.Comparison) -> None:
-    page = compare_page(both)
-    assert "dc-motor-smith is worse than dc-motor-ours-h2" in page
-    assert page.index("is worse than") < page.index("share of runs at or below")
-
-
 def test_one_pair_of_numbers_and_a_measure_without_a_direction_decide_nothing(both: hil.Comparison) -> None:
     kept = np.where(np.arange(30) == 7, 1.0, np.nan)
     once = replace(both, values={name: dict(values) | {"sse": kept * values["sse"]} for name, values in both.values.items()})
@@ -136,3 +114,25 @@ def test_one_pair_of_numbers_and_a_measure_without_a_direction_decide_nothing(bo
     assert second[4] == pytest.approx(float(np.mean(b["sse"][:2] - a["sse"][:2])))
     without = replace(both, quantities=tuple(msgspec.structs.replace(each, better="") for each in both.quantities))
     assert without.verdict("dc-motor-smith").endswith("undecided; no measure states which value is better")
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e6])
+def test_an_axis_follows_its_values_whatever_their_unit(unit: float) -> None:
+    def axis(*groups: list[float]) -> Axis:
+        return axis_for([unit * np.array(group) for group in groups])
+
+    assert axis([11.0, 12.0], [350.0]) == Axis(log=True)
+    assert axis([1.0, 1.0], [float("nan")], [CRUSHED]) == axis() == axis([]) == axis([0.0, 0.0, 9e9]) == Axis()
+    assert axis([1.0, 1.0], [1.01 * CRUSHED]) == Axis(log=True)
+    assert axis([0.0, 1.0, 1.0], [1.01 * CRUSHED]).asinh == pytest.approx(unit)
+    assert axis([0.0, 1.0, 1.0], [2.0 * 10.0**9]).asinh == pytest.approx(2e9 * unit / DECADES)
+
+
+def test_statistics_are_those_of_the_runs_that_have_a_number() -> None:
+    found = statistics(np.array([1.0, np.nan, 3.0, np.inf]))
+    assert (found["n"], found["mean"], found["sd"], found["se"]) == (2, 2.0, pytest.approx(2.0**0.5), pytest.approx(1.0))
+    assert found["percentiles"] == pytest.approx({str(p): 1.0 + p / 50.0 for p in (1, 5, 25, 50, 75, 95, 99)})
+    one = statistics(np.array([5.0, np.nan]))
+    assert (one["n"], one["mean"], one["sd"], one["se"]) == (1, 5.0, 0.0, 0.0)
+    none = statistics(np.array([np.nan]))
+    assert none == {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
