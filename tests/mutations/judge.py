@@ -38,13 +38,16 @@ LIMITS = {resource.RLIMIT_CPU: 60, resource.RLIMIT_DATA: 6 << 30}
 NEAREST, NEAREST_FILES = 16, 3
 """Tests that are asked first, for themselves: most faults are seen by one of them, and few files are imported for it."""
 
+EVERY_MODULE = "tests/contract/test_data.py"
+"""Looks at what classes say of themselves."""
+
 
 def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
     """Return the tests of a fault in the order in which they are asked.
 
     Those of the file's own tests come first, then those of its room, then others; cheap ones first, real time last. Behind those
     that reach the block come the others of their files, which may share what the first one made. A block that no test reaches
-    has none; outside of functions the tests are those that reach a function of the file or import it.
+    has none; outside of functions the tests are those that reach a function of the file or import it, and one of all modules.
     """
     mirror, own = f"tests/{Path(place.file).parent.as_posix()}/", f"test_{Path(place.file).stem}.py"
     near = chosen_for([place.file], root)
@@ -67,7 +70,7 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
         if chosen and spent > BUDGET_S:
             break
         chosen.append(reach.tests[n])
-    return chosen
+    return chosen if place.block else [*chosen, EVERY_MODULE]
 
 
 def own_tests(place: Place, root: Path = ROOT) -> list[str]:

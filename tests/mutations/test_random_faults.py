@@ -16,7 +16,7 @@ import pytest
 from tests.mutations import judge
 from tests.mutations.blocks import blocks, with_probes
 from tests.mutations.faults import ROOT
-from tests.mutations.judge import Judge, UndecidedError, asked_for, own_tests
+from tests.mutations.judge import EVERY_MODULE, Judge, UndecidedError, asked_for, own_tests
 from tests.mutations.probe import FOLDER, LIMIT, SPENT
 from tests.mutations.random_faults import Key, drawn, equivalent, places
 from tests.mutations.reach import Reach, merged, read
@@ -142,7 +142,7 @@ def test_the_tests_of_a_constant_are_those_named_after_its_file_and_those_that_r
     tests = ("tests/far.py::a", "tests/far.py::b", "tests/hil/log/test_other.py::c", "tests/hil/cli/test_run.py::d",
              "tests/hil/log/test_loop.py::named")  # fmt: skip
     reach = reach_of(*tests, by_block={"hil/log/topics/loop.py::f#0": [1], "hil/log/m.py::f#0": [3]})
-    assert asked_for(constant, reach) == [tests[n] for n in (4, 1, 2)]
+    assert asked_for(constant, reach) == [*(tests[n] for n in (4, 1, 2)), EVERY_MODULE]
 
 
 def test_faults_are_drawn_by_seed_from_every_room(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_without_a_map_the_tests_of_a_fault_are_the_files_of_its_room_nearest_fi
     found = own_tests(place)
     assert found[0] == "tests/design/tracking/test_synthesis.py" and "tests/design/test_exports.py" in found
     assert all((ROOT / name).is_file() for name in found) and len(set(found)) == len(found)
-    deep = places("hil/notebook/__init__.py", (ROOT / "hil/notebook/__init__.py").read_text())[0]
+    deep = places("hil/notebook.py", (ROOT / "hil/notebook.py").read_text())[0]
     assert {file.relative_to(ROOT).as_posix() for file in (ROOT / "tests/hil").glob("test_*.py")} <= {*own_tests(deep)}
 
 

@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
-from hil.measure.network_paths import network_metrics
+from hil.measure.network_paths import network_metrics, network_paths
 from hil.measure.summary import run_metrics, run_timing, summarise, timing_metrics
 from hil.measure.view import view_of
 from hil.pages.live.script import Scripted
@@ -67,6 +67,20 @@ def test_summary_survives_a_log_torn_between_two_records_of_one_slot() -> None:
     run.arrays["/reference"] = run.arrays["/reference"][:-1]
     run.arrays["/actuator/applied"] = run.arrays["/actuator/applied"][:-3]
     assert summarise(view_of(run))["metrics"]["sse"] > 9.0
+
+
+def test_a_log_without_what_the_network_did_is_summed_up_without() -> None:
+    run = run_of("dc-motor-hinf", 'duration="5 s"')
+    whole = summarise(view_of(run))
+    del run.arrays["/network/sc"]
+    run.arrays["/network/ca"] = run.arrays["/network/ca"][:0]
+    found = summarise(view_of(run))
+    nothing = {"mode_counts": [], "transition_counts": [], "p_value": None, "lost": 0, "late": 0, "duplicated": 0, "fates": {}}
+    assert found["network"]["sc"] == {"through": "markov law", "law": "markov"} | nothing
+    assert found["network"]["ca"] == {"through": "markov law", "law": "markov"} | nothing
+    assert found["metrics"] == whole["metrics"]
+    path = network_paths(view_of(run))[1]
+    assert (path.side, path.node, path.kind, path.medium, path.changed) == ("ca", "", "markov", "", False)
 
 
 def test_record_agrees_with_its_own_law_and_not_with_another() -> None:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 import hil
 from hil.bench.probe import Trip, write_probe_log
 from hil.errors import HilError
-from hil.log.recordings.read import read_recording, shipped_recordings
+from hil.log.recordings.read import _emulated, read_recording, shipped_recordings
 from hil.log.recordings.recording import packet_records
 from tests.waiting import LIMIT_S
+from transport.draws import DELIVERED, SUPERSEDED
 from transport.law_fit import fit_law
 
 DATA = Path(__file__).parents[3] / "data"
@@ -113,13 +114,28 @@ def test_what_was_sent_while_the_other_log_did_not_run_is_not_lost(tmp_path: Pat
     assert "2 of 700 frames" in recording.notes[0] and recording.notes[1].startswith("300 frames of")
 
 
-def test_probes_that_overtake_are_read_as_they_were_sent_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("one_clock", [True, False])
+def test_probes_that_overtake_are_read_as_they_were_sent_back(tmp_path: Path, one_clock: bool) -> None:
     sent, late = range(10**6, 10**9, 10**6), (5 * 10**6, 10**6) * 500
     trips = [Trip(at, at + way, at + way + 10**6) for at, way in zip(sent, late)]
-    write_probe_log(tmp_path / "link.mcap", "can:hil:x", 1000.0, trips, one_clock=True)
-    records, _ = packet_records(read_recording([tmp_path / "link.mcap"]))
+    write_probe_log(tmp_path / "link.mcap", "can:hil:x", 1000.0, trips, one_clock=one_clock)
+    recording = read_recording([tmp_path / "link.mcap"])
+    records, notes = packet_records(recording)
+    assert recording.clocks == (1 if one_clock else 2) and any("offset between the clocks" in note for note in notes) != one_clock
+    if not one_clock:
+        return
     assert {*np.round(records["sc"].latency_s, 6).tolist()} == {0.001, 0.005}
     np.testing.assert_allclose(records["ca"].latency_s, 0.001, atol=1e-9)
+
+
+def test_ages_that_a_law_delivers_are_latencies_and_what_was_overtaken_has_not_come_by_then() -> None:
+    draws = np.zeros(6, [("slot", "i8"), ("packet_slot", "i8"), ("mode", "i4"), ("reason", "u1"), ("latency_s", "f8")])
+    draws["slot"], draws["packet_slot"] = [0, 1, 2, 3, 4, 5], [0, 0, 2, -1, 2, 4]
+    draws["reason"] = [DELIVERED, DELIVERED, DELIVERED, DELIVERED, SUPERSEDED, DELIVERED]
+    way = _emulated(draws, 0.5)
+    assert way.sent_s.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
+    np.testing.assert_array_equal(way.difference_s, [0.0, np.nan, 0.0, np.nan, 0.5, np.nan])
+    assert way.until_s is not None and way.until_s.tolist() == [3.0, 0.5, 2.0, 1.0, 1.0, 0.5]
 
 
 def capture(

@@ -15,8 +15,10 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
+from hil.runtime.clock import VirtualClock
 from hil.runtime.nodes.wire import Wire, session_wire
 from hil.runtime.virtual import simulate_as_logged
+from hil.session.replay import over_link
 from hil.session.replay import recorded as replay_recorded
 from hil.session.replay.over_link import ask_process
 from hil.session.replay.recorded import RecordedAnswers, Tags, recorded_wire, verify_tags
@@ -139,3 +141,20 @@ def test_the_questions_of_several_nodes_go_over_a_link_that_knows_them() -> None
     run = simulate_as_logged(compose(load_experiment("multisensor-published", ["duration=1"])), 0)
     with pytest.raises(HilError, match=re.escape("no controller answered on can:hil:nodesreplay?nodes=4 within")):
         ask_process(run, "can:hil:nodesreplay", start_s=0.05)
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_frames_go_onto_a_link_in_their_order_and_at_their_spacing(speed: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    run, waits, seen = simulate_as_logged(compose(load_experiment("dc-motor-hinf", ["duration=1"])), 0), [], []
+
+    class Watched(VirtualClock):
+        def wait_until(self, t_ns: int) -> None:
+            waits.append(t_ns)
+            super().wait_until(t_ns)
+
+    monkeypatch.setattr(over_link, "RealClock", lambda start_ns: Watched())
+    played = over_link.onto(run, "can:hil:replayspaced", speed, lambda i, n: seen.append((i, n)))
+    frames = [t for topic in (SENSOR.name, CONTROL.name) for t in run.arrays[topic]["t_ns"].tolist()]
+    assert waits == [round((t - min(frames)) / speed) for t in sorted(frames)] and max(waits) == round(950_000_000 / speed)
+    assert seen == [(i, len(frames)) for i in range(len(frames))]
+    assert played.frames == len(frames) and played.error_us["max"] == 0.0
