@@ -91,12 +91,15 @@ def parse_experiment(
         raise HilError(f"{source}: not valid TOML: {e}") from e
     for change in sets:
         _apply(raw, change)
-    checker = Checker(folder, laws)
     try:
-        experiment = checker.experiment(raw, text)
+        return _checked(Checker(folder, laws), raw, text, source)
     except RecursionError as e:
         raise HilError(f"{source}: not valid TOML: nested too deeply") from e
-    if checker.faults or experiment is None:
+
+
+def _checked(checker: Checker, raw: dict[str, Any], text: str, source: str) -> Experiment:
+    experiment = checker.experiment(raw, text)
+    if experiment is None:
         raise ExperimentError(source, checker.faults)
     return experiment
 
@@ -124,11 +127,7 @@ def experiment_from_resolved(
     Raises:
         ExperimentError: with every fault found.
     """
-    checker = Checker(folder, objects)
-    experiment = checker.experiment(_without_none(resolved), text)
-    if checker.faults or experiment is None:
-        raise ExperimentError(f"{source}: resolved experiment", checker.faults)
-    return experiment
+    return _checked(Checker(folder, objects), _without_none(resolved), text, f"{source}: resolved experiment")
 
 
 def parse_table(group: registry.Group, raw: dict[str, Any], path: str, folder: str = ".") -> Any:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Final
 
 import msgspec
 
@@ -17,26 +17,18 @@ from hil.plugins.fields import described, meanings, parsed
 from transport.durations import PATTERN
 
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
-FILE: dict[str, Any] = {
-    "type": "object",
-    "description": "The array of a file: .npz, .npy, .csv or .mat; key is its name in an .npz or .mat file.",
-    "properties": {"file": {"type": "string"}, "key": {"type": "string"}},
-    "required": ["file"],
-    "additionalProperties": False,
-}
-LAW_FILE: dict[str, Any] = {
-    "type": "object",
-    "description": "A file of a network law, as `hil identify law` writes one.",
-    "properties": {"file": {"type": "string"}},
-    "required": ["file"],
-    "additionalProperties": False,
-}
-OWN: dict[str, Any] = {
-    "type": "object",
-    "description": "module:Class of a Python file beside the experiment.",
-    "properties": {"kind": {"type": "string", "pattern": ":"}},
-    "required": ["kind"],
-}
+
+
+def _table(description: str, required: str, **properties: dict[str, str]) -> dict[str, Any]:
+    return {"type": "object", "description": description, "properties": properties, "required": [required]}
+
+
+TEXT: Final = {"type": "string"}
+CLOSED: Final = {"additionalProperties": False}
+OWN: Final = _table("module:Class of a Python file beside the experiment.", "kind", kind=TEXT | {"pattern": ":"})
+LAW_FILE: Final = _table("A file of a network law, as `hil identify law` writes one.", "file", file=TEXT) | CLOSED
+ARRAY: Final = "The array of a file: .npz, .npy, .csv or .mat; key is its name in an .npz or .mat file."
+FILE: Final = _table(ARRAY, "file", file=TEXT, key=TEXT) | CLOSED
 
 
 def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -> dict[str, Any]:

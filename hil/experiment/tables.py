@@ -81,11 +81,6 @@ class Direction(Table, frozen=True, kw_only=True):
     law: LawTable
     max_age: int
 
-    @property
-    def kind(self) -> str:
-        """Name of the law's class, for messages."""
-        return type(self.law).__name__
-
 
 class Network(Table, frozen=True, kw_only=True):
     """The network that is emulated at the rig, on the way to the controller and on the way back.

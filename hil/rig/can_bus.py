@@ -167,13 +167,8 @@ def rates_of(medium: Medium) -> BitRates:
     return BitRates(medium.bitrate or 0, medium.dbitrate)
 
 
-def periodic(rig: RigSpec, bus: SharedMedium) -> list[Periodic]:
-    """Return the background traffic, in the order of its table."""
-    return periodic_traffic(bus.table, {name: i for i, name in enumerate(bus_nodes(rig, bus))})
-
-
 def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic]:
-    """Return the messages of a table.
+    """Return the background traffic, in the order of its table.
 
     Args:
         medium: the bus.

@@ -7,6 +7,7 @@ of an experiment, such as ``12000000 123#1122``, nanoseconds and the frame as ca
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -92,8 +93,13 @@ def with_traffic_files(e: Experiment) -> Experiment:
 
 
 LARGEST = 16_000_000
-_DURATIONS = ("period", "offset", "jitter")
-_FLAGS = {"": False, "0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
+_FLAGS = {"0": False, "no": False, "false": False, "1": True, "yes": True, "true": True}
+_CELLS: Final[dict[str, Callable[[str], Any]]] = {
+    **dict.fromkeys(("period", "offset", "jitter"), Seconds.parse),
+    **dict.fromkeys(("can_id", "length"), lambda cell: int(cell, 0)),
+    **dict.fromkeys(("extended", "fd"), lambda cell: _FLAGS[cell.lower()]),
+}
+"""What a cell of a column is read by; any other is text."""
 _TOO_LONG: Final = re.compile(r"^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}", re.MULTILINE)
 """cantools keeps every bit of a message in a list."""
 
@@ -151,14 +157,7 @@ def _table(said: dict[str, Any]) -> TrafficTable:
     values: dict[str, Any] = {}
     for key, value in said.items():
         try:
-            if key in _DURATIONS:
-                values[key] = Seconds.parse(value if not value.replace(".", "", 1).isdigit() else float(value))
-            elif key in ("can_id", "length"):
-                values[key] = int(value, 0)
-            elif key in ("extended", "fd"):
-                values[key] = _FLAGS[value.lower()]
-            else:
-                values[key] = value
+            values[key] = _CELLS.get(key, str)(value)
         except (ValueError, KeyError) as error:
             raise ValueError(f"{key}: {value!r:.60}, {error}") from error
     return _sound(values)

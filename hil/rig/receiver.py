@@ -12,7 +12,7 @@ state.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from msgspec import Struct
@@ -149,27 +149,35 @@ def recorded_chain(law: NetworkLaw) -> DelayChain | str:
     return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=np.arange(len(cycle)) == 0)
 
 
-class Channel(Protocol):
-    """What happens to the samples of one node. `far` stands for a sample that is held, or that never was sent."""
+class AgeChannel(NamedTuple):
+    """An age law or a recording. What is on its way: the ages of the newest sample sent in or before slot k, k - 1, ...
+
+    In its methods `at` is the state of the law in this slot; `far` stands for a sample that is as old or older: it is held, or
+    never was sent.
+
+    Args:
+        ages: the age that a receiver measures in every state.
+        after: what follows each state.
+        begins: states of the law in slot 0.
+    """
+
+    ages: tuple[int, ...]
+    after: tuple[tuple[tuple[int, Chance], ...], ...]
+    begins: tuple[int, ...]
 
     @property
     def oldest(self) -> int:
         """Largest age, in slots from when it was sent, of a packet that comes as the newest."""
-        ...
+        return max(self.ages)
 
     @property
     def sure(self) -> bool:
         """Whether the newest sample that was sent in time is there in every slot, however seldom the node sends."""
-        ...
-
-    @property
-    def begins(self) -> tuple[int, ...]:
-        """States of the law in slot 0."""
-        ...
+        return True
 
     def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
         """Return the states of the law that follow one."""
-        ...
+        return self.after[at]
 
     def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
         """Yield what is on its way in a slot.
@@ -180,49 +188,13 @@ class Channel(Protocol):
             offered: age of the sample that the node sends in this slot, None without one.
             far: as old, or older.
         """
-        ...
-
-    def age(self, sent: OnWay, at: int) -> int:
-        """Return the age of the newest sample that has come, at most `far`."""
-        ...
-
-
-class AgeChannel(NamedTuple):
-    """An age law or a recording. What is on its way: the ages of the newest sample sent in or before slot k, k - 1, ...
-
-    Args:
-        ages: the age that a receiver measures in every state.
-        after: what follows each state.
-        begins: see `Channel`.
-    """
-
-    ages: tuple[int, ...]
-    after: tuple[tuple[tuple[int, Chance], ...], ...]
-    begins: tuple[int, ...]
-
-    @property
-    def oldest(self) -> int:
-        """See `Channel.oldest`."""
-        return max(self.ages)
-
-    @property
-    def sure(self) -> bool:
-        """See `Channel.sure`."""
-        return True
-
-    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
-        """See `Channel.follows`."""
-        return self.after[at]
-
-    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
-        """See `Channel.sends`."""
         if before is None:
             before = (far,) * (self.oldest + 1)
         newest = before[0] + 1 if offered is None else offered
         yield tuple(min(age, far) for age in (newest, *(age + 1 for age in before[:-1]))), SURE
 
     def age(self, sent: OnWay, at: int) -> int:
-        """See `Channel.age`."""
+        """Return the age of the newest sample that has come, at most `far`."""
         return sent[self.ages[at]]
 
 
@@ -237,7 +209,7 @@ class PacketChannel(NamedTuple):
         losses: loss probability in every mode of the law's channel.
         matrix: Pr(next mode | mode).
         in_order: whether a packet waits for those before it.
-        begins: see `Channel`.
+        begins: see `AgeChannel`.
     """
 
     comes: tuple[float, ...]
@@ -248,20 +220,20 @@ class PacketChannel(NamedTuple):
 
     @property
     def oldest(self) -> int:
-        """See `Channel.oldest`."""
+        """See `AgeChannel.oldest`."""
         return len(self.comes) - 1
 
     @property
     def sure(self) -> bool:
-        """See `Channel.sure`."""
+        """See `AgeChannel.sure`."""
         return not any(self.losses) and max(self.comes) > 1.0 - 1e-15
 
     def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
-        """See `Channel.follows`."""
+        """See `AgeChannel.follows`."""
         return tuple((mode, (share,) * 3) for mode, share in enumerate(self.matrix[at]) if share > 0.0)
 
     def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
-        """See `Channel.sends`."""
+        """See `AgeChannel.sends`."""
         newest, *flying = (far,) if before is None else before
         ahead = [(due - 1, age + 1) for due, age in zip(flying[::2], flying[1::2])]
         if offered is None:
@@ -279,8 +251,11 @@ class PacketChannel(NamedTuple):
         yield from ((after, (share,) * 3) for after, share in outcomes.items() if share > 1e-15)
 
     def age(self, sent: OnWay, at: int) -> int:
-        """See `Channel.age`."""
+        """See `AgeChannel.age`."""
         return sent[0]
+
+
+Channel = AgeChannel | PacketChannel
 
 
 def _arrived(newest: int, flying: list[tuple[int, int]], far: int) -> OnWay:

@@ -55,8 +55,8 @@ class Sensor(Struct, frozen=True, kw_only=True):
         law: network from it to the controller.
         law_kind: name of the law's plug-in.
         stream: name of the random stream of its channel.
-        repeats: the newest packet goes to the controller again in a slot in which no new one has come.
-        numbered: the log says of each draw that it is of this node.
+        numbered: the log says of each draw that it is of this node; the newest packet of the only one that is not goes to the
+            controller again in a slot in which no new one has come.
         can_id: CAN identifier of its first frame on the experiment's link: the lower one wins on a medium with arbitration.
         own_can_id: the one that the experiment sets; None for that of the link's base.
     """
@@ -70,7 +70,6 @@ class Sensor(Struct, frozen=True, kw_only=True):
     law: NetworkLaw
     law_kind: str
     stream: str
-    repeats: bool
     numbered: bool
     can_id: int
     own_can_id: int | None = None
@@ -90,7 +89,7 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
             Sensor(
                 name="sensor", path="network.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),
                 trigger=TriggerTable(), clock=ClockTable(), law=e.network.sc.law, law_kind=kind,
-                stream="link.sc", repeats=True, numbered=False, can_id=first_identifiers([None], framing)[0],
+                stream="link.sc", numbered=False, can_id=first_identifiers([None], framing)[0],
             ),
         )  # fmt: skip
     index = {s.name: i for i, s in enumerate(e.plant.outputs)}
@@ -100,8 +99,7 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
             name=name, path=f"network.nodes.{name}", outputs=tuple(index[output] for output in node.outputs), buffer=node.buffer,
             trigger=node.trigger, clock=node.clock, law=e.network.sc.law if node.law is None else node.law,
             law_kind=kind if node.law is None else e.kinds.get(f"network.nodes.{name}.law", "?"),
-            stream=f"link.sc.{name}", repeats=False, numbered=True, can_id=can_id,
-            own_can_id=node.can_id,
+            stream=f"link.sc.{name}", numbered=True, can_id=can_id, own_can_id=node.can_id,
         )
         for name, node, can_id in zip(names, nodes, first_identifiers([n.can_id for n in nodes], framing), strict=True)
     )  # fmt: skip

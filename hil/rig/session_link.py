@@ -46,10 +46,10 @@ class SessionLink(Struct, frozen=True, kw_only=True):
         """Whether it is a plug-in of the user's own, and no code (``auth=``) says that a frame is as it was sent."""
         return is_foreign(self.uri) and not self.traits.keyed
 
-    def first_identifiers(self) -> FirstIdentifiers | None:
-        """Return with which identifier each packet begins, None where it is no CAN link."""
-        own = self.identifiers
-        return FirstIdentifiers(tuple(ids[0] for ids in own.sensors), own.control[0]) if self.on_can and own else None
+    @property
+    def logged(self) -> Identifiers | None:
+        """The identifiers, of which each packet's record says the first; None where it is no CAN link."""
+        return self.identifiers if self.on_can else None
 
     def said(self, rig: RigSpec) -> dict[str, dict[str, str]]:
         """Return what the log says of its frames: topic to the CAN identifiers of each talker, as ``hil dbc`` has them too."""
@@ -58,18 +58,6 @@ class SessionLink(Struct, frozen=True, kw_only=True):
             return {}
         described = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
         return {"/link/sensor": described, "/link/control": {"can_id.control": said(own.control)}}
-
-
-class FirstIdentifiers(Struct, frozen=True):
-    """The CAN identifier with which each packet begins.
-
-    Args:
-        sensors: of each sensor node, by number.
-        control: of the control packets.
-    """
-
-    sensors: tuple[int, ...]
-    control: int
 
 
 def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:

@@ -219,12 +219,10 @@ def _one_run(
     loop: Loop, seed: int, run: int, came: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]
 ) -> int:
     """Ask the medium of one run, slot by slot, as a rig does; return the last slot of which it said something."""
-    e = loop.experiment
-    period_s = float(e.period)
-    medium = sensor_medium_of(loop, seed, period_s, e.timing.deadline * period_s)
+    medium = sensor_medium_of(loop, seed)
     clocks = [clock_of(sensor, seed) for sensor in loop.rig.sensors]
     last = -1
-    for k in range(e.slots):
+    for k in range(loop.rig.slots):
         for node, clock in enumerate(clocks):
             turn = medium.may_send(node, k)
             if (clock is None or clock.due(k)) and turn:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from hil.experiment import Experiment
-from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_packets, periodic, rates_of
+from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_packets, periodic_traffic, rates_of
 from hil.rig.loop import Loop
 from hil.rig.named_files import due_of
 from hil.rig.schedules import bus_faults
@@ -24,12 +24,6 @@ Seen = Callable[[Transmission, CanNode], None]
 Status = Callable[[int, str, CanNode], None]
 
 
-def _no_transmission(transmission: Transmission, node: CanNode) -> None: ...
-
-
-def _no_status(at_ns: int, name: str, node: CanNode) -> None: ...
-
-
 class CanNetwork:
     """The bus of one run.
 
@@ -40,7 +34,7 @@ class CanNetwork:
         status: called with (session time in ns, name, node) when the error state of a node has changed.
     """
 
-    def __init__(self, loop: Loop, seed: int, seen: Seen = _no_transmission, status: Status = _no_status) -> None:
+    def __init__(self, loop: Loop, seed: int, seen: Seen, status: Status) -> None:
         e = loop.experiment
         shared = can_bus_of(loop.rig)
         if shared is None:
@@ -49,15 +43,16 @@ class CanNetwork:
         rates, names = rates_of(medium), bus_nodes(loop.rig, shared)
         self._fd = medium.dbitrate is not None
         self._own = own_packets(loop.rig, shared, loop.rows)
-        self.carries_control = medium.control
+        self._carries_control = medium.control
         always = BitErrors(medium.bit_error_rate, rng_for(seed, f"medium.{name}")) if medium.bit_error_rate else None
         self._errors = PlannedErrors(always, rng_for(seed, f"fault.{name}"))
         self._names = names
         nodes = [CanNode("fifo" if name == RECORDING else "priority") for name in names]
         bus = CanBus(rates, nodes, self._errors, status=lambda at, i: status(rates.ns(at), names[i], nodes[i]))
+        traffic = periodic_traffic(medium, {name: i for i, name in enumerate(names)})
         sources: list[Iterator[Due]] = [
             each.frames(rng_for(seed, f"medium.{name}.{message.said}"))
-            for each, message in zip(periodic(loop.rig, shared), medium.traffic, strict=True)
+            for each, message in zip(traffic, medium.traffic, strict=True)
         ]
         if medium.recorded:
             sources.append(due_of(line, len(names) - 1) for line in medium.recorded)
@@ -87,7 +82,7 @@ class CanNetwork:
         Args:
             channel: behind the bus.
         """
-        if not self.carries_control:
+        if not self._carries_control:
             return channel
         way = TimedBusWay(self._slots, [channel], [self._control_frames], first=len(self._own) - 1, back=True)
         return OneWay(way)

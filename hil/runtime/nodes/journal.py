@@ -12,11 +12,11 @@ from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, RE
 from hil.log.topics.loop import EXTENDED, FD, REMOTE, SWITCH
 from hil.log.topics.topic import SlotRecord
 from hil.log.write.sinks import Sink, record_to, records_to
-from hil.rig.session_link import FirstIdentifiers
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected
 from transport.can_bus_model import BitRates
 from transport.draws import Draw
+from transport.links.can_identifiers import Identifiers
 from transport.medium import Delivery
 from transport.packets import ControlPacket, node_of
 
@@ -38,12 +38,12 @@ class Journal:
         channels: the table of what is logged.
         row_values: values of a control packet that its record holds, rows times inputs.
         numbers: of each sensor node what a record of its draws holds of its number: the number, or nothing.
-        identifiers: CAN identifiers, where the records of frames hold them.
+        identifiers: CAN identifiers, where the record of a frame holds the first of its packet.
     """
 
     def __init__(
         self, sink: Sink, channels: Mapping[str, Channel], row_values: int, numbers: Sequence[tuple[int, ...]] = ((),),
-        identifiers: FirstIdentifiers | None = None,
+        identifiers: Identifiers | None = None,
     ) -> None:  # fmt: skip
         self.event = sink.event
         self._log = {topic: record_to(sink, channel) for topic, channel in channels.items()}
@@ -61,8 +61,8 @@ class Journal:
         self._sensed: tuple[Any, ...] = ()  # what was asked in the slot, where a topic is filled from it
         self._row_values, self._numbers = row_values, tuple(numbers)
         # What the record of a frame holds of its identifier: the identifier, or nothing.
-        self._sensor_ids = [(i,) for i in identifiers.sensors] if identifiers else [()] * len(self._numbers)
-        self._control_id = (identifiers.control,) if identifiers else ()
+        self._sensor_ids = [(own[0],) for own in identifiers.sensors] if identifiers else [()] * len(self._numbers)
+        self._control_id = (identifiers.control[0],) if identifiers else ()
         self._nowhere = (-1,) if identifiers else ()
         self._asked_at_once = {n: records_to(sink, (*_SENSED, *[SC.name] * n, SENSOR.name)) for n in _DRAWS}
         self._answered_at_once = {n: records_to(sink, (APPLIED.name, *[CA.name] * n, *_ANSWERED)) for n in _DRAWS}

@@ -12,6 +12,7 @@ from hil.rig.sensors import Sensor, SharedMedium
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
+from transport.laws import NetworkLaw
 from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
 from transport.medium.faulted import FaultedMedium, FaultyPath
 from transport.medium.independent import Impairment, impair
@@ -25,22 +26,24 @@ if TYPE_CHECKING:
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
 
 
-def sensor_medium_of(
-    loop: Loop, seed: int, period_s: float, deadline_s: float, bus: CanNetwork | None = None, first: int = 0
-) -> Medium:  # fmt: skip
+def impaired(loop: Loop, law: NetworkLaw, seed: int, stream: str, first: int = 0) -> Impairment:
+    """Return a network law that draws from a stream of its own from a slot on."""
+    at = loop.rig.at_controller
+    return impair(law, rng_for(seed, begun(stream, first)), at.period_s, at.deadline_s, first)
+
+
+def sensor_medium_of(loop: Loop, seed: int, bus: CanNetwork | None = None, first: int = 0) -> Medium:
     """Return the medium between the sensor nodes and the controller; every node and every shared medium has its own stream.
 
     Args:
         loop: the composed experiment.
         seed: seed of the run.
-        period_s: sample period T, s.
-        deadline_s: seconds after the start of a slot at which it closes; packet laws only.
-        bus: the CAN bus that takes time, where the experiment has one and the way back needs it too.
+        bus: the CAN bus that takes time, where the experiment has one.
         first: slot in which its laws begin, with streams of their own.
     """
-    channels = [impair(s.law, rng_for(seed, begun(s.stream, first)), period_s, deadline_s, first) for s in loop.rig.sensors]
+    channels = [impaired(loop, sensor.law, seed, sensor.stream, first) for sensor in loop.rig.sensors]
     medium = _shared_medium(loop, channels, seed, bus) if loop.rig.media else IndependentChannels(channels)
-    return medium if all(s.repeats for s in loop.rig.sensors) else NoRepeatMedium(medium, [s.repeats for s in loop.rig.sensors])
+    return NoRepeatMedium(medium) if loop.rig.numbered else medium
 
 
 class NoRepeatMedium:
@@ -48,18 +51,14 @@ class NoRepeatMedium:
 
     Args:
         medium: the medium behind it.
-        repeats: nodes, by number, whose newest packet arrives again all the same.
     """
 
-    def __init__(self, medium: Medium, repeats: Sequence[bool]) -> None:
-        self.may_send, self.offer = medium.may_send, medium.offer
-        self._collect, self._repeats = medium.collect, tuple(repeats)
+    def __init__(self, medium: Medium) -> None:
+        self.may_send, self.offer, self._collect = medium.may_send, medium.offer, medium.collect
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what arrived for the first time in slot k, see `Medium.collect`."""
-        return [
-            delivery if repeats else _new(delivery) for delivery, repeats in zip(self._collect(k), self._repeats, strict=True)
-        ]
+        return [_new(delivery) for delivery in self._collect(k)]
 
 
 def _new(delivery: Delivery) -> Delivery:
@@ -67,19 +66,13 @@ def _new(delivery: Delivery) -> Delivery:
     return draws, [(g, packet) for g, packet in arrivals if any(d.packet_slot == g and d.reason in _CAME for d in draws)]
 
 
-def _bus_of(loop: Loop, seed: int) -> CanNetwork:
-    from hil.runtime.nodes.can_network import CanNetwork  # the model of a bus is loaded where there is one
-
-    return CanNetwork(loop, seed)
-
-
 def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
-        if shared.table.kind == "can":
+        if shared.table.kind == "can" and bus is not None:
             own = sorted(shared.nodes)
-            parts.append((own, (bus or _bus_of(loop, seed)).uplink([channels[i] for i in own])))
+            parts.append((own, bus.uplink([channels[i] for i in own])))
             continue
         if shared.table.kind != "can-arbitration":
             turning.append(shared)
@@ -169,16 +162,15 @@ class FaultInjector:
         """
         for i, (first, end, fault) in enumerate(self._faults):
             if k == first:
-                self._event(journal, t_ns, k, f"fault: {fault.kind}", fault_text(fault), i, "warning")
+                kind, message, severity = f"fault: {fault.kind}", fault_text(fault), "warning"
             elif k == end and fault.kind != RESTART:
-                self._event(journal, t_ns, k, f"fault over: {fault.kind}", f"{fault_text(fault)}: over", i, "info")
-
-    def _event(self, journal: Journal, t_ns: int, k: int, kind: str, message: str, number: int, severity: str) -> None:
-        first, end, fault = self._faults[number]
-        journal.event(
-            t_ns, kind, message, slot=k, severity=severity, fault=number, broken=fault.kind, link=fault.link, node=fault.node,
-            slots=end - first,
-        )  # fmt: skip
+                kind, message, severity = f"fault over: {fault.kind}", f"{fault_text(fault)}: over", "info"
+            else:
+                continue
+            journal.event(
+                t_ns, kind, message, slot=k, severity=severity, fault=i, broken=fault.kind, link=fault.link, node=fault.node,
+                slots=end - first,
+            )  # fmt: skip
 
 
 def _in_slots(loop: Loop) -> list[tuple[int, int, Fault]]:

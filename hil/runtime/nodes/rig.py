@@ -15,21 +15,20 @@ from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.rig.can_bus import can_bus_of
 from hil.rig.loop import Loop
-from hil.rig.session_link import FirstIdentifiers
 from hil.rig.watched import EQUAL, JumpStep, OneStep
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
-from hil.runtime.nodes.network import FaultInjector, clock_of, sensor_medium_of
+from hil.runtime.nodes.network import FaultInjector, clock_of, impaired, sensor_medium_of
 from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
-from hil.runtime.streams import begun, rng_for
+from hil.runtime.streams import rng_for
 from plants.parts.protocols import GoesOn, Plant, PlantRun
+from transport.links.can_identifiers import Identifiers
 from transport.medium import ChangingMedium, Delivery, IndependentChannels, OneWay
-from transport.medium.independent import impair
 from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 if TYPE_CHECKING:
@@ -65,14 +64,13 @@ class Rig:
         channels: dict[str, Channel],
         stop: Callable[[], None],
         wire: Wire = VIRTUAL,
-        identifiers: FirstIdentifiers | None = None,
+        identifiers: Identifiers | None = None,
         woken: Callable[[int], int] | None = None,
         changing: bool = False,
     ) -> None:
         e = loop.experiment
         self._seed = seed
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
-        deadline_s = e.timing.deadline * float(e.period)
         self._period_ns, self._woken = e.period_ns, woken
         self._plant = e.plant.start(rng_for(seed, "plant"))
         self._samples = [sensor.buffer for sensor in loop.rig.sensors]
@@ -80,8 +78,7 @@ class Rig:
         faults = FaultInjector(loop, seed, changing)
         self._faults = faults if faults.there else None
         bus = self._bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
-        medium = sensor_medium_of(loop, seed, float(e.period), deadline_s, bus)
-        channel = impair(loop.rig.ca_law, rng_for(seed, "link.ca"), float(e.period), deadline_s)
+        medium, channel = sensor_medium_of(loop, seed, bus), impaired(loop, loop.rig.ca_law, seed, "link.ca")
         self._network: tuple[ChangingMedium, ChangingMedium] | None = None
         if changing:
             back = ChangingMedium(IndependentChannels([channel]), 1, loop.model.d_max + 1)
@@ -156,15 +153,12 @@ class Rig:
     def _change_network(self, loop: Loop, direction: Literal["sc", "ca"]) -> None:
         """Let another law take over, which begins as many slots ago as its longest delay has."""
         medium, channel = self._network  # type: ignore[misc]
-        e, k = loop.experiment, self.k + 1
-        period_s, deadline_s = float(e.period), e.timing.deadline * float(e.period)
-        back = direction == "ca"
+        k, back = self.k + 1, direction == "ca"
         first = max(k - 1 - (loop.model.d_max if back else loop.model.tau_max), 0)
         if back:
-            rng = rng_for(self._seed, begun("link.ca", first))
-            channel.change(IndependentChannels([impair(loop.rig.ca_law, rng, period_s, deadline_s, first)]), k, first)
+            channel.change(IndependentChannels([impaired(loop, loop.rig.ca_law, self._seed, "link.ca", first)]), k, first)
         else:
-            medium.change(sensor_medium_of(loop, self._seed, period_s, deadline_s, first=first), k, first)
+            medium.change(sensor_medium_of(loop, self._seed, first=first), k, first)
         own = [law for law in self._laws if (law[0] == len(self._sensors)) == back]
         self._past_laws += [law for _, law in own]
         self._laws = [law for law in self._laws if law not in own]  # one that takes over does not begin as its chain does
@@ -255,14 +249,6 @@ class Rig:
     def on_frame(self, data: bytes) -> bool:
         """Take one frame from the link; return True when it answers the current slot."""
         return self.answers.take(data)
-
-    def on_late_frame(self, data: bytes) -> None:
-        """Take a frame that came when the slot was closed: it is counted and logged, never applied."""
-        self.answers.take(data, "late")
-
-    def passed_over(self, frames: int) -> None:
-        """Count frames that the link itself threw away while this slot waited for its answer."""
-        self.answers.throw_away(frames)
 
     def actuate(self, t_ns: int) -> None:
         """Let the medium pass what it passes, choose the row, and hold it until the next slot."""

@@ -19,6 +19,7 @@ from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.clock import monotonic_ns
+from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire
@@ -187,7 +188,7 @@ class LinkExchange:
 
     Args:
         link: the rig's end.
-        rig: judges the frames that come back, and takes what comes too late.
+        answers: takes what comes too late, which is counted and logged, never applied, and what the link itself threw away.
         deadline_ns: how long the answer may take, ns.
         stopped: whether the run was ended from outside.
         now: session time, ns.
@@ -195,11 +196,11 @@ class LinkExchange:
     """
 
     def __init__(
-        self, link: Link, rig: Rig, deadline_ns: int, stopped: Callable[[], bool], now: Now,
+        self, link: Link, answers: AnswerMatcher, deadline_ns: int, stopped: Callable[[], bool], now: Now,
         happened: Callable[[int], None] = lambda ns: None,
     ) -> None:  # fmt: skip
         self._happened = happened
-        self._link, self._rig, self._deadline_ns, self._stopped, self._now = link, rig, deadline_ns, stopped, now
+        self._link, self._answers, self._deadline_ns, self._stopped, self._now = link, answers, deadline_ns, stopped, now
         self._sent_ns = 0
         self._passed = _passed(link)
         self.round_trip_us = math.nan
@@ -226,7 +227,7 @@ class LinkExchange:
             frames += 1
             self._happened(now - t_ns)
             if now > deadline:
-                self._rig.on_late_frame(data)
+                self._answers.take(data, "late")
             elif on_frame(data):
                 self.round_trip_us = (now - self._sent_ns) / 1e3
                 break
@@ -234,7 +235,7 @@ class LinkExchange:
             self._happened(now - t_ns)
         passed = _passed(self._link)
         if passed > self._passed:
-            self._rig.passed_over(passed - self._passed)
+            self._answers.throw_away(passed - self._passed)
             self._passed = passed
         self.waited_ns = now - begin
 

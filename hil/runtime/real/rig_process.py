@@ -66,7 +66,7 @@ class RealLoop:
         channels = channels_of(job.loop, on_can=job.link.on_can)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
-        first = job.link.first_identifiers()
+        first = job.link.logged
         self.rig = Rig(
             job.loop, job.seed, sink, channels, self.kernel.stop, wire, first, lambda t_ns: self._woken_ns, job.changes_fd >= 0
         )  # fmt: skip
@@ -79,7 +79,7 @@ class RealLoop:
         self._t_ns = self._woken_ns = self._late = 0
         deadline_ns = round(e.timing.deadline * e.period_ns)
         self._exchange = LinkExchange(
-            link, self.rig, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
+            link, self.rig.answers, deadline_ns, lambda: self.kernel.stopped, self.clock.now, sink.behind
         )
         self._slot = Slot(self.rig, self._exchange, self._commit, lambda: self.kernel.stopped)
 

@@ -14,13 +14,14 @@ from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.sinks import MemorySink, Sink
 from hil.rig.loop import Loop
-from hil.rig.session_link import FirstIdentifiers, link_of
+from hil.rig.session_link import link_of
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import Slot
 from hil.runtime.virtual import DirectExchange, simulate
 from tests.hil.log.recording import provenance
+from transport.links.can_identifiers import Identifiers
 from transport.packets import node_of
 
 SLOTS = 20
@@ -29,7 +30,7 @@ SLOTS = 20
 def recorded(loop: Loop, uri: str, sink: Sink) -> None:
     """Record what a session over this link records, in virtual time."""
     link = link_of(loop.rig, uri)
-    rig = Rig(loop, 0, sink, channels_of(loop, on_can=link.on_can), lambda: None, identifiers=link.first_identifiers())
+    rig = Rig(loop, 0, sink, channels_of(loop, on_can=link.on_can), lambda: None, identifiers=link.logged)
     slot = Slot(rig, DirectExchange(ControlNode(loop)))
     for k in range(SLOTS):
         slot.run(k * loop.experiment.period_ns)
@@ -57,7 +58,7 @@ def test_every_node_has_its_own() -> None:
 
 def test_nothing_else_of_a_run_changes_and_no_other_link_has_the_field() -> None:
     loop = compose(load_experiment("dc-motor-hinf", [f"duration={SLOTS * 0.05}"]))
-    assert link_of(loop.rig, "zenoh:tcp/127.0.0.1:7447").first_identifiers() is None
+    assert link_of(loop.rig, "zenoh:tcp/127.0.0.1:7447").logged is None
     virtual, can = simulate(loop, 0), run_over(loop, "can:hil:a")
     for topic, records in virtual.arrays.items():
         names = records.dtype.names or ()
@@ -82,7 +83,8 @@ def test_a_mangled_number_names_no_process() -> None:
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
     table = channels_of(loop, on_can=True)
     sink = MemorySink(table)
-    journal = Journal(sink, table, 1, [(i,) for i in range(4)], FirstIdentifiers((1, 2, 3, 4), 9))
+    identifiers = Identifiers(sensors=tuple(range(i, i + 1) for i in range(1, 5)), control=range(9, 10))
+    journal = Journal(sink, table, 1, [(i,) for i in range(4)], identifiers)
     frame = bytes(loop_frame(loop))
     journal.asked(0, 0, [frame, frame[:24] + bytes((77,)) + frame[25:]])
     assert Run.from_memory(sink).arrays["/link/sensor"]["can_id"].tolist() == [2, -1]

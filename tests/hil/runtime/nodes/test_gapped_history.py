@@ -1,4 +1,4 @@
-"""All that has come, over a round robin that loses packets: the run is the theory's, and its verdict is known."""
+"""Media that lose packets, and gains on all that has come or on the last packets: the run is the theory's, its verdict known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
-from design.historical_data.gapped_history import gap_window, gapped_gains, gaps_undecided, phase_gains
+from design.controllers.sensor_nodes import PacketWindow, window_of
+from design.historical_data.gapped_history import gap_window, gapped_gains, gaps_undecided, phase_gains, window_mask
 from design.historical_data.guaranteed_cost import close_received
 from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of
@@ -144,3 +145,56 @@ def test_what_is_not_known_is_said_with_its_number() -> None:
     assert "512 phases and 198 states: 20072448 numbers" in gaps_undecided(two_nodes(0.1), 7, 97)
     with pytest.raises(HilError, match="over lost packets gains are designed for uses = 'current-packet' or 'last-packets'"):
         compose(load_experiment("multisensor-ours", ["network.media.bus.loss=0.1"]))
+
+
+LAST = {
+    "random": ["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], loss=0.3}"],
+    "cycle": ["network.media.bus.loss=0.3"],
+}
+
+
+def on_last_packets(which: str, length: int, *sets: str) -> Loop:
+    """multisensor-ours under small random gains on the last packets."""
+    free = load_experiment("multisensor-ours", ["duration=2", "allow_uncertified=true", *LAST[which]])
+    nodes = rig_of(free).nodes
+    assert nodes is not None and nodes.turns is not None
+    mask = window_mask(nodes, PacketWindow(turns=nodes.turns, length=length), length + 1)
+    gains = np.random.default_rng(length).normal(size=mask.shape) * mask
+    table = f"controller={{kind='historical', uses='last-packets', gains={gains[:, :, None, :].tolist()}}}"
+    return compose(load_experiment("multisensor-ours", ["duration=2", *LAST[which], table, *sets]))
+
+
+@pytest.mark.parametrize(("which", "length"), [("random", 1), ("random", 2), ("cycle", 1), ("cycle", 3)])
+def test_a_run_on_the_last_packets_is_what_the_matrices_of_its_outcomes_say(which: str, length: int) -> None:
+    loop = on_last_packets(which, length)
+    assert loop.verdict is not None and loop.verdict.certified
+    nodes, plant = loop.model.sensors, delayed_plant_of(loop.experiment.plant, loop.model)
+    assert nodes is not None and nodes.turns is not None and plant is not None
+    K = loop.controller.history()  # type: ignore[attr-defined]
+    window, L = window_of(nodes.turns, len(K)), close(plant, K).L
+    for seed in (0, 1):
+        run = simulate(loop, seed)
+        draws, states = run.arrays["/network/sc"], run.arrays["/plant/state"]
+        came = {int(d["slot"]): int(d["node"]) for d in draws if d["reason"] == DELIVERED}
+        assert 20 <= len(came) < 40
+        X = np.zeros(L.shape[-1])
+        X[:4] = loop.experiment.plant.initial_state  # type: ignore[attr-defined]
+        for k in range(40):
+            np.testing.assert_allclose([states[f"x{i + 1}"][k] for i in range(4)], X[:4], atol=2e-5)
+            X = L[window.phase(k, came.get)] @ X
+
+
+def test_gains_on_a_packet_that_the_outcome_lacks_are_refused_by_their_entry() -> None:
+    K = np.zeros((25, 1, 1, 4))
+    K[4 + 5 * 4, 0, 0, 2] = 1.0  # nothing came in both slots
+    table = f"controller={{kind='historical', uses='last-packets', gains={K.tolist()}}}"
+    with pytest.raises(HilError, match=r"controller.gains\[24\]\[0\]\[0\]\[2\]: 1, expected 0"):
+        compose(load_experiment("multisensor-ours", [*LAST["random"], table]))
+    with pytest.raises(HilError, match=r"controller\.gains: 24 phases, but the last packets of this schedule have 5"):
+        compose(load_experiment("multisensor-ours", [*LAST["random"], table.replace(str(K.tolist()), str(K[:24].tolist()))]))
+
+
+def test_the_last_packets_are_undecided_where_they_come_late() -> None:
+    late = "network.sc.law={kind='constant', age=1}"
+    with pytest.raises(HilError, match="the last packets where they take no slot"):
+        compose(load_experiment("multisensor-ours", [*LAST["random"], late, "controller.uses='last-packets'"]))

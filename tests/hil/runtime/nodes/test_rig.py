@@ -12,6 +12,7 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
@@ -23,6 +24,7 @@ from hil.runtime.nodes.wire import VIRTUAL, session_wire
 from hil.runtime.slot import Slot
 from hil.runtime.virtual import simulate
 from transport.packets import ControlPacket, encode_control
+from transport.wire import echo
 
 
 @pytest.fixture(scope="module")
@@ -85,14 +87,10 @@ def answer(k: int, rows: tuple[tuple[float, ...], ...] = ((0.1,), (0.1,))) -> by
 
 
 def statuses(loop: Loop, sink: MemorySink) -> list[int]:
-    from hil.log.read.run import Run
-
     return Run.from_memory(sink).arrays["/actuator/applied"]["status"].tolist()
 
 
 def kinds(sink: MemorySink) -> list[str]:
-    from hil.log.read.run import Run
-
     return [e["kind"] for e in Run.from_memory(sink).events]
 
 
@@ -131,8 +129,6 @@ def test_packets_of_another_shape_are_refused(loop: Loop, rows: tuple[tuple[floa
 
 
 def test_command_beyond_its_limit_leads_to_zero_input(loop: Loop) -> None:
-    from hil.log.read.run import Run
-
     sink = drive(loop, lambda k: answer(k, ((7.0,), (7.0,))), 40)
     applied = Run.from_memory(sink).arrays["/actuator/applied"]
     assert np.abs(applied["voltage"]).max() == 0.0
@@ -140,8 +136,6 @@ def test_command_beyond_its_limit_leads_to_zero_input(loop: Loop) -> None:
 
 
 def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
-    from hil.log.read.run import Run
-
     sink = drive(loop, lambda k: answer(k - 1) if k == 10 else answer(k), 20)
     run = Run.from_memory(sink)
     frames = run.arrays["/link/control"]
@@ -176,16 +170,12 @@ def test_second_controller_that_says_otherwise_is_reported_once(loop: Loop) -> N
 
 
 def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_is_reported(loop: Loop) -> None:
-    from hil.log.read.run import Run
-
     sink = drive(loop, lambda k: [control(k + 1, 2.0), control(k)], 30)
     assert kinds(sink).count("second controller") == 1
     assert np.abs(Run.from_memory(sink).arrays["/actuator/applied"]["voltage"]).max() == 0.0
 
 
 def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_of_it(loop: Loop) -> None:
-    from hil.log.read.run import Run
-
     sink = MemorySink(channels_of(loop))
     rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
     frames = {0: [], 1: [control(0), control(0), b"junk", *[control(0, 0.1 * i) for i in range(100)], control(1)]}
@@ -217,9 +207,6 @@ def test_answers_that_a_stalled_controller_sends_late_are_no_flood(slots: int) -
 
 @pytest.mark.parametrize("forged", [0, 1, -1], ids=["none", "another", "old"])
 def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_is_reported(loop: Loop, forged: int) -> None:
-    from hil.log.read.run import Run
-    from transport.wire import echo
-
     class Both(Script):
         """Somebody who answers first, without what the question takes, and the true controller."""
 
@@ -263,8 +250,6 @@ def test_packets_of_four_samples_are_certified_and_run_as_the_recursion_says() -
 
 
 def test_a_trip_zeroes_an_input_that_was_not_zero_and_the_run_ends_exactly_after_the_grace(loop: Loop) -> None:
-    from hil.log.read.run import Run
-
     sink = drive(loop, lambda k: answer(k, ((0.4,), (0.4,))) if k < 10 else answer(k, ((7.0,), (7.0,))), 200)
     applied = Run.from_memory(sink).arrays["/actuator/applied"]
     trip = int(np.flatnonzero(applied["status"] == SAFE)[0])

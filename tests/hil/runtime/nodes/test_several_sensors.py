@@ -27,11 +27,12 @@ from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
+from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude
 from hil.runtime.virtual import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import StateMoments, state_moments, states_of_many
-from transport.packets import EMPTY, SensorPacket, decode
+from transport.packets import EMPTY, SensorPacket, decode, encode_sensor
 
 
 def cost_of(loop: Loop, seed: int = 0) -> dict[str, float | None]:
@@ -343,9 +344,6 @@ def test_triggers_of_section_8_2_2() -> None:
 
 
 def test_the_controller_counts_frames_of_another_rig() -> None:
-    from hil.runtime.nodes.controller_node import ControlNode
-    from transport.packets import encode_sensor
-
     node = ControlNode(compose(load_experiment("multisensor-published"), certify=False))
 
     def frame(**given: Any) -> bytes:

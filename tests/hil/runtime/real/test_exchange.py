@@ -15,10 +15,11 @@ import pytest
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.log.read.run import Run
 from hil.log.topics import channels_of
 from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
-from hil.runtime.nodes.controller_node import HELLO
+from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
 from hil.runtime.real.exchange import (
@@ -27,13 +28,15 @@ from hil.runtime.real.exchange import (
     WARM_UP_SLOTS,
     Handshake,
     LinkExchange,
+    LocalLink,
     WarmUpExchange,
     WarmUpRig,
     warm_up_controller,
 )
 from hil.runtime.slot import Slot
+from hil.runtime.virtual import simulate
 from transport.links.memory import MemoryLink
-from transport.packets import ControlPacket, SensorPacket, decode, encode_control
+from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 from transport.wire import echo
 
 MS = 1_000_000
@@ -90,7 +93,8 @@ class Ear:
         self.received.append(data)
         return data == b"answer"
 
-    def on_late_frame(self, data: bytes) -> None:
+    def take(self, data: bytes, when: str) -> None:
+        assert when == "late"
         self.late.append(data)
 
 
@@ -99,8 +103,6 @@ def exchange(link: Bench, ear: Ear, stopped: Callable[[], bool] = lambda: False)
 
 
 def question() -> list[bytes]:
-    from transport.packets import encode_sensor
-
     return [encode_sensor(SensorPacket(0, 0, 0, (1.0,)))]
 
 
@@ -226,16 +228,6 @@ def test_greeting_needs_the_echo_of_the_question() -> None:
 
 
 def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> None:
-    from hil.compose.loop import compose
-    from hil.experiment import load_experiment
-    from hil.log.read.run import Run
-    from hil.log.write.sinks import MemorySink
-    from hil.runtime.nodes.controller_node import ControlNode
-    from hil.runtime.nodes.rig import Rig
-    from hil.runtime.real.exchange import LocalLink
-    from hil.runtime.slot import Slot
-    from hil.runtime.virtual import simulate
-
     loop, wire = compose(load_experiment("dc-motor-hinf", ["duration=3"])), session_wire(b"l" * 16)
     sink = MemorySink(channels_of(loop))
     rig = Rig(loop, 3, sink, channels_of(loop), lambda: None, wire)
@@ -243,7 +235,7 @@ def test_local_controller_answers_in_the_rigs_process_as_in_virtual_time() -> No
         clock = iter(range(10**9))
         greeting = Handshake(link, 1.0, lambda: False, lambda: next(clock), wire).greet()
         assert greeting.answered and greeting.questions == 1 + REHEARSALS and greeting.foreign == 0
-        slot = Slot(rig, LinkExchange(link, rig, 30 * MS, lambda: False, lambda: next(clock)))
+        slot = Slot(rig, LinkExchange(link, rig.answers, 30 * MS, lambda: False, lambda: next(clock)))
         for k in range(loop.experiment.slots):
             slot.run(k * loop.experiment.period_ns)
     ours, virtual = Run.from_memory(sink).arrays, simulate(loop, 3).arrays
