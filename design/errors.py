@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
+
 
 class DesignError(Exception):
     """A request that no computation can fulfil, or a computation that did not reach a certified end.
@@ -56,3 +59,28 @@ class FieldError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.field}: {self.message}"
+
+
+def check_finite(**values: float) -> None:
+    """Refuse the first number that is not finite, by its field.
+
+    Raises:
+        FieldError: as all of these.
+    """
+    _check(values, lambda value: True, "a finite number")
+
+
+def check_above_zero(**values: float | None) -> None:
+    """Refuse the first number that is not finite and above 0; None is no number."""
+    _check(values, lambda value: value > 0.0, "a finite number above 0")
+
+
+def check_at_least_zero(**values: float) -> None:
+    """Refuse the first number that is not finite and at least 0."""
+    _check(values, lambda value: value >= 0.0, "a finite number, at least 0")
+
+
+def _check(values: Mapping[str, float | None], fits: Callable[[float], bool], expected: str) -> None:
+    for field, value in values.items():
+        if value is not None and not (math.isfinite(value) and fits(value)):
+            raise FieldError(field, f"{value!r}, expected {expected}")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController, Selection
-from design.errors import FieldError
+from design.errors import FieldError, check_at_least_zero, check_finite
 
 if TYPE_CHECKING:
     from design.controllers.wall import Wall
@@ -48,11 +48,8 @@ class Coupler:
     def __post_init__(self) -> None:
         if not 1 <= len(self.taps_m_per_n) <= MAX_TAPS:
             raise FieldError("taps_m_per_n", f"{len(self.taps_m_per_n)} taps, expected 1 to {MAX_TAPS}")
-        for l, tap in enumerate(self.taps_m_per_n):
-            if not math.isfinite(tap):
-                raise FieldError(f"taps_m_per_n[{l}]", f"{tap!r}, expected a finite number")
-        if not (math.isfinite(self.integrator_m_per_n) and self.integrator_m_per_n >= 0.0):
-            raise FieldError("integrator_m_per_n", f"{self.integrator_m_per_n!r}, expected a finite number, at least 0")
+        check_finite(**{f"taps_m_per_n[{l}]": tap for l, tap in enumerate(self.taps_m_per_n)})
+        check_at_least_zero(integrator_m_per_n=self.integrator_m_per_n)
 
     @property
     def static_compliance_m_per_n(self) -> float:

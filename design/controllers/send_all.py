@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from math import prod
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from design.controllers.contract import (
     row_count,
 )
 from design.controllers.gain_rows import BatchGainRows, GainRows, NodeGainRows, NodeGainRowsOfMany
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,9 +64,7 @@ class SendAll:
         check_row_sojourns(self.row_sojourns, self.selection, "selection")
         if self.integral_limit and not self.integral:
             raise FieldError("integral_limit", "needs integral = true: without it there is no sum to clamp")
-        for i, most in enumerate(self.integral_limit):
-            if not (np.isfinite(most) and most > 0.0):
-                raise FieldError(f"integral_limit[{i}]", f"{most:g}, expected a finite number above 0")
+        check_above_zero(**{f"integral_limit[{i}]": most for i, most in enumerate(self.integral_limit)})
         if self.ages and (min(self.ages) < 1 or prod(self.ages) != len(self.gains)):
             raise FieldError("ages", f"{list(self.ages)}, expected counts whose product is {len(self.gains)}, one per table")
         if self.ages and self.sojourns:
@@ -118,8 +116,24 @@ class SendAll:
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 
 
+class _TableAlone(Protocol):
+    """A controller that is nothing but its table of gains."""
+
+    @property
+    def selection(self) -> Selection: ...
+
+    def table(self, model: LoopModel) -> NDArray[np.float64]: ...
+
+    def start(self, model: LoopModel) -> RunningController:
+        return GainRows(self.table(model), self.selection, model)
+
+    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
+        """Return so many of them, ready for slot 0."""
+        return BatchGainRows(self.table(model), self.selection, model, runs)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Local:
+class Local(_TableAlone):
     """One gain for every delay: a design that ignores the network (thesis, Section 7.4.3: K = -0.4515).
 
     Args:
@@ -135,13 +149,6 @@ class Local:
         if K.shape != (m, p):
             raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
         return np.broadcast_to(K, (model.tau_max + 1, 1, m, p)).copy()
-
-    def start(self, model: LoopModel) -> RunningController:
-        return GainRows(self.table(model), self.selection, model)
-
-    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
-        """Return so many of them, ready for slot 0."""
-        return BatchGainRows(self.table(model), self.selection, model, runs)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,7 +191,7 @@ def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedHinf:
+class PublishedHinf(_TableAlone):
     """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:
@@ -196,16 +203,9 @@ class PublishedHinf:
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         return _published([[-0.1576, -0.1318], [-0.0878, 0.0091], [-0.0342, 0.0074]], model)
 
-    def start(self, model: LoopModel) -> RunningController:
-        return GainRows(self.table(model), self.selection, model)
-
-    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
-        """Return so many of them, ready for slot 0."""
-        return BatchGainRows(self.table(model), self.selection, model, runs)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedH2:
+class PublishedH2(_TableAlone):
     """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:
@@ -216,10 +216,3 @@ class PublishedH2:
 
     def table(self, model: LoopModel) -> NDArray[np.float64]:
         return _published([[-0.1980, -0.1647], [-0.1232, -0.0547], [-0.0747, -0.0399]], model)
-
-    def start(self, model: LoopModel) -> RunningController:
-        return GainRows(self.table(model), self.selection, model)
-
-    def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
-        """Return so many of them, ready for slot 0."""
-        return BatchGainRows(self.table(model), self.selection, model, runs)

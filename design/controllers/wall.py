@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from design.controllers.wall_pattern import Pattern
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 
 Switching = Literal["plain", "energy"]
 
@@ -39,10 +39,8 @@ class Material:
     spared_m_per_n: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.stiffness_n_per_m) and self.stiffness_n_per_m > 0.0):
-            raise FieldError("stiffness_n_per_m", f"{self.stiffness_n_per_m!r}, expected a finite number above 0")
-        if not (math.isfinite(self.damping_n_s_per_m) and self.damping_n_s_per_m >= 0.0):
-            raise FieldError("damping_n_s_per_m", f"{self.damping_n_s_per_m!r}, expected a finite number, at least 0")
+        check_above_zero(stiffness_n_per_m=self.stiffness_n_per_m)
+        check_at_least_zero(damping_n_s_per_m=self.damping_n_s_per_m)
         if not 0.0 <= self.spared_m_per_n * self.stiffness_n_per_m < 1.0:
             raise FieldError("spared_m_per_n", f"{self.spared_m_per_n!r}, expected at least 0 and less than 1/K")
 

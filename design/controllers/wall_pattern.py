@@ -5,11 +5,10 @@ Reference: Chapter 6, Section 6.2.2, Figure 6.2, Remark 6.1.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_finite
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,12 +31,8 @@ class Patch:
     material: int
 
     def __post_init__(self) -> None:
-        for name, value in (("y_m", self.y_m), ("z_m", self.z_m)):
-            if not math.isfinite(value):
-                raise FieldError(name, f"{value!r}, expected a finite number")
-        for name, value in (("width_m", self.width_m), ("height_m", self.height_m)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise FieldError(name, f"{value!r}, expected a finite number above 0")
+        check_finite(y_m=self.y_m, z_m=self.z_m)
+        check_above_zero(width_m=self.width_m, height_m=self.height_m)
         if self.material < 0:
             raise FieldError("material", f"{self.material!r}, expected an index, at least 0")
 
@@ -62,9 +57,7 @@ class Pattern:
     patches: tuple[Patch, ...]
 
     def __post_init__(self) -> None:
-        for name, value in (("width_m", self.width_m), ("height_m", self.height_m)):
-            if not (math.isfinite(value) and value > 0.0):
-                raise FieldError(name, f"{value!r}, expected a finite number above 0")
+        check_above_zero(width_m=self.width_m, height_m=self.height_m)
         slack = 1e-9 * max(self.width_m, self.height_m)
         for i, p in enumerate(self.patches):
             out = max(-p.y_m, -p.z_m, p.y_m + p.width_m - self.width_m, p.z_m + p.height_m - self.height_m)

@@ -43,12 +43,13 @@ class Hearing:
     loss: float = 0.0
 
 
-def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing | None:
+def hearing_of(nodes: SensorNodes) -> Hearing | None:
     """Return whose packet comes when; None where this is no chain of its own: triggers, clocks that draw, delays that change.
+
+    Slot 0 is any slot of a cycle, each as likely as another.
 
     Args:
         nodes: the sensor nodes.
-        from_any_phase: whether slot 0 is any slot of a cycle, each as likely as another.
     """
     turns, delays = nodes.turns, [delay for delay in nodes.delays if delay is not None]
     if nodes.mixed or nodes.unforeseen or nodes.silent or len(delays) < len(nodes.delays):
@@ -67,8 +68,7 @@ def hearing_of(nodes: SensorNodes, *, from_any_phase: bool = False) -> Hearing |
         seen = tuple(
             tuple(e for node, age in turns.cycle[(i - delays[0]) % phases] for e in brought(node, age)) for i in range(phases)
         )
-        start = np.full(phases, 1.0 / phases) if from_any_phase else np.eye(phases)[turns.phase]
-        return Hearing(transition=cycle(phases), start=start, seen=seen, loss=turns.loss)
+        return Hearing(transition=cycle(phases), start=np.full(phases, 1.0 / phases), seen=seen, loss=turns.loss)
     if delays[0] and not np.allclose(np.array(turns.initial) @ np.array(turns.transition), turns.initial, atol=1e-12):
         return None
     return Hearing(

@@ -121,15 +121,7 @@ class LiftedLoop:
         """
         if not self.cyclic:
             return self._fixed_point(lambda S: self.Q + backward(self.L, self.transition, S), guess)
-        phases, S = len(self.L), np.zeros_like(self.Q)
-        product, total = np.eye(self.L.shape[-1]), np.zeros_like(self.Q[0])
-        for i in range(phases):
-            total = total + product.T @ self.Q[i] @ product
-            product = self.L[i] @ product
-        S[0] = _series(product, total)
-        for i in range(phases - 1, 0, -1):
-            S[i] = self.Q[i] + self.L[i].T @ S[(i + 1) % phases] @ self.L[i]
-        return S
+        return _around(self.L, self.Q)
 
     def stable_cost_to_go(self) -> Array:
         """Return what `cost_to_go` does, where the radius is known to be below 1: over many phases it is found sooner.
@@ -151,16 +143,8 @@ class LiftedLoop:
         """
         if not self.cyclic:
             return self._fixed_point(lambda G: start + forward(self.L, self.transition, G), guess)
-        phases, G = len(self.L), np.zeros_like(start)
-        product, total = np.eye(self.L.shape[-1]), np.zeros_like(start[0])
-        for step in range(phases):  # what starts in phase -step comes to phase 0 after `step` slots
-            i = (-step) % phases
-            total = total + product @ start[i] @ product.T
-            product = product @ self.L[(i - 1) % phases]
-        G[0] = _series(product.T, total)
-        for i in range(1, phases):
-            G[i] = start[i] + self.L[i - 1] @ G[i - 1] @ self.L[i - 1].T
-        return G
+        back = -np.arange(len(self.L)) % len(self.L)  # what starts in phase -k comes to phase 0 after k slots
+        return _around(self.L[back - 1].transpose(0, 2, 1), start[back])[back]
 
     def _fixed_point(self, step: Callable[[Array], Array], guess: Array | None) -> Array:
         value = np.zeros_like(self.Q) if guess is None else guess
@@ -215,6 +199,18 @@ def with_held(A: Array, renewed: npt.NDArray[np.bool_], oldest: int) -> Array:
 def cycle(phases: int) -> Array:
     """Return the transition matrix of the cycle, Lambda of Remark 5.3."""
     return np.roll(np.eye(phases), 1, axis=1)
+
+
+def _around(L: Array, Q: Array) -> Array:
+    """Return S with S_i = Q_i + L_i' S_(i+1) L_i around the cycle."""
+    product, total, S = np.eye(L.shape[-1]), np.zeros_like(Q[0]), np.zeros_like(Q)
+    for own, weight in zip(L, Q):
+        total = total + product.T @ weight @ product
+        product = own @ product
+    S[0] = after = _series(product, total)
+    for i in range(len(L) - 1, 0, -1):
+        S[i] = after = Q[i] + L[i].T @ after @ L[i]
+    return S
 
 
 def _series(M: Array, W: Array) -> Array:

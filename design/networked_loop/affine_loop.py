@@ -20,7 +20,6 @@ from design.controllers import row_count
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.networked_loop.loop_parts import (
-    PacketRegisters,
     check_gains,
     default_initial,
     initial_law,
@@ -182,8 +181,8 @@ def wired(
     # where things lie in the state: x | samples k-1.. | samples used in k-1 | xi | registers
     used = n + depth * width
     xi = used + (samples * p if keeps_samples else 0)
-    registers = packet_registers(selection, ca, xi + c, m) if weighs_input or ca.max_delay else PacketRegisters([], [])
-    last_input = xi + c + sum(length for _, length in registers) * m
+    registers = packet_registers(selection, ca, xi + c, m) if weighs_input or ca.max_delay else {}
+    last_input = xi + c + sum(length for _, length in registers.values()) * m
     per_row = selection in ("applied", "both")
     order = last_input + (m if (weighs_input and per_row) or ca.holds.any() else 0)
 
@@ -194,7 +193,7 @@ def wired(
     if depth:
         shift[n : n + width, :n] = taken
         shift[n + width : used, n : used - width] = np.eye((depth - 1) * width)
-    for first, length in registers:
+    for first, length in registers.values():
         tail = (length - 1) * m
         shift[first + m : first + m + tail, first : first + tail] = np.eye(tail)
 
@@ -228,13 +227,13 @@ def wired(
         base[i, xi : xi + c] += own[1][seen] @ Y[: samples * p] + own[0][seen] @ states
         offset = {"generated": label, "previous": int(ca.label[before]), "both": label * labels}.get(selection, 0)
         # rows that go into a register: one per label if the actuator chooses, else the only one
-        for (first, _), its in zip(registers, registers.labels):
+        for its, (first, _) in registers.items():
             entries.append((i, seen, offset + (its if per_row else 0), np.eye(order, m, -first), Y))
         if not ca.holds[a] and d == 0:
             entries.append((i, seen, offset + (label if per_row else 0), into_plant, Y))
             inputs.append(entries[-1])
         else:
-            first = last_input if ca.holds[a] else registers.first_of(label if per_row else 0) + (d - 1) * m
+            first = last_input if ca.holds[a] else registers[label if per_row else 0][0] + (d - 1) * m
             input_base[i, :, first : first + m] = np.eye(m)
             base[i, :, first : first + m] += into_plant
     drive = np.zeros((order, m))

@@ -184,36 +184,23 @@ def check_plant_shapes(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> 
     return A_, B_, C_
 
 
-class PacketRegisters(list[tuple[int, int]]):
-    """Shift registers of packet rows under way: (first state, length in samples), with the label each one serves."""
+def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> dict[int, tuple[int, int]]:
+    """Lay out shift registers of packet rows under way: (first state, length in samples) by the label that each serves.
 
-    def __init__(self, items: list[tuple[int, int]], labels: list[int]) -> None:
-        super().__init__(items)
-        self.labels = labels
-
-    def first_of(self, label: int) -> int:
-        """First state of the register that serves a label."""
-        return self[self.labels.index(label)][0]
-
-
-def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> PacketRegisters:
-    """Lay out the registers from state `start` on.
+    They begin at state `start`.
 
     The controller knows which row will be applied (`constant`, `generated`, `previous`): one register as long as the
     largest delay, at least one sample because z needs u1(k-1). The actuator chooses (`applied`, `both`): one register
     per label of the C-A delay, as long as that label's delay.
     """
     if selection not in ("applied", "both"):
-        return PacketRegisters([(start, max(ca.max_delay, 1))], [0])
-    items, labels = [], []
-    for label, delay in enumerate(ca.label_delay):
+        return {0: (start, max(ca.max_delay, 1))}
+    found = {}
+    for label, delay in enumerate(ca.label_delay.tolist()):
         if delay > 0:
-            items.append((start, int(delay)))
-            labels.append(label)
-            start += int(delay) * m
-    if not items:
-        return PacketRegisters([(start, 1)], [0])
-    return PacketRegisters(items, labels)
+            found[label] = (start, delay)
+            start += delay * m
+    return found or {0: (start, 1)}
 
 
 class SteadyState(NamedTuple):

@@ -96,7 +96,7 @@ def certify_wall(
         "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
     }  # fmt: skip
     places = [(i, d) for i in range(len(wall.touched)) for d in delays]
-    radii = [loop_radius(loop, i, d, sides, wall) for i, d in places]
+    radii = [loop.radius(wall.touched[i], sc_at := min(d, sides[0][-1]), d - sc_at) for i, d in places]  # the sum alone matters
     where, radius = max(zip((f"{named(wall.touched[i])} at a delay of {d}" for i, d in places), radii), key=lambda item: item[1])
     details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
     stays = [1.0 if wall.chain is None else wall.chain[i][i] for i in wall.met]  # probability, per slot; a hand may rest
@@ -212,20 +212,6 @@ def cut_off(wall: Wall, coupler: Coupler, saturates_n: float) -> str:
 def named(material: Material) -> str:
     """Return a material by its numbers, as the thesis writes them: K/B."""
     return f"material {material.stiffness_n_per_m:g}/{material.damping_n_s_per_m:g}"
-
-
-def loop_radius(loop: HapticLoop, material: int, delay: int, sides: Sequence[Sequence[int]], wall: Wall) -> float:
-    """Return the spectral radius in contact with a material at a total delay: only the sum of both delays matters.
-
-    Args:
-        loop: device, hand, coupler.
-        material: index of what is touched.
-        delay: nd in samples.
-        sides: the delays of position and force that occur.
-        wall: what is touched.
-    """
-    sc = min(delay, sides[0][-1])
-    return loop.radius(wall.touched[material], sc, delay - sc)
 
 
 def _samples(delays: Sequence[int]) -> str:

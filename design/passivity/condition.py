@@ -118,10 +118,7 @@ def _primitive(p: Integers) -> Integers:
 
 
 def _at(p: Integers, x: int) -> int:
-    value = 0
-    for c in reversed(p):
-        value = value * x + c
-    return value
+    return sum(c * x**i for i, c in enumerate(p))
 
 
 def _derivative(p: Integers) -> Integers:
@@ -180,11 +177,8 @@ def _odd_part(p: Integers, common: Integers) -> Integers:
 
 
 def _product(p: Integers, q: Integers) -> Integers:
-    out = [0] * (len(p) + len(q) - 1)
-    for i, a in enumerate(p):
-        for j, b in enumerate(q):
-            out[i + j] += a * b
-    return out
+    shifted = ([0] * i + [a * b for b in q] + [0] * (len(p) - 1 - i) for i, a in enumerate(p))
+    return [sum(column) for column in zip(*shifted)]
 
 
 def _changes(chain: Sequence[Integers], x: int) -> int:

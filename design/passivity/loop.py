@@ -7,7 +7,6 @@ Reference: Chapter 6, (6.1), (6.2), (6.4) and Figure 6.4; delays in the state.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -18,7 +17,7 @@ from scipy.linalg import expm, logm
 
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.jump_linear.mjls import MJLS
 from design.processes.delay_chain import DelayChain
 
@@ -51,16 +50,11 @@ class HeldDevice:
     hand_stiffness_n_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.mass_kg) and self.mass_kg > 0.0):
-            raise FieldError("mass_kg", f"{self.mass_kg!r}, expected a finite number above 0")
-        for name, value in (
-            ("damping_n_s_per_m", self.damping_n_s_per_m),
-            ("hand_mass_kg", self.hand_mass_kg),
-            ("hand_damping_n_s_per_m", self.hand_damping_n_s_per_m),
-            ("hand_stiffness_n_per_m", self.hand_stiffness_n_per_m),
-        ):
-            if not (math.isfinite(value) and value >= 0.0):
-                raise FieldError(name, f"{value!r}, expected a finite number, at least 0")
+        check_above_zero(mass_kg=self.mass_kg)
+        check_at_least_zero(
+            damping_n_s_per_m=self.damping_n_s_per_m, hand_mass_kg=self.hand_mass_kg,
+            hand_damping_n_s_per_m=self.hand_damping_n_s_per_m, hand_stiffness_n_per_m=self.hand_stiffness_n_per_m,
+        )  # fmt: skip
 
     @property
     def total_damping_n_s_per_m(self) -> float:

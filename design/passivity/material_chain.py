@@ -13,6 +13,7 @@ References: Chapter 6, (6.3), Remark 6.1; Santalo, Integral Geometry and Geometr
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -41,19 +42,15 @@ def boundaries(pattern: Pattern, materials: int) -> tuple[Array, Array]:
     if not areas.all():
         raise FieldError("patches", f"material {int(np.flatnonzero(areas == 0.0)[0])} has no area in the cell")
     slack = 1e-9 * max(pattern.width_m, pattern.height_m)
-    for p in pattern.patches:
-        for q in pattern.patches:
-            # the right edge of p on the left edge of q, and the upper on the lower, here or in the next cell
-            for shift in (0.0, pattern.width_m):
-                if abs(p.y_m + p.width_m - q.y_m - shift) <= slack:
-                    shared = _overlap(p.z_m, p.height_m, q.z_m, q.height_m)
-                    lengths[p.material, q.material] += shared
-                    lengths[q.material, p.material] += shared
-            for shift in (0.0, pattern.height_m):
-                if abs(p.z_m + p.height_m - q.z_m - shift) <= slack:
-                    shared = _overlap(p.y_m, p.width_m, q.y_m, q.width_m)
-                    lengths[p.material, q.material] += shared
-                    lengths[q.material, p.material] += shared
+    cell = (pattern.width_m, pattern.height_m)
+    placed = [(p.material, ((p.y_m, p.width_m), (p.z_m, p.height_m))) for p in pattern.patches]
+    for (i, own), (j, other) in product(placed, repeat=2):
+        for axis in (0, 1):  # a right edge on a left one, or an upper on a lower one, here or in the next cell
+            gap = own[axis][0] + own[axis][1] - other[axis][0]
+            if min(abs(gap), abs(gap - cell[axis])) <= slack:
+                shared = _overlap(*own[1 - axis], *other[1 - axis])
+                lengths[i, j] += shared
+                lengths[j, i] += shared
     np.fill_diagonal(lengths, 0.0)
     return lengths, areas
 

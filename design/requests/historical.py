@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from design.controllers.gain_rows import nested
 from design.controllers.historical import Historical
 from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.requests.tracking import DesignTask
 from design.tracking.gain_cache import cached_history
 
@@ -48,12 +48,9 @@ class HistoricalDesigned:
             raise FieldError("memory", f"{self.memory}, expected 0 to 100 slots")
         if not 1 <= self.window <= 10:
             raise FieldError("window", f"{self.window}, expected 1 to 10 slots")
-        if not (np.isfinite(self.input_weight) and self.input_weight >= 0):
-            raise FieldError("input_weight", f"{self.input_weight}, expected a finite number, at least 0")
-
+        check_at_least_zero(input_weight=self.input_weight)
+        check_above_zero(peak_input=self.peak_input)
         if self.peak_input is not None:
-            if not (np.isfinite(self.peak_input) and self.peak_input > 0):
-                raise FieldError("peak_input", f"{self.peak_input}, expected a finite number > 0")
             if self.start != "given" or self.uses == "last-packets":
                 raise FieldError("peak_input", "bounds one run: it needs start = 'given', and uses other than 'last-packets'")
             if self.input_weight:
@@ -158,10 +155,8 @@ class PublishedHistorical:
 
     gains: Literal["historical", "newest"]
 
-    @property
-    def gains_given(self) -> bool:
-        """Whether nothing is solved: they are printed."""
-        return True
+    gains_given: ClassVar[bool] = True
+    """Nothing is solved: they are printed."""
 
     def solve(self, task: DesignTask) -> Historical:
         """Return the gains as the controller that runs; nothing is solved."""

@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import LinearLaw
-from design.errors import DesignError, FieldError
+from design.errors import DesignError, check_above_zero
 from design.lmi import solver
 
 LocalMethod = Literal["lqr", "lqg", "hinf"]
@@ -57,9 +57,7 @@ def local_design(
         DesignError: the Riccati equation has no stabilising solution.
     """
     A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
-    for name, value in (("input_weight", input_weight), ("noise", noise)):
-        if not (np.isfinite(value) and value > 0):
-            raise FieldError(name, f"{value:g}, expected a finite number > 0")
+    check_above_zero(input_weight=input_weight, noise=noise)
     F = game_feedback(A_, B_, C_, input_weight) if method == "hinf" else lqr_feedback(A_, B_, C_, input_weight)
     filtered = _filter(A_, B_, C_, EXACT if method == "lqr" else noise)
     # xi+ = xi + L (e - C xi) is the state as the newest sample shows it; u = -F xi+; xi(k+1) = A xi+ + B u
@@ -76,11 +74,9 @@ def lqr_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
     control = solver("control")
 
     try:
-        F = np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
+        return np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"lqr: the Riccati equation has no stabilising solution ({error})") from error
-    _stable(A - B @ F, "lqr")
-    return F
 
 
 def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
@@ -134,12 +130,4 @@ def _filter(A: Array, B: Array, C: Array, noise: float) -> Array:
         P = np.asarray(control.dlqe(A, B, C, np.eye(B.shape[1]), V)[1], dtype=np.float64)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"filter: the Riccati equation has no stabilising solution ({error})") from error
-    L = np.asarray(np.linalg.solve(C @ P @ C.T + V, C @ P).T, dtype=np.float64)
-    _stable(A @ (np.eye(len(A)) - L @ C), "filter")
-    return L
-
-
-def _stable(closed: Array, what: str) -> None:
-    radius = float(np.abs(np.linalg.eigvals(closed)).max())
-    if radius >= 1.0:
-        raise DesignError(f"{what}: the spectral radius is {radius:.6g}, expected below 1", value=radius)
+    return np.asarray(np.linalg.solve(C @ P @ C.T + V, C @ P).T, dtype=np.float64)

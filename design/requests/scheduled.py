@@ -9,7 +9,6 @@ own clock, from the slot in which the mode that it sees changed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
@@ -19,7 +18,7 @@ import numpy as np
 from design.controllers import Gains, LoopModel, Rows, RunningController, Selection, nested
 from design.controllers.exact_products import product
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.requests.tracking import DesignTask
 
 if TYPE_CHECKING:
@@ -87,7 +86,7 @@ class Scheduled:
     constraint: QuadraticConstraint | None = None
 
     def __post_init__(self) -> None:
-        self._gain()
+        self.schedule_of_modes()
 
     def constraint_of_modes(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
         """Return the matrices of the constraint."""
@@ -98,9 +97,6 @@ class Scheduled:
 
     def schedule_of_modes(self) -> ScheduledGain:
         """Return K(mode, h)."""
-        return self._gain()
-
-    def _gain(self) -> ScheduledGain:
         try:
             gain, starts = np.array(self.gain, dtype=float), np.array(self.starts_s, dtype=float)
         except ValueError:
@@ -108,7 +104,7 @@ class Scheduled:
         return ScheduledGain(gain=gain, starts_s=starts, schedule=self.schedule)
 
     def start(self, model: LoopModel) -> RunningController:
-        gain = self._gain()
+        gain = self.schedule_of_modes()
         m, p = model.B.shape[1], model.C.shape[0]
         if gain.gain.shape[2:] != (m, p - 1):
             raise FieldError(
@@ -161,10 +157,8 @@ class RobustScheduled:
     def __post_init__(self) -> None:
         if self.constraint is not None and self.method not in ("by-plant", "fault-tolerant"):
             raise FieldError("constraint", f"the method {self.method!r} takes none, 'fault-tolerant' does")
-        if not (math.isfinite(self.gain_bound) and self.gain_bound > 0):
-            raise FieldError("gain_bound", f"{self.gain_bound!r}, expected a finite number above 0")
-        if not (math.isfinite(self.decay) and self.decay >= 0):
-            raise FieldError("decay", f"{self.decay!r}, expected a finite number, at least 0")
+        check_above_zero(gain_bound=self.gain_bound)
+        check_at_least_zero(decay=self.decay)
         if self.sections < 0:
             raise FieldError("sections", f"{self.sections}, expected at least 1, or 0 for the default of the method")
         if self.sections and self.starts_s:
@@ -243,10 +237,8 @@ class PublishedScheduled:
 
     gains: Literal["ch2", "ch2-reference", "ch3", "ch4", "ch4-partitioned"]
 
-    @property
-    def gains_given(self) -> bool:
-        """Whether nothing is solved: they are printed."""
-        return True
+    gains_given: ClassVar[bool] = True
+    """Nothing is solved: they are printed."""
 
     def solve(self, task: DesignTask) -> Scheduled:
         """Return the gains as the controller that runs; nothing is solved."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from design.controllers import LoopModel, OutputFeedback, SendAll, check_row_sojourns, nested
-from design.errors import FieldError
+from design.errors import FieldError, check_at_least_zero
 
 if TYPE_CHECKING:
     import numpy as np
@@ -132,9 +132,7 @@ class Designed:
     file: str = ""
 
     def __post_init__(self) -> None:
-        for i, weight in enumerate(self.output_weights):
-            if not (np.isfinite(weight) and weight >= 0):
-                raise FieldError(f"output_weights[{i}]", f"{weight:g}, expected a finite number, at least 0")
+        check_at_least_zero(**{f"output_weights[{i}]": weight for i, weight in enumerate(self.output_weights)})
         if self.integral_limit and not (self.integral or self.file):
             raise FieldError("integral_limit", "needs integral above 0: without it there is no sum to clamp")
         if self.sojourns < 1:

@@ -5,7 +5,6 @@ What runs is the taps or the gains that come out. Model following is a compariso
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -13,7 +12,7 @@ from typing import Literal, get_args
 from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.virtual_wall import ModelFollowing, VirtualWall
 from design.controllers.wall import Wall
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 from design.requests.tracking import DesignTask
 
 Method = Literal["stiffest", "wave", "theorem-6.1", "taps"]
@@ -57,12 +56,7 @@ class CouplerRequest:
         for i, delay in enumerate(self.delays):
             if delay < 0:
                 raise FieldError(f"delays[{i}]", f"{delay}, expected at least 0")
-        for name, value in (
-            ("damping_n_s_per_m", self.damping_n_s_per_m),
-            ("stiffness_n_per_m", self.stiffness_n_per_m),
-        ):
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise FieldError(name, f"{value!r}, expected a finite number above 0")
+        check_above_zero(damping_n_s_per_m=self.damping_n_s_per_m, stiffness_n_per_m=self.stiffness_n_per_m)
         if self.count < 0:
             raise FieldError("count", f"{self.count}, expected at least 1, or 0")
         if self.varying and (self.method != "stiffest" or self.equalise or self.delays):
@@ -195,11 +189,7 @@ class DesignedFollowing:
     noise_m: float = 1e-5
 
     def __post_init__(self) -> None:
-        for name, value in (
-            ("force_weight", self.force_weight), ("hand_step_n", self.hand_step_n), ("noise_m", self.noise_m),
-        ):  # fmt: skip
-            if not (math.isfinite(value) and value > 0.0):
-                raise FieldError(name, f"{value!r}, expected a finite number above 0")
+        check_above_zero(force_weight=self.force_weight, hand_step_n=self.hand_step_n, noise_m=self.noise_m)
         if self.wall.chain is not None:
             raise FieldError("wall.chain", "the target depends on where the hand is; give a pattern or one material")
         count = len(self.wall.materials)

@@ -132,38 +132,39 @@ def load_design(path: Path) -> DesignFile:
             "design: " and the path.
     """
     try:
-        document = read_json(path)
+        return _design(read_json(path))
     except ValueError as error:
         raise FieldError("design", f"{path}: {error}") from None
+
+
+def _design(document: Any) -> DesignFile:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise FieldError("design", f"{path}: no design file (format is not {FORMAT!r})")
+        raise ValueError(f"no design file (format is not {FORMAT!r})")
     selection, problem = document.get("selection"), document.get("problem")
     if not isinstance(selection, str) or selection not in SELECTIONS:
-        raise FieldError("design", f"{path}: selection: {selection!r:.60}, expected one of {', '.join(SELECTIONS)}")
+        raise FieldError("selection", f"{selection!r:.60}, expected one of {', '.join(SELECTIONS)}")
     try:
         gains = np.array(document.get("gains"), dtype=np.float64)
     except (TypeError, ValueError):
-        raise FieldError("design", f"{path}: gains: expected a regular nested list [tau][row][m][p]") from None
+        raise FieldError("gains", "expected a regular nested list [tau][row][m][p]") from None
     except OverflowError:
-        raise FieldError("design", f"{path}: gains: a number exceeds the range of a double") from None
+        raise FieldError("gains", "a number exceeds the range of a double") from None
     if gains.ndim != 4 or not (np.abs(gains) <= LARGEST).all():
-        raise FieldError(
-            "design", f"{path}: gains: shape {gains.shape}, expected finite numbers of at most {LARGEST:g} [tau][row][m][p]"
-        )
+        raise FieldError("gains", f"shape {gains.shape}, expected finite numbers of at most {LARGEST:g} [tau][row][m][p]")
     period = document.get("period_s")
     if not isinstance(period, int | float) or isinstance(period, bool) or not 0 < period < 1e9:
-        raise FieldError("design", f"{path}: period_s: {period!r:.60}, expected a number > 0")
+        raise FieldError("period_s", f"{period!r:.60}, expected a number > 0")
     known = problem if isinstance(problem, dict) else {}
     samples = known.get("samples", 1)
     if samples not in (1, 2):
-        raise FieldError("design", f"{path}: problem.samples: {samples!r:.60}, expected 1 or 2")
-    stays, rows = _row_sojourns(path, known.get("ca"), gains)
+        raise FieldError("problem.samples", f"{samples!r:.60}, expected 1 or 2")
+    stays, rows = _row_sojourns(known.get("ca"), gains)
     return DesignFile(
         selection=selection,
         gains=rows,
         integral=bool(known.get("integral", 0)),
         samples=samples,
-        sojourns=_sojourns(path, known.get("sc")),
+        sojourns=_sojourns(known.get("sc")),
         row_sojourns=stays,
         period_s=float(period),
         plant=str(document.get("plant", "")),
@@ -171,38 +172,38 @@ def load_design(path: Path) -> DesignFile:
     )
 
 
-def _chain(path: Path, problem: Any, name: str) -> DelayChain:
+def _chain(problem: Any, name: str) -> DelayChain:
     try:
         return DelayChain(**problem)
     except (TypeError, ValueError, OverflowError) as error:
-        raise FieldError("design", f"{path}: problem.{name}: expected delays and labels: {error!s:.200}") from None
+        raise FieldError(f"problem.{name}", f"expected delays and labels: {error!s:.200}") from None
 
 
-def _row_sojourns(path: Path, problem: Any, gains: Array) -> tuple[int, Array]:
+def _row_sojourns(problem: Any, gains: Array) -> tuple[int, Array]:
     """How many rows belong to every d, from the problem's chain, and gains with as many."""
     if problem is None:
         return 1, gains
-    chain = _chain(path, problem, "ca")
+    chain = _chain(problem, "ca")
     try:
         stays = row_sojourns_of(chain)
     except FieldError as error:
-        raise FieldError("design", f"{path}: problem.ca: {error}") from None
+        raise FieldError("problem.ca", str(error)) from None
     if stays == 1:
         return stays, gains
     if gains.shape[1] != int(chain.label.max()) + 1:
-        raise FieldError("design", f"{path}: gains: {gains.shape[1]} rows, expected one for each label of problem.ca")
+        raise FieldError("gains", f"{gains.shape[1]} rows, expected one for each label of problem.ca")
     return stays, with_every_row(gains, chain, stays)
 
 
-def _sojourns(path: Path, problem: Any) -> tuple[int, ...]:
+def _sojourns(problem: Any) -> tuple[int, ...]:
     """How many tables belong to every tau, from the problem's chain; () where that is one each."""
     if problem is None:
         return ()
-    chain = _chain(path, problem, "sc")
+    chain = _chain(problem, "sc")
     if chain.held is not None or np.array_equal(chain.label, chain.delay):
         return ()
     if chain.label.max() >= len(chain.label) or (np.diff(chain.label_delay, prepend=0) < 0).any():
-        raise FieldError("design", f"{path}: problem.sc: expected delays and labels, these 0, 1, ... in the order of the delays")
+        raise FieldError("problem.sc", "expected delays and labels, these 0, 1, ... in the order of the delays")
     return chain.sojourns
 
 

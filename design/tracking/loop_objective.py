@@ -206,17 +206,9 @@ def check_plant(A: Array, B: Array, C: Array) -> None:
 
 def closed_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
     """Sets of modes that the chain never leaves, each without a smaller one inside."""
-    N = transition.shape[0]
-    reach = (transition > 0) | np.eye(N, dtype=bool)
-    for _ in range(int(np.ceil(np.log2(max(N, 2))))):
-        reach = (reach.astype(np.int64) @ reach.astype(np.int64)) > 0
-    classes = []
-    seen = np.zeros(N, dtype=bool)
-    for i in range(N):
-        if seen[i]:
-            continue
-        members = np.flatnonzero(reach[i] & reach[:, i])
-        seen[members] = True
-        if not reach[np.ix_(members, np.setdiff1d(np.arange(N), members))].any():
-            classes.append(members)
-    return classes
+    from scipy.sparse.csgraph import connected_components
+
+    follows = transition > 0
+    count, own = connected_components(follows, connection="strong")
+    closed = [np.flatnonzero(own == i) for i in range(count) if not follows[own == i][:, own != i].any()]
+    return sorted(closed, key=lambda members: int(members[0]))

@@ -20,7 +20,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import Array, DelayChain, Index, as_chain
@@ -110,8 +110,7 @@ def gain_parametrisation(
     Raises:
         ValueError: unknown pattern, or a bound that is not positive.
     """
-    if bound is not None and not (np.isfinite(bound) and bound > 0):
-        raise FieldError("gain_bound", f"{bound:g}, expected a finite number > 0")
+    check_above_zero(gain_bound=bound)
     used = structure.used
     if information == "constant":
         key = np.zeros(used.shape, dtype=np.int64)
@@ -181,11 +180,9 @@ class TrackingProblem:
             raise FieldError("objective", f"{self.objective!r}, expected one of {', '.join(OBJECTIVES)}")
         if self.method not in METHODS:
             raise FieldError("method", f"{self.method!r}, expected one of {', '.join(METHODS)}")
-        if self.hinf_bound is not None:
-            if self.objective != "mixed":
-                raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
-            if not (np.isfinite(self.hinf_bound) and self.hinf_bound > 0):
-                raise FieldError("hinf_bound", f"{self.hinf_bound:g}, expected a finite number > 0")
+        if self.hinf_bound is not None and self.objective != "mixed":
+            raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
+        check_above_zero(hinf_bound=self.hinf_bound)
         if not 0 <= self.starts <= MOST_STARTS:
             raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
         if self.seed < 0:

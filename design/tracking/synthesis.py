@@ -88,18 +88,14 @@ def solve(problem: TrackingProblem, *, progress: Progress | None = None) -> Desi
 
     from design.whole_process import one_blas_thread
 
-    with one_blas_thread():
-        return _solve(problem, progress)
-
-
-def _solve(problem: TrackingProblem, progress: Progress | None) -> Design:
-    structure, space = problem.structure(), problem.space()
-    check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
     if problem.method != "direct":
         raise FieldError("method", f"{problem.method!r} is not solved here; as_printed.cone_complementarity.design_by_ccl has it")
-    objective = LoopObjective(structure, space, problem.alpha(structure))
-    best, values = _multistart(problem, objective, progress)
-    return certified(problem, space.gains(best.x), starts=values, evaluations=objective.evaluations)
+    with one_blas_thread():
+        structure, space = problem.structure(), problem.space()
+        check_plant(*(np.asarray(M, dtype=np.float64) for M in (problem.A, problem.B, problem.C)))
+        objective = LoopObjective(structure, space, problem.alpha(structure))
+        best, values = _multistart(problem, objective, progress)
+        return certified(problem, space.gains(best.x), starts=values, evaluations=objective.evaluations)
 
 
 def certified(problem: TrackingProblem, gains: Array, *, starts: tuple[float, ...], evaluations: int) -> Design:

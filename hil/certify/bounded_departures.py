@@ -22,8 +22,7 @@ from design.jump_linear.mjls import STABILITY_MARGIN
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs
-from hil.certify.region import ClosedLoop, inside
-from hil.certify.saturating_loop import ends_from_anywhere, escapes
+from hil.certify.region import ClosedLoop, ends_from_anywhere, escapes, inside
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]

@@ -117,47 +117,17 @@ def certify_send_all(loop: CertificationProblem) -> Verdict | None:
     sc, ca, selection = loop.sc, loop.ca, controller.selection
     samples, integral = packet_samples(controller), float(integrates(controller) and not clamped)
 
-    def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
-        from design.networked_loop.closed_loop import loop_structure
+    from design.networked_loop.certify import certify_loop
+    from design.networked_loop.closed_loop import loop_structure
 
+    def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         return _closed(loop_structure(A, B, C, sc, ca, selection, samples=samples, integral=integral), gains, C)
 
     if sc.open or ca.open:
         return in_every_order(loop, sc, ca, modes)
-    verdict = judge_gains(
-        loop.motion, sc, ca, gains, selection, samples=samples, integral=bool(integral), digest=loop.digest
-    )  # fmt: skip
-    return ends_within(loop, verdict, modes)
-
-
-def judge_gains(
-    model: LoopModel,
-    sc: DelayChain,
-    ca: DelayChain,
-    gains: NDArray[np.float64],
-    selection: str,
-    *,
-    samples: int = 1,
-    integral: bool = False,
-    digest: str = "",
-) -> Verdict:
-    """Return the verdict on a table of gains over a linear plant and two delay chains.
-
-    Args:
-        model: the plant at the sample period.
-        sc, ca: the delay chains.
-        gains: shape (labels of tau, rows, m, p').
-        selection: how the actuator picks a row.
-        samples: samples per sensor packet.
-        integral: whether the gains have columns for the integral of the error.
-        digest: of the loop that the verdict is on.
-    """
-    from design.networked_loop.certify import certify_loop
-
-    certificate = certify_loop(
-        model.A, model.B, model.C, sc, ca, gains, selection, samples=samples, integral=float(integral)
-    )  # fmt: skip
-    return second_moment_verdict(certificate, digest)
+    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
+    found = certify_loop(A, B, C, sc, ca, gains, selection, samples=samples, integral=integral)
+    return ends_within(loop, second_moment_verdict(found, loop.digest), modes)
 
 
 def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:

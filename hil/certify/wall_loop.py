@@ -18,6 +18,7 @@ from plants.parts.protocols import HasPassiveElements
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
+    from hil.rig.spec import Port
 
 
 def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
@@ -33,28 +34,24 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     controller = loop.controller
     if not isinstance(controller, WallController):
         return None
-    if len(loop.model.nodes.names) > 1:
-        return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
-    port = loop.port
-    if port is None:
-        return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
-    if loop.sc is None or loop.ca is None:
-        return undecided(loop, "passivity", loop.no_chain())
+    if isinstance(found := _touched_by(loop), str):
+        return undecided(loop, "passivity", found)
+    port, its, back = found
     from design.passivity.certificate import certify_wall
     from design.passivity.loop import HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     elements = tuple(loop.plant.passive_elements()) if isinstance(loop.plant, HasPassiveElements) else ()
-    sc: DelayChain | int = loop.sc
-    ca: DelayChain | int = loop.ca
+    sc: DelayChain | int = its
+    ca: DelayChain | int = back
     if controller.equalise:  # both ends wait for the largest delay that they have rows for, even if the law has none so large
         sc, ca = loop.model.tau_max, loop.model.d_max
-        if loop.sc.max_delay > sc:
-            late = f"samples come up to {loop.sc.max_delay} slots old, and the wall waits for {sc}: raise network.sc.max_age"
+        if its.max_delay > sc:
+            late = f"samples come up to {its.max_delay} slots old, and the wall waits for {sc}: raise network.sc.max_age"
             return undecided(loop, "passivity", f"{late}, or discard_older = {sc} in the law")
-        needed, has = 1 + sc - int(loop.sc.delay.min()), packet_samples(controller)
+        needed, has = 1 + sc - int(its.delay.min()), packet_samples(controller)
         if has < needed:
-            short = f"[controller] equalises delays of {loop.sc.delay.min()} to {sc} slots, which takes {needed} samples a packet"
+            short = f"[controller] equalises delays of {its.delay.min()} to {sc} slots, which takes {needed} samples a packet"
             return undecided(loop, "passivity", f"{short}; it has {has}")
     verdict = certify_wall(
         device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=sc, ca=ca,
@@ -76,6 +73,15 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     return limited_to_model(loop.plant, certified, knows={e.name for e in elements})
 
 
+def _touched_by(loop: CertificationProblem) -> tuple[Port, DelayChain, DelayChain] | str:
+    """Return the device at a wall and both delay chains, or why the loop is not judged."""
+    if len(loop.model.nodes.names) > 1:
+        return "no certificate covers a wall over several sensor nodes"
+    if loop.port is None:
+        return "a wall is certified for a device with position, speed and one force only"
+    return loop.no_chain() if loop.sc is None or loop.ca is None else (loop.port, loop.sc, loop.ca)
+
+
 HANDS = tuple(product((0.0, 0.5, 2.0), (0.0, 10.0, 30.0), (0.0, 100.0, 800.0)))
 """Mass in kg, damping in N s/m and stiffness in N/m of the passive hands that are tried."""
 
@@ -85,30 +91,27 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
 
     A passive hand that destabilises it refutes the claim of a wall that is safe for every passive hand.
     """
-    controller, port = loop.controller, loop.port
+    controller = loop.controller
     if not isinstance(controller, ModelFollower):
         return None
-    if len(loop.model.nodes.names) > 1:
-        return undecided(loop, "passivity", "no certificate covers a wall over several sensor nodes")
-    if port is None:
-        return undecided(loop, "passivity", "a wall is certified for a device with position, speed and one force only")
-    if loop.sc is None or loop.ca is None:
-        return undecided(loop, "passivity", loop.no_chain())
-    if any(len(set(chain.delay.tolist())) > 1 for chain in (loop.sc, loop.ca)):
+    if isinstance(found := _touched_by(loop), str):
+        return undecided(loop, "passivity", found)
+    port, *chains = found
+    if any(len(set(chain.delay.tolist())) > 1 for chain in chains):
         return undecided(loop, "passivity", "no certificate covers model following with delays that change")
     from design.passivity.loop import HeldDevice
     from design.passivity.model_following import contact_matrices
 
     running, met = controller.start(loop.model), list(controller.wall.met)
-    sc, ca = loop.sc.max_delay, loop.ca.max_delay  # what happens, however large the delays are that the controller is made for
+    sc, ca = (chain.max_delay for chain in chains)  # what happens, however large the delays are that the controller is made for
 
     def radius(mass: float, damping: float, stiffness: float) -> float:
         device = HeldDevice(
             mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_mass_kg=mass, hand_damping_n_s_per_m=damping,
             hand_stiffness_n_per_m=port.stiffness + stiffness,
         )  # fmt: skip
-        found = contact_matrices(running, device, period_s=loop.model.period_s, sc=sc, ca=ca, materials=met[-1] + 1)[met]
-        return float(np.abs(np.linalg.eigvals(found)).max())
+        maps = contact_matrices(running, device, period_s=loop.model.period_s, sc=sc, ca=ca, materials=met[-1] + 1)[met]
+        return float(np.abs(np.linalg.eigvals(maps)).max())
 
     own = radius(0.0, 0.0, 0.0)
     worst = max(HANDS, key=lambda hand: radius(*hand))

@@ -109,10 +109,6 @@ def _not_compared(plant: Plant) -> str:
     return DELAYED if isinstance(plant, JumpPlant) and plant.jump_system().Ad else NOT_COMPARED
 
 
-def _step_of(plant: Plant, model: LoopModel) -> OneStep | JumpStep | None:
-    return jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
-
-
 def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 
@@ -124,7 +120,9 @@ def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) ->
     twin = None if stated is None else stated[0]
     if twin is not None and type(twin) is type(problem.controller):
         twin = None
-    return Watched(plant=_step_of(problem.plant, problem.motion), controller=twin, claimed=not external)
+    plant, model = problem.plant, problem.motion
+    step = jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
+    return Watched(plant=step, controller=twin, claimed=not external)
 
 
 def _problem(

@@ -17,7 +17,7 @@ from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.certify.certifier import CertificationProblem, limited_to_model
 from hil.certify.conformance import plant_check, tested
-from hil.certify.send_all_loop import judge_gains
+from hil.certify.send_all_loop import second_moment_verdict
 from hil.errors import HilError, nearest
 from hil.plugins.user_modules import is_ours
 from hil.rig.spec import motion_of
@@ -68,19 +68,15 @@ def tracking_target(
     """
     from hil.plugins.registry import load, names
 
-    of_experiment = name not in names("hil.plants") and ":" not in name
-    if not of_experiment:
-        if sojourns > 1 or row_sojourns > 1:
-            option = "--sojourns" if sojourns > 1 else "--row-sojourns"
-            raise HilError(f"{option}: over the Markov network of {name} it adds no information; name an experiment")
-        plant = load("hil.plants", name, ".")()
-        period = period_s if period_s is not None else PERIODS_S.get(name, 0.05)
-        sc, ca = DelayChain(transition=LAMBDA), DelayChain(transition=PI)
-    else:
+    if name not in names("hil.plants") and ":" not in name:
         from hil.experiment import load_experiment
 
         return target_of(load_experiment(name), name, period_s, sojourns, row_sojourns)
-    target = _target(plant, name, period, sc, ca)
+    if sojourns > 1 or row_sojourns > 1:
+        option = "--sojourns" if sojourns > 1 else "--row-sojourns"
+        raise HilError(f"{option}: over the Markov network of {name} it adds no information; name an experiment")
+    plant, period = load("hil.plants", name, ".")(), PERIODS_S.get(name, 0.05) if period_s is None else period_s
+    target = _target(plant, name, period, DelayChain(transition=LAMBDA), DelayChain(transition=PI))
     if name == "vtol" and period_s is None:
         A, B, C = (np.array(M, dtype=np.float64) for M in PRINTED_VTOL)
         return target._replace(A=A, B=B, C=C)
@@ -136,10 +132,13 @@ def verdict_on(target: TrackingTarget, design: Design) -> Verdict:
 
 def linear_verdict(target: TrackingTarget, design: Design, sc: DelayChain, ca: DelayChain) -> Verdict:
     """Return the verdict on a design with the plant's matrices, over two delay chains."""
-    return judge_gains(
-        motion_at(target), sc, ca, design.gains, design.selection, samples=design.problem.samples,
-        integral=bool(design.problem.integral), digest=digest_of_design(target, design),
+    from design.networked_loop.certify import certify_loop
+
+    moves, integrates = motion_at(target), float(bool(design.problem.integral))
+    found = certify_loop(
+        moves.A, moves.B, moves.C, sc, ca, design.gains, design.selection, samples=design.problem.samples, integral=integrates
     )  # fmt: skip
+    return second_moment_verdict(found, digest_of_design(target, design))
 
 
 def on_plant(target: TrackingTarget, verdict: Verdict) -> Verdict:
@@ -174,18 +173,18 @@ def model_at(target: TrackingTarget) -> LoopModel:
 
 def digest_of_design(target: TrackingTarget, design: Design) -> str:
     """Return the digest of the loop that a design is for: plant, gains, network, period."""
-    (sc, ca), moves = design.problem.chains, motion_at(target)
-    system = {"A": moves.A, "B": moves.B, "C": moves.C, "gains": design.gains, "selection": design.selection}
-    system |= {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay, "period": target.period_s}
-    return digest(system)
+    return _digest(target, design.problem.chains, gains=design.gains, selection=design.selection)
 
 
 def digest_of_law(target: TrackingTarget, law: LinearLaw) -> str:
     """Return the digest of the loop of a linear controller: plant, law, network, period."""
-    moves = motion_at(target)
-    system = {"A": moves.A, "B": moves.B, "C": moves.C, "law": [law.A, law.B, law.C, law.D], "period": target.period_s}
-    system |= {"sc": target.sc.matrix, "sc delays": target.sc.delay, "ca": target.ca.matrix, "ca delays": target.ca.delay}
-    return digest(system)
+    return _digest(target, (target.sc, target.ca), law=[law.A, law.B, law.C, law.D])
+
+
+def _digest(target: TrackingTarget, chains: tuple[DelayChain, DelayChain], **controller: object) -> str:
+    (sc, ca), moves = chains, motion_at(target)
+    system = {"A": moves.A, "B": moves.B, "C": moves.C, "period": target.period_s, **controller}
+    return digest(system | {"sc": sc.matrix, "sc delays": sc.delay, "ca": ca.matrix, "ca delays": ca.delay})
 
 
 def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:

@@ -60,7 +60,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     closed = close(plant, each.gains, each.transition, renewed=each.renewed)
     found["mean_cost"] = start.mean(closed.stable_cost_to_go())
     found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
-    hearing = hearing_of(nodes, from_any_phase=True)
+    hearing = hearing_of(nodes)
     if hearing is not None:
         found["bound_causal"] = causal_bound(plant, hearing, start.moment)
         found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0

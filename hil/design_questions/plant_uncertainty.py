@@ -149,8 +149,41 @@ def judge_uncertain(target: TrackingTarget, design: Design, intervals: Sequence[
     Raises:
         HilError: see `plants_between`.
     """
+    structure, gains = design.problem.structure(), design.gains
+    found = plants_between(target, intervals)
     with one_blas_thread():
-        return _judge(target, design, intervals)
+        margin = uncertainty_margin(structure, gains, found.M, found.N1, found.N2)
+        ends = _extreme(found.changes, len(intervals))
+        worst = max(_radius(target, design, change) for change in ends)
+        proved = structure.between is None and margin > 1.0
+        growth = "" if proved or worst >= 1.0 else _growth(structure, gains, found, ends)
+        details: dict[str, object] = {
+            "parameters": [i._asdict() for i in intervals],
+            "margin": margin if np.isfinite(margin) else None,
+            "worst_radius_at_the_ends": worst,
+            "growth_of_one_family": None if isinstance(growth, str) else growth.factor,
+            "M": found.M.tolist(), "N1": found.N1.tolist(), "N2": found.N2.tolist(), "h2_norm": None, "hinf_norm": None,
+        }  # fmt: skip
+        state, reason = _decided(structure, margin, worst, growth)
+        if state == "certified" and proved:
+            try:
+                norms = robust_norms(structure, gains, found.M, found.N1, found.N2, design.problem.initial)
+                details |= {"h2_norm": norms.h2, "hinf_norm": norms.hinf}
+            except Infeasible as error:  # stable, but no bound was found
+                reason = f"{reason}; {error}"
+    family = growth if state == "certified" and isinstance(growth, Growth) else None
+    system = {"loop": digest_of_design(target, design), "parameters": [list(i) for i in intervals]}
+    verdict = Verdict(
+        kind="mean-square stability", state=state, reason=reason, limit=1.0, details=details, digest=digest(system),
+        number=family.factor if family else 1.0 / margin,
+        quantity=GROWTH if family else "share of the uncertainty that the loop bears, inverse",
+        method=FAMILY if family else "small-gain theorem over the jump-linear loop (Remark 7.6)",
+        assumptions=(
+            f"the plant between two of {len(found.changes)} computed ones changes as smoothly as they do",
+            "no packet is later than its law says", "no limit trips",
+        ),
+    )  # fmt: skip
+    return on_plant(target, verdict)
 
 
 def robust_design(
@@ -172,43 +205,6 @@ def robust_design(
     found = plants_between(target, intervals)
     with one_blas_thread():
         return robust(design, found.M, found.N1, found.N2, progress=progress)
-
-
-def _judge(target: TrackingTarget, design: Design, intervals: Sequence[Interval]) -> Verdict:
-    structure, gains = design.problem.structure(), design.gains
-    found = plants_between(target, intervals)
-    margin = uncertainty_margin(structure, gains, found.M, found.N1, found.N2)
-    ends = _extreme(found.changes, len(intervals))
-    worst = max(_radius(target, design, change) for change in ends)
-    proved = structure.between is None and margin > 1.0
-    growth = "" if proved or worst >= 1.0 else _growth(structure, gains, found, ends)
-    details: dict[str, object] = {
-        "parameters": [i._asdict() for i in intervals],
-        "margin": margin if np.isfinite(margin) else None,
-        "worst_radius_at_the_ends": worst,
-        "growth_of_one_family": None if isinstance(growth, str) else growth.factor,
-        "M": found.M.tolist(), "N1": found.N1.tolist(), "N2": found.N2.tolist(), "h2_norm": None, "hinf_norm": None,
-    }  # fmt: skip
-    state, reason = _decided(structure, margin, worst, growth)
-    if state == "certified" and proved:
-        try:
-            norms = robust_norms(structure, gains, found.M, found.N1, found.N2, design.problem.initial)
-            details |= {"h2_norm": norms.h2, "hinf_norm": norms.hinf}
-        except Infeasible as error:  # stable, but no bound was found
-            reason = f"{reason}; {error}"
-    family = growth if state == "certified" and isinstance(growth, Growth) else None
-    system = {"loop": digest_of_design(target, design), "parameters": [list(i) for i in intervals]}
-    verdict = Verdict(
-        kind="mean-square stability", state=state, reason=reason, limit=1.0, details=details, digest=digest(system),
-        number=family.factor if family else 1.0 / margin,
-        quantity=GROWTH if family else "share of the uncertainty that the loop bears, inverse",
-        method=FAMILY if family else "small-gain theorem over the jump-linear loop (Remark 7.6)",
-        assumptions=(
-            f"the plant between two of {len(found.changes)} computed ones changes as smoothly as they do",
-            "no packet is later than its law says", "no limit trips",
-        ),
-    )  # fmt: skip
-    return on_plant(target, verdict)
 
 
 def _extreme(changes: Array, axes: int) -> Array:

@@ -205,7 +205,7 @@ def _least_radius(plant: DelayedPlant, state: int) -> float:
 def history_numbers(plant: DelayedPlant) -> dict[str, Any]:
     """Return what historical data are worth once the gains are optimal."""
     start, nodes = average_start(4, 4), round_robin(4, buffer=3)
-    full, hearing = mask_of(nodes), hearing_of(nodes, from_any_phase=True)
+    full, hearing = mask_of(nodes), hearing_of(nodes)
     newest = full & (np.arange(6) == 0)[None, :, None]
     return {
         "mean": [cost(close(plant, synthesise(plant, mask, start)), start) for mask in (full, newest)],

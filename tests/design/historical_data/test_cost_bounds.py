@@ -83,7 +83,7 @@ def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound(
     turning = Turns(transition=((0.0, 1.0), (1.0, 0.0)), initial=(0.5, 0.5))
     chain = hearing_of(structs.replace(NODES, buffers=(1, 1), turns=turning))
     assert chain is not None
-    cycle, full_state = hearing_of(round_robin(2, buffer=1), from_any_phase=True), mean_full_state_bound(PLANT, np.eye(2))
+    cycle, full_state = hearing_of(round_robin(2, buffer=1)), mean_full_state_bound(PLANT, np.eye(2))
     assert cycle is not None
     found = causal_bound(PLANT, cycle, np.eye(2))
     assert causal_bound(PLANT, chain, np.eye(2)) == pytest.approx(found, rel=1e-9)
@@ -96,7 +96,7 @@ def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound(
 def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
     values = []
     for delay in (0, 1, 2):
-        own = hearing_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))), from_any_phase=True)
+        own = hearing_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))))
         assert own is not None
         values.append(causal_bound(PLANT, own, np.eye(2)))
     assert values[0] < values[1] < values[2]

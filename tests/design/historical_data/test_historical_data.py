@@ -84,7 +84,7 @@ def test_our_gains_cost_a_third_and_come_close_to_what_any_controller_can_reach(
     gains = synthesise(PLANT, mask, AVERAGE)
     assert not gains[:, :, 0][~mask].any()
     value = cost(close(PLANT, gains), AVERAGE)
-    hearing = hearing_of(round_robin(4, buffer=3), from_any_phase=True)
+    hearing = hearing_of(round_robin(4, buffer=3))
     assert hearing is not None
     full_state, causal = mean_full_state_bound(PLANT, AVERAGE.moment), causal_bound(PLANT, hearing, AVERAGE.moment)
     assert value <= 1.8130

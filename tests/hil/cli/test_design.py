@@ -67,7 +67,7 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--uncertainty", "initial_angle_rad=5%"), "initial_angle_rad: is 0"),
         (("dc-motor", "--local", "lqg", "--samples", "2"), "--samples: not with --local"),
         (("dc-motor", "--local", "lqg", "-o", "x.json"), "--output: not with --local"),
-        (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0, expected"),
+        (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0.0, expected"),
         (("dc-motor", "--noise", "1"), "--noise: belongs to --local"),
         (("dc-motor", "-o", "/no/such/directory/x.json"), "cannot be written: no folder"),
     ],

@@ -132,7 +132,7 @@ def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
 @pytest.mark.parametrize(
     ("given", "says"),
     [
-        ({"peak_input": -1.0, "start": "given"}, "peak_input: -1.0, expected a finite number > 0"),
+        ({"peak_input": -1.0, "start": "given"}, "peak_input: -1.0, expected a finite number above 0"),
         ({"peak_input": 2.0}, "peak_input: bounds one run"),
         ({"peak_input": 2.0, "start": "given", "input_weight": 1.0}, "peak_input: sets the input weight itself"),
     ],
