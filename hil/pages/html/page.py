@@ -10,7 +10,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from html import escape
 from importlib.resources import files
@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.signals import with_unit
-from hil.pages.html.figures import Badge, Block, Cell, Figure, Lines, Link, Section, Table, Text, Tile
+from hil.pages.html.figures import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
 from hil.pages.html.numbers import text_of
 from hil.pages.html.payload import BUCKETS, WHOLE, Payload, Still, bucket_extremes, columns_of, reduced
 from hil.pages.html.svg import still_html
@@ -182,50 +182,22 @@ def _figure(figure: Figure, payload: Payload) -> str:
         if samples is None:
             x, y, samples = reduced(partial(iter, [(x, y)]), step=step)
         whole, drawn = max(whole, samples), max(drawn, 0 if step else x.size)
-        curves.append(
-            {
-                "label": series.label,
-                "colour": (i if series.colour is None else series.colour) % 8,
-                "style": series.style,
-                "faint": series.faint,
-                "halo": series.halo,
-                "marked": series.marked,
-                "x": payload.add(x),
-                "y": payload.add(y),
-            }
-        )
+        look = {name: getattr(series, name) for name in ("label", "style", "faint", "halo", "marked")}
+        curves.append(look | {"colour": _colour(series, i), "x": payload.add(x), "y": payload.add(y)})
     bands = []
     for i, band in enumerate(figure.bands):
         x, lower = _arrays(band.label, band.x, band.lower)
         x, upper = _arrays(band.label, band.x, band.upper)
         keep = np.union1d(_reduced(x, lower), _reduced(x, upper))
-        bands.append(
-            {
-                "label": band.label,
-                "colour": (i if band.colour is None else band.colour) % 8,
-                "x": payload.add(x[keep]),
-                "lower": payload.add(lower[keep]),
-                "upper": payload.add(upper[keep]),
-            }
-        )
-    payload.figures.append(
-        {
-            "series": curves,
-            "bands": bands,
-            "markers": [{"x": float(m.x), "label": m.label, "state": m.state} for m in figure.markers],
-            "xLabel": with_unit(figure.x_label, figure.x_unit),
-            "yLabel": with_unit(figure.y_label, figure.y_unit),
-            "xLog": figure.x_log,
-            "xAsinh": figure.x_asinh,
-            "xTicks": list(figure.x_ticks) or None,
-            "yLog": figure.y_log,
-            "yAsinh": figure.y_asinh,
-            "integerY": figure.integer_y,
-            "yRange": list(figure.y_range) if figure.y_range is not None else None,
-            "sync": figure.sync,
-            "height": figure.height_px,
-        }
-    )
+        ends = {name: payload.add(values[keep]) for name, values in (("x", x), ("lower", lower), ("upper", upper))}
+        bands.append({"label": band.label, "colour": _colour(band, i), **ends})
+    payload.figures.append({
+        "series": curves, "bands": bands, "markers": [asdict(marker) for marker in figure.markers],
+        "xLabel": with_unit(figure.x_label, figure.x_unit), "yLabel": with_unit(figure.y_label, figure.y_unit),
+        "xLog": figure.x_log, "xAsinh": figure.x_asinh, "xTicks": figure.x_ticks or None, "yLog": figure.y_log,
+        "yAsinh": figure.y_asinh, "integerY": figure.integer_y, "yRange": figure.y_range, "sync": figure.sync,
+        "height": figure.height_px,
+    })  # fmt: skip
     if drawn and drawn < whole:
         fewer = f"Drawn as the minimum and maximum of {text_of(BUCKETS)} intervals of {text_of(whole)} samples."
         note = f"{note} {fewer}".strip()
@@ -233,6 +205,10 @@ def _figure(figure: Figure, payload: Payload) -> str:
     place = f'data-figure="{number}" style="min-height:{figure.height_px}px"'
     body = f'<div class="plot" role="img" aria-label="{label}" {place}></div>'
     return _panel(figure.title, body, note)
+
+
+def _colour(of: Series | Band, place: int) -> int:
+    return (place if of.colour is None else of.colour) % 8
 
 
 def _arrays(

@@ -14,6 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure.signals import with_unit
 from hil.pages.html.figures import Bars, Histogram, Matrix, Scene
 
 GAP = -32768
@@ -91,18 +92,15 @@ def columns_of(plot: Still) -> list[Column]:
 
 
 def _histogram(plot: Histogram) -> list[Column]:
-    edges = _plain(plot.edges)
-    name = f"{plot.x_label or 'x'} ({plot.x_unit})" if plot.x_unit else plot.x_label or "x"
+    edges, name = _plain(plot.edges), with_unit(plot.x_label or "x", plot.x_unit)
     return [(f"{name}, from", edges[:-1]), (f"{name}, to", edges[1:]), (plot.y_label or "count", _plain(plot.counts))]
 
 
 def _bars(plot: Bars) -> list[Column]:
-    unit = f" ({plot.y_unit})" if plot.y_unit else ""
     found: list[Column] = [(plot.x_label or "category", [str(category) for category in plot.categories])]
     for group in plot.groups:
-        found.append((f"{group.label}{unit}", _plain(group.values)))
-        if group.whiskers is not None:
-            found += [(f"{group.label}, {end}{unit}", _plain(side)) for end, side in zip(("low", "high"), zip(*group.whiskers))]
+        ends = () if group.whiskers is None else zip((f"{group.label}, low", f"{group.label}, high"), zip(*group.whiskers))
+        found += [(with_unit(name, plot.y_unit), _plain(side)) for name, side in ((group.label, group.values), *ends)]
     return found
 
 

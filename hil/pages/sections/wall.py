@@ -160,7 +160,7 @@ def _margin(loop: Loop, controller: WallController) -> Figure | None:
     limit = Series(label="limit of stability", x=[0, delays[-1]], y=[1.0, 1.0], style="dashed", colour=7)
     return Figure(
         title="Stability in contact, over delay", series=(*curves, limit), x_label="delay, both ways", x_unit="samples",
-        y_label="spectral radius", sync=None, markers=(Marker(x=own, label="this loop"),),
+        y_label="spectral radius", sync=None, markers=(Marker(x=float(own), label="this loop"),),
         note="Device and hand of this run, in contact throughout, at a delay that stays; 1 less the radius is the margin.",
     )  # fmt: skip
 

@@ -85,7 +85,7 @@ def rounded(values: np.ndarray) -> str:
 
 def _drawn(figure: dict[str, Any], arrays: Sequence[np.ndarray]) -> list[str]:
     curves = [
-        json.dumps({name: rounded(arrays[v]) if name in ("x", "y", "lower", "upper") else v for name, v in curve.items()})
+        ", ".join(f"{name}: {rounded(arrays[v]) if name in ('x', 'y', 'lower', 'upper') else v}" for name, v in sorted(curve.items()))
         for curve in figure["series"] + figure["bands"]
     ]
     about = [f"{name}: {value}" for name, value in figure.items() if name not in ("series", "bands")]
