@@ -1,8 +1,14 @@
+"""Pages of runs: what stands in them whatever a run says, the commands that write them, and the page of a folder of logs."""
+
+from __future__ import annotations
+
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import hil
 from hil.cli import main
 from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import Run
@@ -11,6 +17,7 @@ from hil.pages.many_runs import compare_page
 from hil.pages.run_page import render_report
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
+from tests.hil.pages import chromium
 from tests.hil.pages.runs import run_of
 
 
@@ -58,7 +65,7 @@ def test_run_of_one_slot_and_torn_run_are_reported() -> None:
     assert "<!doctype html>" in report(torn)
 
 
-def hil(*args: str) -> int:
+def status_of(*args: str) -> int:
     with pytest.raises(SystemExit) as exit:
         main(list(args))
     return int(exit.value.code or 0)
@@ -66,9 +73,9 @@ def hil(*args: str) -> int:
 
 def test_command_writes_the_page_beside_the_log(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    assert hil("run", "dc-motor-hinf", "--clock", "virtual", "--duration", "3", "-o", str(log), "--json") == 0
+    assert status_of("run", "dc-motor-hinf", "--clock", "virtual", "--duration", "3", "-o", str(log), "--json") == 0
     before = log.read_bytes()
-    assert hil("report", str(log)) == 0
+    assert status_of("report", str(log)) == 0
     page = (tmp_path / "run.html").read_text(encoding="utf-8")
     assert page.startswith("<!doctype html>") and log.read_bytes() == before
 
@@ -78,13 +85,89 @@ def test_command_refuses_what_is_no_log(tmp_path: Path, capsys: pytest.CaptureFi
     log, page = tmp_path / "run.mcap", tmp_path / "page.html"
     if content is not None:
         log.write_bytes(content)
-    assert hil("report", str(log), "-o", str(page)) == 2
+    assert status_of("report", str(log), "-o", str(page)) == 2
     assert str(log) in capsys.readouterr().err and not page.exists()
 
 
 def test_command_never_overwrites_the_log_itself(tmp_path: Path) -> None:
     log = tmp_path / "run.mcap"
-    hil("run", "dc-motor-hinf", "--clock", "virtual", "--duration", "1", "-o", str(log), "--json")
+    status_of("run", "dc-motor-hinf", "--clock", "virtual", "--duration", "1", "-o", str(log), "--json")
     before = log.read_bytes()
-    assert hil("report", str(log), "-o", str(log)) == 2 and log.read_bytes() == before
-    assert hil("report", str(log), "-o", str(tmp_path / "absent" / "page.html")) == 2
+    assert status_of("report", str(log), "-o", str(log)) == 2 and log.read_bytes() == before
+    assert status_of("report", str(log), "-o", str(tmp_path / "absent" / "page.html")) == 2
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("runs")
+    for seed in (0, 1):
+        hil.run("dc-motor-hinf", seed=seed, duration=2, log=found / f"motor-{seed}.mcap")
+    hil.run("omni-push", duration=1, log=found / "omni.mcap")
+    (found / "torn.mcap").write_bytes(b"no log" * 9)
+    return found
+
+
+def test_a_folder_has_a_page_and_each_log_its_own(folder: Path) -> None:
+    written = hil.report(folder, force=True)
+    assert written[0] == folder / "index.html"
+    page = written[0].read_text()
+    for name in ("motor-0", "motor-1", "omni"):
+        assert f'<a href="{name}.html">{name}.mcap</a>' in page and (folder / f"{name}.html").exists()
+    assert "torn.mcap" in page and "is no MCAP file" in page and not (folder / "torn.html").exists()
+    assert "certified: passivity" in page and "squared tracking error (rad² s)" in page
+
+
+def test_pages_are_made_again_only_where_the_log_is_newer_and_never_over_other_files(folder: Path) -> None:
+    hil.report(folder, force=True)
+    index = folder / "index.html"
+    index.write_text("my notes")
+    with pytest.raises(hil.HilError, match="exists already and is no report"):
+        hil.report(folder)
+    assert index.read_text() == "my notes"
+    assert len(hil.report(folder, force=True)) == 1
+    log = folder / "omni.mcap"
+    os.utime(log, ns=(log.stat().st_mtime_ns + 10**12,) * 2)
+    assert hil.report(folder, force=True)[1:] == (folder / "omni.html",)
+    (folder / "omni.html").write_text("my notes")
+    os.utime(folder / "omni.html", ns=(0, 0))
+    assert len(hil.report(folder, force=True)) == 1
+    assert (folder / "omni.html").read_text() == "my notes" and 'href="omni.html"' not in (folder / "index.html").read_text()
+    os.utime(folder / "omni.html")  # newer than the log, and still no page of it
+    hil.report(folder, force=True)
+    assert 'href="omni.html"' not in (folder / "index.html").read_text()
+    (folder / "omni.html").unlink()
+    (elsewhere,) = hil.report(folder, output=folder.parent / "all.html", force=True)
+    assert "href=" not in elsewhere.read_text().split("<main>")[1].split("<footer>")[0]
+
+
+def test_a_folder_without_logs_and_options_of_one_run_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(hil.HilError, match=r"holds no \.mcap file"):
+        hil.report(tmp_path)
+    with pytest.raises(hil.HilError, match="figures: belongs to the page of a run"):
+        hil.report(tmp_path, figures=tmp_path)
+
+
+@pytest.mark.chromium
+def test_rows_are_filtered_and_choose_curves(folder: Path, browser: chromium.Page) -> None:
+    index, *_ = hil.report(folder, force=True)
+    browser.size(390, 900)
+    browser.open(index)
+    assert browser.evaluate("document.querySelector('td:has(input)').clientWidth") < 50, "a tick takes no room of its log"
+    assert browser.evaluate("document.querySelector('.search [role=status]').getClientRects().length") == 1, "on one line"
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    browser.size(1280, 900)
+    browser.open(index)
+    rows = "[...document.querySelectorAll('table[data-searched] tbody tr')]"
+    seen = f"{rows}.filter(r => !r.hidden).map(r => r.cells[1].textContent)"
+    assert browser.evaluate(seen) == ["motor-0.mcap", "motor-1.mcap", "omni.mcap", "torn.mcap"]
+    field = "document.querySelector('[type=search]')"
+    browser.evaluate(f"(i => {{ i.value = 'hinf motor-1'; i.dispatchEvent(new Event('input')); }})({field})")
+    assert browser.evaluate(seen) == ["motor-1.mcap"]
+    shown = "hilPlots().slice(0, 2).map(p => p.series.slice(1).map(s => s.show))"
+    assert browser.evaluate(shown) == [[True, True], [True]]
+    browser.evaluate(f"{rows}[1].querySelector('input').click()")
+    assert browser.evaluate(shown) == [[False, True], [False]]
+    browser.evaluate(f"{rows}[0].querySelector('input').click()")
+    said = browser.evaluate("document.querySelector('.differences').textContent")
+    assert said.startswith("motor-0.mcap minus motor-1.mcap: ") and "squared tracking error (rad² s) " in said
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth")

@@ -40,6 +40,7 @@ from hil.pages.paper import Plot, draw
 
 DATA = re.compile(r'<script[^>]*id="hil-data"[^>]*>(.*?)</script>', re.S)
 LINE = re.compile(r"\n|(?=<(?:section|figure|div|p|tr|svg|path|rect|text|g|dl|figcaption|details)\b)")
+AXES = ("x", "y", "lower", "upper")
 KINDS = {"i2": "<i2", "f4": "<f4", "f8": "<f8"}
 
 
@@ -85,7 +86,7 @@ def rounded(values: np.ndarray) -> str:
 
 def _drawn(figure: dict[str, Any], arrays: Sequence[np.ndarray]) -> list[str]:
     curves = [
-        ", ".join(f"{name}: {rounded(arrays[v]) if name in ('x', 'y', 'lower', 'upper') else v}" for name, v in sorted(curve.items()))
+        ", ".join(f"{name}: {rounded(arrays[v]) if name in AXES else v}" for name, v in sorted(curve.items()))
         for curve in figure["series"] + figure["bands"]
     ]
     about = [f"{name}: {value}" for name, value in figure.items() if name not in ("series", "bands")]
