@@ -10,7 +10,6 @@ import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -40,7 +39,7 @@ def plain(value: object, depth: int = 0) -> Any:
     """Value made of dict, list, str, int, finite float, bool and None only.
 
     Args:
-        value: mappings, sequences, sets, dataclasses, numpy arrays and scalars are taken apart.
+        value: mappings, sequences, sets, numpy arrays and scalars are taken apart.
         depth: level of nesting so far; beyond 20 the rest becomes text.
 
     >>> plain({"u": (1, float("nan")), "K": np.eye(1)})
@@ -62,8 +61,6 @@ def plain(value: object, depth: int = 0) -> Any:
         return [plain(item, depth + 1) for item in value]
     if isinstance(value, set | frozenset):
         return sorted((plain(item, depth + 1) for item in value), key=str)
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: plain(getattr(value, f.name), depth + 1) for f in fields(value) if f.init}
     return _text(value)
 
 

@@ -25,7 +25,7 @@ from hil.log.write.provenance import Provenance
 from hil.measure.measure import Named, measures_of
 from hil.measure.signals import with_unit
 from hil.measure.summary import summarise
-from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, seconds, signal_names, view_of
+from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, seconds, view_of
 from hil.rig.loop import Loop
 
 if TYPE_CHECKING:
@@ -153,23 +153,19 @@ class Session(Struct, frozen=True, kw_only=True):
 
 def _paint(run: Run, sheet: Figure) -> None:
     view = view_of(run)
-    outputs, applied = list(view.signals.tracked), run.arrays.get(APPLIED)
-    rows = sheet.subplots(len(outputs) + (applied is not None), 1, sharex=True, squeeze=False)[:, 0]
-    measurement, reference = run.arrays[MEASUREMENT], run.arrays.get(REFERENCE)
+    measurement, reference, applied = (run.arrays[topic] for topic in (MEASUREMENT, REFERENCE, APPLIED))
+    outputs, inputs = view.signals.tracked, [*view.signals.inputs]
+    rows = sheet.subplots(len(outputs) + 1, 1, sharex=True, squeeze=False)[:, 0]
     for axis, name in zip(rows, outputs):
-        if reference is not None:
-            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
         axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
         axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
         axis.legend(frameon=False)
-    if applied is not None:
-        inputs = signal_names(run, APPLIED)
-        for number, name in enumerate(inputs):
-            axis = rows[-1]
-            axis.step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
-        rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
-        if len(inputs) > 1:
-            rows[-1].legend(frameon=False)
+    for number, name in enumerate(inputs):
+        rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
+    rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+    if len(inputs) > 1:
+        rows[-1].legend(frameon=False)
     rows[-1].set_xlabel("time (s)")
 
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
+from itertools import count
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
 
@@ -54,12 +55,11 @@ def measured_frames(run: Run, topic: str) -> Iterator[tuple[int, bytes]]:
     measured = _lateness(run, topic)
     behind = _farthest_behind(run, topic, measured)
     held: list[tuple[int, int, bytes]] = []
-    newest, number = -(1 << 62), 0
+    newest, order = -(1 << 62), count()  # frames of one instant stay as they stand in the log
     for piece in run.pieces(topic, TOGETHER):
         for t_ns, data in zip((piece[TIME_FIELD] + measured(piece["slot"])).tolist(), piece["data"].tolist()):
             newest = max(newest, t_ns)
-            heapq.heappush(held, (t_ns, number, bytes(data)))
-            number += 1
+            heapq.heappush(held, (t_ns, next(order), bytes(data)))
             while held and held[0][0] <= newest - behind:
                 t, _, frame = heapq.heappop(held)
                 yield t, frame

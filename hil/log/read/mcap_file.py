@@ -72,7 +72,6 @@ class Content:
         messages: by number of the channel, in the order of the file; whoever reads on may take them out.
         metadata: by name; a later record of one name replaces an earlier one.
         attachments: by name.
-        chunks: chunks that were unpacked.
         budget: how much the file may unpack to.
     """
 
@@ -81,7 +80,6 @@ class Content:
     messages: defaultdict[int, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
-    chunks: int = 0
     budget: Budget
 
     def take(self, record: Record) -> None:
@@ -92,7 +90,6 @@ class Content:
         """
         if record.opcode == Opcode.CHUNK:
             self._take_chunk(unpack_chunk(record, self.budget), record)
-            self.chunks += 1
         elif record.opcode == Opcode.SCHEMA:
             schema = parse(Schema.read, record)
             self.schemas.setdefault(schema.id, schema)

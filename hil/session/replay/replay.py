@@ -190,7 +190,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
         if recorded.far is not None:
             slots = k
             break
-        if k % BATCH == BATCH - 1:
+        if not k % BATCH:
             again.compare()
     again.compare()
     far = again.differences(slots, far=True) + ([] if recorded.far is None else [recorded.far]) + short

@@ -43,6 +43,16 @@ def test_a_log_without_every_input_or_of_no_axis_is_refused(tmp_path: Path, monk
         read(run, monkeypatch)
 
 
+@pytest.mark.parametrize(("last", "slots"), [("0.3,,4", 3), ("0.3,6,4", 4)])
+def test_the_last_measurement_of_a_table_needs_an_input_behind_it(tmp_path: Path, last: str, slots: int) -> None:
+    (tmp_path / "a.csv").write_text(f"t_s,voltage,angle\n0,5,1\n0.1,,2\n0.2,3,\n{last}\n")
+    record = read_axis_record(tmp_path / "a.csv", "dc-motor", (None, None))
+    np.testing.assert_array_equal(record.u, [5.0, np.nan, 3.0, 6.0][:slots])
+    np.testing.assert_array_equal(record.y, [1.0, 2.0, np.nan, 4.0][:slots])
+    with pytest.raises(HilError, match=r"a\.csv: a table does not name its plant; add --plant omni or dc-motor"):
+        read_axis_record(tmp_path / "a.csv", None, (None, None))
+
+
 def test_a_log_without_every_mode_gives_no_rates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run_session(load_experiment("vtol-fault", ["duration=1", "allow_uncertified=true"]), path=tmp_path / "a.mcap")
     run = read_run(tmp_path / "a.mcap")

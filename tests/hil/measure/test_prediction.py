@@ -10,12 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as struct_replace
 
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
-from hil.measure.prediction import PredictedSum, predict
+from hil.measure.prediction import PredictedSum, drive_of, left_out, predict
 from hil.rig.loop_chains import watchdog_chance
 from hil.sweeps.seeds import run_seeds
+from plants.dc_motor import DCMotor, LoadTorque
+from plants.parts.protocols import PlantRun
 
 RUNS = 400
 ROUNDING = 1e-11
@@ -107,6 +110,19 @@ def test_what_is_left_out_is_named() -> None:
     friction, noisy = (found.left_out for found in said.values() if found is not None)
     assert "dry friction" in friction and "any load" in friction
     assert noisy == ("the plant's noise",)
+
+
+class Thrown(DCMotor):
+    """Nobody knows where it begins."""
+
+    def start(self, rng: np.random.Generator) -> PlantRun:
+        return DCMotor(initial_angle_rad=float(rng.normal()), load=LoadTorque(torque_v=0.02)).start(rng)
+
+
+def test_of_a_plant_that_chance_moves_no_drive_is_predicted() -> None:
+    loop = compose(struct_replace(load_experiment("dc-motor-h2"), plant=Thrown()), certify=False)
+    assert left_out(loop) == ("any load", "the plant's noise")
+    assert not drive_of(loop, 9)[1].any()
 
 
 @pytest.mark.parametrize(("watchdog", "loss", "above"), [(2, "{p_gb=0.05, p_bg=0.4, loss_bad=0.7}", 0.1), (3, "0.15", 0.0)])

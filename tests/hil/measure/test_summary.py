@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -81,6 +82,16 @@ def test_a_log_without_what_the_network_did_is_summed_up_without() -> None:
     assert found["metrics"] == whole["metrics"]
     path = network_paths(view_of(run))[1]
     assert (path.side, path.node, path.kind, path.medium, path.changed) == ("ca", "", "markov", "", False)
+
+
+def test_a_log_that_does_not_say_what_ran_is_still_counted() -> None:
+    run = run_of("dc-motor-hinf", 'duration="5 s"')
+    known, found = summarise(view_of(run)), summarise(view_of(replace(run, resolved={})))
+    assert (found["controller"], found["slots"], found["duration_s"]) == ("", 100, 5.0)
+    assert found["metrics"] == known["metrics"] and [*found["network"]["nodes"]] == ["sensor"]
+    for side in ("sc", "ca"):
+        unknown = {"through": "? law", "law": "?", "p_value": None}
+        assert found["network"][side] == known["network"][side] | unknown and known["network"][side]["through"] == "markov law"
 
 
 def test_record_agrees_with_its_own_law_and_not_with_another() -> None:

@@ -47,9 +47,15 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
     drawn = session.plot(tmp_path / "step.svg", width_mm=100, height_mm=60)
     assert drawn.get_size_inches() * 25.4 == pytest.approx([100.0, 60.0])
     (outputs, inputs) = drawn.axes
-    assert outputs.get_ylabel() == "angle (rad)" and inputs.get_xlabel() == "time (s)"
-    measured = next(line for line in outputs.lines if line.get_label() == "angle")
-    assert np.array_equal(measured.get_ydata(), session.arrays["/plant/measurement"]["angle"])
+    assert outputs.get_ylabel() == "angle (rad)" and inputs.get_xlabel() == "time (s)" and inputs.get_ylabel() == "voltage (V)"
+    lines = {line.get_label(): line for axis in (outputs, inputs) for line in axis.lines}
+    shown = {"reference": "/reference", "angle": "/plant/measurement", "voltage": "/actuator/applied"}
+    for label, topic in shown.items():
+        records = session.arrays[topic]
+        assert np.array_equal(lines[label].get_ydata(), records["angle" if label == "reference" else label])
+        assert np.array_equal(lines[label].get_xdata(), records["t_ns"] / 1e9)
+    measured = lines["angle"]
+    assert [text.get_text() for text in outputs.get_legend().texts] == ["reference", "angle"] and inputs.get_legend() is None
     assert measured.get_linewidth() == 1.0 < matplotlib.rcParamsDefault["lines.linewidth"], "in points, for a column in print"
     assert ElementTree.parse(tmp_path / "step.svg").getroot().get("width") == f"{100 / 25.4 * 72:.6f}pt"
     session.plot(tmp_path / "step.png", width_mm=100, height_mm=60)
@@ -62,6 +68,14 @@ def test_a_figure_has_the_size_in_millimetres_and_shows_the_run(session: hil.Ses
     with matplotlib.rc_context({"axes.facecolor": "red", "lines.linewidth": 9.0}):
         session.plot(tmp_path / "mine.svg", width_mm=100, height_mm=60)
     assert (tmp_path / "mine.svg").read_bytes() == (tmp_path / "step.svg").read_bytes(), "whatever the user's own style is"
+
+
+def test_several_inputs_stand_on_one_axis_with_their_names() -> None:
+    outputs, inputs = hil.run("vtol-h2", duration=2).plot().axes
+    assert outputs.get_ylabel() == "vertical_velocity (kn)" and len(outputs.lines) == 2
+    names = ["collective_pitch", "longitudinal_cyclic_pitch"]
+    assert [text.get_text() for text in inputs.get_legend().get_texts()] == names and inputs.get_ylabel() == "input"
+    assert len({line.get_color() for line in (*inputs.lines, outputs.lines[1])}) == 3
 
 
 @pytest.mark.parametrize("path, size", [("step.tiff", 85.0), (None, 1.0)])

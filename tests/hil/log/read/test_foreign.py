@@ -14,6 +14,8 @@ from hil.log.events import encode_event
 from hil.log.read.run import check_events, check_topics, check_words, read_run
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Field, Schema
 from hil.log.write.mcap_sink import McapSink
+from hil.log.write.mcap_writer import McapWriter
+from hil.log.write.provenance import FORMAT
 from tests.hil.log.recording import TABLE, provenance, record
 
 SCHEMAS = {topic: channel.schema for topic, channel in TABLE.items()}
@@ -109,3 +111,55 @@ def test_a_log_with_an_event_of_another_kind_is_refused_when_it_is_read(tmp_path
         sink.summary({})
     with pytest.raises(HilError, match="event 1: t_s: inf is no instant of a run"):
         read_run(path)
+
+
+HEAD = {"format": FORMAT, "experiment": "x", "seed": "0", "clock": "virtual", "link": ""}
+REFERENCE = ("/reference", SCHEMAS["/reference"].text, "ros2msg", SCHEMAS["/reference"].pack(1.0, 0))
+OTHER = SCHEMAS["/reference"].text.replace("angle", "speed")
+Topics = tuple[tuple[str, str, str, bytes], ...]
+
+
+def log_of(path: Path, topics: Topics, attached: tuple[str, bytes], **said: dict[str, str]) -> None:
+    with path.open("wb") as file:
+        writer = McapWriter(file, profile="", library="")
+        for name, values in ({"hilrig": HEAD} | said).items():
+            writer.add_metadata(name, values)
+        writer.add_attachment(attached[0], "application/json", attached[1])
+        for topic, text, encoding, payload in topics:
+            schema = writer.register_schema("hil/msg/Reference", encoding, text.encode())
+            writer.messages_of(writer.register_channel(topic, "cdr", schema))(0, payload)
+        writer.finish()
+
+
+@pytest.mark.parametrize(
+    ("topics", "attached", "said", "message"),
+    [
+        ((), "", {}, "holds no records: the session ended before the first"),
+        ((REFERENCE, REFERENCE), "", {}, "topic /reference: occurs twice in the file"),
+        (((*REFERENCE[:3], b"short"),), "", {}, "topic /reference: record 0 of hil/msg/Reference: 5 bytes, expected 20"),
+        (((*REFERENCE[:2], "jsonschema", b""),), "", {}, "topic /reference: expected a ros2msg schema and CDR messages"),
+        ((("/reference", "float32 x  # 1", "ros2msg", b""),), "", {}, "topic /reference: unknown schema: type: 'float32'"),
+        ((REFERENCE, (EVENTS_TOPIC, "", "ros2msg", b"none")), "", {}, "event 0: is no event: no little-endian CDR"),
+        ((REFERENCE, ("/plant/measurement", OTHER, *REFERENCE[2:])), "", {}, "topic /reference: signals angle, expected those"),
+        ((REFERENCE,), "resolved.json={", {}, "attachment resolved.json is no JSON: "),
+        ((REFERENCE,), "certificate.json=[3]", {}, "attachment certificate.json is no JSON object"),
+        ((REFERENCE,), "", {"summary": {"json": "nothing"}}, "metadata 'summary' is no JSON: "),
+        ((REFERENCE,), "", {"hilrig": HEAD | {"format": "1"}}, f"log format '1' is unknown, this version reads {FORMAT}"),
+        ((REFERENCE,), "", {"clock": {"start_ns": "-1"}}, "metadata clock: start_ns: '-1', expected nanoseconds since 1970"),
+    ],
+)  # fmt: skip
+def test_what_no_session_writes_is_named(
+    tmp_path: Path, topics: Topics, attached: str, said: dict[str, dict[str, str]], message: str
+) -> None:
+    name, _, content = attached.partition("=")
+    log_of(tmp_path / "a.mcap", topics, (name, content.encode()), **said)
+    with pytest.raises(HilError, match=rf"a\.mcap: {message}"):
+        read_run(tmp_path / "a.mcap")
+
+
+def test_a_log_of_one_topic_is_read(tmp_path: Path) -> None:
+    log_of(tmp_path / "a.mcap", (REFERENCE,), ("resolved.json", b'{"period": 0.5}'), codes={"reason": "lost,sent"})
+    run = read_run(tmp_path / "a.mcap")
+    assert run.arrays["/reference"].tolist() == [(0, 1.0, 0)] and [*run.arrays] == ["/reference"]
+    assert (run.resolved, run.certificate, run.summary, run.experiment_text) == ({"period": 0.5}, {}, {}, "")
+    assert (run.metadata, run.codes, run.versions, run.session) == (HEAD, {"reason": ["lost", "sent"]}, {}, {})

@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 import hil
 from hil.bench.probe import Trip, write_probe_log
 from hil.errors import HilError
+from hil.log.recordings import read as recordings_read
 from hil.log.recordings.read import _emulated, read_recording, shipped_recordings
 from hil.log.recordings.recording import packet_records
 from tests.waiting import LIMIT_S
 from transport.draws import DELIVERED, SUPERSEDED
 from transport.law_fit import fit_law
+from transport.packets import ControlPacket, SensorPacket, encode_control, encode_sensor
 
 DATA = Path(__file__).parents[3] / "data"
 N = 400
@@ -115,6 +117,37 @@ def test_what_was_sent_while_the_other_log_did_not_run_is_not_lost(tmp_path: Pat
 
 
 @pytest.mark.parametrize("one_clock", [True, False])
+def test_two_logs_that_share_no_frame_or_too_many_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = [tmp_path / "sender.log", tmp_path / "receiver.log"]
+    for path, kept in zip(paths, (range(10), range(8, 12))):
+        with can.Logger(str(path)) as log:
+            for k in kept:
+                log(can.Message(timestamp=1e9 + k, arbitration_id=0x101, data=[k], is_extended_id=False))
+    recording = read_recording(paths, one_clock=True)
+    assert recording.ways["sc"].difference_s.tolist() == [0.0, 0.0]
+    assert recording.notes[2] == f"2 frames are in {paths[1]} alone: left out"
+    monkeypatch.setattr(recordings_read, "MOST_FRAMES", 4)
+    with pytest.raises(HilError, match=r"sender\.log: more than 4 frames"):
+        read_recording(paths)
+    monkeypatch.setattr(recordings_read, "MOST_FRAMES", 10)
+    paths[1].write_text(paths[1].read_text().replace("101#", "102#"))
+    with pytest.raises(HilError, match="no frame is in both; expected two logs of one bus at one time"):
+        read_recording(paths)
+
+
+@pytest.mark.parametrize(
+    ("lacks", "said"),
+    [("/network/ca", "has no packets; expected a log of `hil probe` or of a run"), ("period", "period: missing, expected"),
+     ("one node", "several sensor nodes; a law is that of one")],
+)  # fmt: skip
+def test_a_log_that_has_no_packets_of_one_way_is_refused(lacks: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = hil.run("dc-motor-two-nodes" if lacks == "one node" else "dc-motor-hinf", duration=1).run
+    run.arrays.pop(lacks, None)
+    run.resolved.pop(lacks, None)
+    monkeypatch.setattr(recordings_read, "read_run", lambda path: run)
+    assert said in fails([Path("a.mcap")])
+
+
 def test_probes_that_overtake_are_read_as_they_were_sent_back(tmp_path: Path, one_clock: bool) -> None:
     sent, late = range(10**6, 10**9, 10**6), (5 * 10**6, 10**6) * 500
     trips = [Trip(at, at + way, at + way + 10**6) for at, way in zip(sent, late)]
@@ -236,6 +269,26 @@ def test_a_capture_of_frames_over_zenoh(tmp_path: Path) -> None:
         assert "a capture of one direction" in fails([zenoh_echo(tmp_path / "one.pcap", ports=(port,))])
 
 
+@pytest.mark.parametrize("version", [4, 6])
+@pytest.mark.parametrize("protocol", [6, 17])
+def test_frames_are_found_in_segments_of_every_kind(tmp_path: Path, version: int, protocol: int) -> None:
+    """A question at 1 s, asked again at 1.1 s, and its answer at 1.25 s, twice; what stands around the frames is passed over."""
+    question = encode_sensor(SensorPacket(7, 5, 0, (0.5,), nonce=3, counter=1))
+    answer = encode_control(ControlPacket(7, 5, 9, 0, 1, ((0.5,), (0.25,)), echo=3, counter=1))
+    head = {6: bytes(12) + b"\x50" + bytes(7), 17: bytes(8)}[protocol]
+    with (tmp_path / "link.pcap").open("wb") as file:
+        file.write(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 101))
+        for t, frame in ((1.0, question), (1.1, question), (1.25, answer), (1.3, answer)):
+            segment = head + b"??" + frame + b"?"
+            ip = struct.pack(">BBHHHBBH8s", 0x45, 0, 20 + len(segment), 0, 0, 64, protocol, 0, bytes(8))
+            ip = ip if version == 4 else struct.pack(">IHBB32s", 6 << 28, len(segment), protocol, 64, bytes(32))
+            data = ip + segment + b"padding"
+            file.write(struct.pack("<IIII", int(t), round(t % 1 * 1e6), len(data), len(data)) + data)
+    way = read_recording([tmp_path / "link.pcap"]).ways["round trip"]
+    np.testing.assert_allclose(way.sent_s, [0.0], atol=1e-9)
+    np.testing.assert_allclose(way.difference_s, [0.25], rtol=1e-6)
+
+
 def test_a_run_gives_back_the_laws_of_its_network(tmp_path: Path) -> None:
     """Both directions of a log in virtual time: a packet law there, the Markov chain of the thesis back."""
     session = hil.run("dc-motor-packets", duration=100, log=tmp_path / "run.mcap")
@@ -282,6 +335,8 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
     pcapng = tmp_path / "new.pcap"
     pcapng.write_bytes(b"\n\r\r\n" + bytes(40))
     assert "pcapng" in fails([pcapng])
+    (tmp_path / "usb.pcap").write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 189))
+    assert "link type 189, expected one of 0, 1, 12, 14, 101, 108, 113, 228, 229, 276" in fails([tmp_path / "usb.pcap"])
     for cut in (0, 10, 23):
         (tmp_path / "cut.pcap").write_bytes(bytes(cut))
         assert "no pcap capture" in fails([tmp_path / "cut.pcap"])

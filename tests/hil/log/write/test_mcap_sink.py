@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -125,6 +126,22 @@ def test_a_disk_that_fills_up_stops_the_log_and_not_the_session(tmp_path: Path) 
     assert sink.error is not None and "run.mcap: File too large" in sink.error
     assert 0 < sink.messages < total
     assert sink.messages + sink.dropped == total
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda path: None, None), (lambda path: path.unlink(), "was removed during the run"),
+        (lambda path: path.rename(path.with_suffix(".old")), "was renamed while the log was written"),
+        (lambda path: (path.rename(path.with_suffix(".old")), path.write_text("")), "was replaced by another file while"),
+    ],
+    ids=["nothing", "removed", "renamed", "replaced"],
+)  # fmt: skip
+def test_what_became_of_the_name_of_a_log_is_said(tmp_path: Path, change: Callable[[Path], object], said: str | None) -> None:
+    with McapSink(tmp_path / "run.mcap", TABLE, provenance()) as sink:
+        change(tmp_path / "run.mcap")
+        found = sink.gone()
+    assert found is None if said is None else (found or "").startswith(said)
 
 
 def test_no_file_is_left_when_the_first_bytes_do_not_fit(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hil.errors import HilError
 from hil.log.events import decode_event, encode_event, plain
 from hil.log.read.run import Run
 from hil.log.write.sinks import MemorySink, TeeSink
@@ -37,6 +38,14 @@ def test_every_event_carries_strict_json(kind: str, message: str, data: dict[str
     json.dumps(event["data"], allow_nan=False)
     if "\0" not in kind and kind.isprintable():
         assert event["kind"] == kind
+
+
+def test_an_event_that_is_cut_or_is_none_is_refused() -> None:
+    whole = encode_event(0, "kind", "message", slot=7, data={"a": 1})
+    assert decode_event(whole)["slot"] == 7 and decode_event(whole + bytes(3))["data"] == {"a": 1}
+    for payload in (b"", b"\1" + whole[1:], *(whole[:n] for n in range(4, len(whole))), whole.replace(b"{", b"[")):
+        with pytest.raises(HilError, match="is no event: "):
+            decode_event(payload)
 
 
 def test_an_event_with_endless_nesting_is_kept() -> None:

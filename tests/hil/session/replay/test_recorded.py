@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -21,7 +22,8 @@ from hil.runtime.virtual import simulate_as_logged
 from hil.session.replay import over_link
 from hil.session.replay import recorded as replay_recorded
 from hil.session.replay.over_link import ask_process
-from hil.session.replay.recorded import RecordedAnswers, Tags, recorded_wire, verify_tags
+from hil.session.replay.recorded import RecordedAnswers, Tags, changes_of, recorded_wire, verify_tags
+from hil.session.replay.replay import experiment_of, verify, what_if
 from transport.links import TransportError
 from transport.links.authenticated_link import cmac
 from transport.packets import EMPTY, ControlPacket, SensorPacket, encode_control, encode_sensor
@@ -158,3 +160,21 @@ def test_frames_go_onto_a_link_in_their_order_and_at_their_spacing(speed: float,
     assert waits == [round((t - min(frames)) / speed) for t in sorted(frames)] and max(waits) == round(950_000_000 / speed)
     assert seen == [(i, len(frames)) for i in range(len(frames))]
     assert played.frames == len(frames) and played.error_us["max"] == 0.0
+
+
+def test_a_log_that_cannot_be_asked_says_why() -> None:
+    experiment = load_experiment("dc-motor-hinf", ["duration=0.5"])
+    run, other = simulate_as_logged(compose(experiment), 0), experiment.controller
+    for ask, said in ((lambda run: experiment_of(run, "a.mcap"), "a.mcap: the log carries no resolved experiment"),
+                      (lambda run: what_if(run, other, "hinf"), "log: the log has no slot with an applied command"),
+                      (lambda run: ask_process(run, "can:hil:x"), "the log: holds no answers to compare with"),
+                      (lambda run: over_link.onto(run, "can:hil:x"), "the log has no frames to play"),
+                      (verify, "log: the log holds no slots"),
+                      (changes_of, "event of slot 3: a change without path and value")):  # fmt: skip
+        bare = replace(run, arrays={topic: array[:0] for topic, array in run.arrays.items()}, events=[])
+        if "experiment" in said:
+            bare = replace(bare, resolved={})
+        if "change" in said:
+            bare = replace(bare, events=[{"kind": "change", "slot": 3, "data": {"path": "plant.gain"}}])
+        with pytest.raises(HilError, match=re.escape(said)):
+            ask(bare)
