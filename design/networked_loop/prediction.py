@@ -292,14 +292,13 @@ def _initial_modes(
         if law.shape != (chain.modes,) or (law < 0).any() or abs(law.sum() - 1.0) > 1e-9:
             raise FieldError(name, f"expected {chain.modes} probabilities that sum to 1")
     weights = laws[0][structure.sc_mode] * laws[1][structure.ca_mode]
-    if structure.selection != "previous":
-        return np.asarray(weights)
-    # of the modes that differ in the slot before only, one carries the weight
-    for s in range(sc.modes):
-        for c in range(ca.modes):
+    if structure.selection == "previous":  # of the modes that differ in the slot before only, one carries the weight
+        every, weights = weights, np.zeros_like(weights)
+        for s, c in set(zip(structure.sc_mode.tolist(), structure.ca_mode.tolist())):
             same = np.flatnonzero((structure.sc_mode == s) & (structure.ca_mode == c))
             chosen = same[np.argmin(np.abs(structure.ca_before[same] - c))]
-            total = weights[chosen]
-            weights[same] = 0.0
-            weights[chosen] = total
-    return np.asarray(weights)
+            weights[chosen] = every[chosen]
+    share = float(weights.sum())
+    if not share > 0.0:
+        raise FieldError("initial", "puts all on pairs of modes that never meet")
+    return np.asarray(weights if share > 1.0 - 1e-9 else weights / share)  # pairs that are never met have none

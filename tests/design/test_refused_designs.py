@@ -12,7 +12,7 @@ import pytest
 from design.controllers.send_all import SendAll
 from design.controllers.wall import MATERIALS, Wall
 from design.controllers.wall_pattern import Patch, Pattern
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero, check_finite
 from design.passivity.loop import HeldDevice
 from design.processes.delay_chain import DelayChain
 from design.processes.further_rates import ColdStandbyRate
@@ -137,3 +137,18 @@ def test_a_value_at_the_edge_of_its_range_is_taken(make: Make, values: dict[str,
     made = make(**values)
     for name, value in values.items():
         assert np.array_equal(getattr(made, name), value) if make is chain else getattr(made, name) == value
+
+
+@pytest.mark.parametrize(
+    ("check", "fit", "refused"),
+    [
+        (check_finite, (-1.0, 0.0), (math.nan, -math.inf)),
+        (check_above_zero, (5e-324, None), (0.0, -1.0, math.inf)),
+        (check_at_least_zero, (0.0, 5e-324), (-5e-324, math.nan)),
+    ],
+)
+def test_the_first_number_that_is_out_of_range_is_named(check: Make, fit: tuple[Any, ...], refused: tuple[float, ...]) -> None:
+    check(**{f"field[{i}]": value for i, value in enumerate(fit)})
+    for value in refused:
+        with pytest.raises(FieldError, match=rf"^wrong: {value!r}, expected a finite number"):
+            check(right=fit[0], wrong=value, worse=refused[0])

@@ -17,9 +17,9 @@ from design.historical_data.block_diagonal import (
     tangent_scheme,
 )
 from design.historical_data.cost_bounds import causal_bound, hearing_of, mean_full_state_bound
-from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, stationary_cost
+from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, cost_from, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, match_peak, orders_by_cost, synthesise
-from design.historical_data.lifted_loop import DelayedPlant, close
+from design.historical_data.lifted_loop import DelayedPlant, LiftedLoop, close
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from design.jump_linear.second_moment import operator_matrix
 from plants.delayed_states import DelayedStates
@@ -129,6 +129,43 @@ def test_noise_of_the_sensors_costs_what_a_literal_simulation_says() -> None:
     assert total == pytest.approx(said, rel=0.05)
     with pytest.raises(NotStable):
         stationary_cost(PLANT, 200 * newest_gains(), 0.1)
+
+
+def literal_cost(plant: DelayedPlant, K: np.ndarray, history: list[np.ndarray], phase: int, noise: dict[int, list]) -> float:
+    """What a run costs from a history that was not received, written slot by slot; a sample keeps its noise."""
+    columns = max(K.shape[1], plant.memory + 1)
+    x = [*history, *[np.zeros(len(plant.A))] * columns]
+    y, sent, total = [np.zeros(len(plant.A))] * columns, [np.zeros(plant.B.shape[1])] * plant.input_delay, 0.0
+    for k in range(300):
+        y = [x[0] + noise.get(k, 0.0), *y[:-1]]
+        u = sum(K[(phase + k) % len(K), j] @ y[j] for j in range(K.shape[1]))
+        total += x[0] @ plant.weight @ x[0] + u @ plant.input_weight @ u
+        sent = [*sent, u]
+        x = [plant.A @ x[0] + sum(M @ x[j + 1] for j, M in enumerate(plant.delayed)) + plant.B @ sent.pop(0), *x[:columns]]
+    return float(total)
+
+
+def test_two_inputs_a_late_command_and_a_long_memory_cost_what_literal_runs_do() -> None:
+    rng = np.random.default_rng(3)
+    plant = DelayedPlant(
+        A=np.array([[0.5, 0.2], [-0.1, 0.6]]), delayed=np.array([[[0.1, 0.0], [0.05, -0.1]]]), B=rng.normal(size=(2, 2)),
+        weight=np.diag([1.0, 3.0]), input_weight=np.array([[0.5, 0.1], [0.1, 0.2]]), input_delay=1,
+    )  # fmt: skip
+    K, history = 0.1 * rng.normal(size=(3, 4, 2, 2)), rng.normal(size=(2, 2))
+    begins = np.eye(3)[1]
+    assert cost(close(plant, K), start_at(history[0], 3, 1)) == pytest.approx(literal_cost(plant, K, [history[0]], 1, {}))
+    known = literal_cost(plant, K, [*history], 1, {})
+    assert cost_from(plant, K, history, begins) == pytest.approx(known)
+    said = certify_cost(plant, K, start_at(history[0], 3, 1), history=history, deviation=np.array([0.3, 0.1])).details
+    every = [literal_cost(plant, K, [np.zeros(2)], 0, {6 + i: sd}) for i in range(3) for sd in ([0.3, 0.0], [0.0, 0.1])]
+    assert said["cost"] == pytest.approx(known) and said["noise_cost_per_slot"] == pytest.approx(sum(every) / 3)
+    chain = np.array([[0.1, 0.6, 0.3], [0.2, 0.2, 0.6], [0.7, 0.1, 0.2]])
+    for loop in (close(plant, K), close(plant, K, chain)):
+        visits = loop.gramian(start_at(history[0], 3, 1).lifted(loop.L.shape[-1]))
+        assert np.vdot(loop.Q, visits) == pytest.approx(cost(loop, start_at(history[0], 3, 1)))
+    assert LiftedLoop(L=np.array([K[0, 0]] * 2), Q=np.array([np.eye(2)] * 2), transition=np.eye(2)[::-1]).radius() == (
+        pytest.approx(np.abs(np.linalg.eigvals(K[0, 0])).max() ** 2)
+    )
 
 
 @pytest.mark.slow

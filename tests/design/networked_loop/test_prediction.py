@@ -218,6 +218,20 @@ def test_before_the_first_sample_has_come_the_input_is_zero_and_nothing_is_added
     assert found.error_mean[:, 0] == pytest.approx(errors)
 
 
+@pytest.mark.parametrize("selection", ["applied", "previous"])
+def test_two_cycles_in_phase_meet_in_half_of_their_pairs(selection: str) -> None:
+    cycle = DelayChain(transition=[[0, 1], [1, 0]], delays=[0, 1], begins=[True, False])
+    gains = np.array([[[[-0.3]], [[-0.2]]], [[[-0.1]], [[0.4]]]])
+    either, *both = (
+        predict_tracking([[0.9]], [[1.0]], [[1.0]], cycle, cycle, gains, selection, np.ones(6), period_s=0.1, initial=initial)
+        for initial in (None, ([1, 0], [1, 0]), ([0, 1], [0, 1]))
+    )
+    assert not both[0].error_sd.any() and either.error_sd.any()
+    assert either.error_mean == pytest.approx(0.5 * (both[0].error_mean + both[1].error_mean))
+    with pytest.raises(ValueError, match="never meet"):
+        predict_tracking([[0.9]], [[1.0]], [[1.0]], cycle, cycle, gains, selection, [1.0], period_s=0.1, initial=([1, 0], [0, 1]))
+
+
 @pytest.mark.parametrize("share", [0.0, 2.0])
 def test_transitions_one_by_one_predict_what_all_of_them_do(monkeypatch, share):
     r, w = schedule(60)
