@@ -1,5 +1,7 @@
 """Round trips of all links side by side, between two real processes each, with C over UDP as the floor.
 
+Beside ours the plainest links there are: bare Unix sockets, and zenoh with the threads that it starts.
+
 Every link has its own pair of processes, set up as `dc-motor-1khz` sets up rig and controller (priority, locked memory, CPUs
 kept awake). The pairs take turns, half a second each, so that what else the machine does hits all of them alike.
 """
@@ -11,22 +13,113 @@ import os
 import shutil
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Final, cast
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Final, cast
 
 from hil.bench import Pair, open_pair
-from hil.bench.plain_links import UNIX, ZENOH, PlainSocket, PlainZenoh
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.real.child import python_module
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
-from transport.links.traits import LinkTraits, scheme_of, traits_of, without_options
+from transport.links import Closing, LinkCounters
+from transport.links.traits import LinkTraits, address_of, scheme_of, traits_of, without_options
+from transport.links.zenoh_link import config
+
+if TYPE_CHECKING:
+    import zenoh
+
+UNIX: Final = "plain-unix"
+"""Scheme of its URIs, ``plain-unix:<path>``, which the benchmark alone knows."""
+
+_PATIENCE: Final = struct.pack("ll", 0, 50_000)  # seconds and microseconds that a receive waits, whatever it is asked
+
+
+class PlainSocket(Closing):
+    """One end of two bare sockets: one system call sends a packet, one receives it. Nothing is checked, no process kept out.
+
+    The controller is there first, and learns from the first packet where the rig is.
+    """
+
+    def __init__(self, uri: str, role: Role) -> None:
+        self.uri, self.counters = uri, LinkCounters()
+        path = address_of(uri)
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.bind(f"{path}.{role}")
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _PATIENCE)
+        self._known = role == "rig"
+        if self._known:
+            self._socket.connect(f"{path}.controller")
+
+    def send(self, packet: bytes) -> None:
+        """Send one packet."""
+        self._socket.send(packet)
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return the next packet, None when none came; 0 s only looks, any other number waits for 50 ms."""
+        try:
+            if self._known:
+                return self._socket.recv(256, 0 if timeout_s > 0 else socket.MSG_DONTWAIT)
+            packet, rig = self._socket.recvfrom(256)
+        except BlockingIOError:
+            return None
+        self._socket.connect(rig)
+        self._known = True
+        return packet
+
+    def close(self) -> None:
+        """Let go of it; may be called twice."""
+        self._socket.close()
+
+
+ZENOH: Final = "plain-zenoh"
+"""Scheme of its URIs, ``plain-zenoh:<endpoint>``, which the benchmark alone knows."""
+
+
+class PlainZenoh(Closing):
+    """One end of a callback into a queue: no queue limit, no authentication. The rig listens, the controller connects."""
+
+    def __init__(self, uri: str, role: Role) -> None:
+        import zenoh
+
+        self.uri, self.counters = uri, LinkCounters()
+        self._queue: SimpleQueue[bytes] = SimpleQueue()
+        self._session = zenoh.open(config(role, address_of(uri), {}))
+        sends, receives = ("sensor", "control") if role == "rig" else ("control", "sensor")
+        publisher = self._session.declare_publisher(
+            f"hil/plain/{sends}", express=True, priority=zenoh.Priority.REAL_TIME, congestion_control=zenoh.CongestionControl.DROP
+        )
+        self._put = publisher.put
+        self._session.declare_subscriber(f"hil/plain/{receives}", zenoh.handlers.Callback(self._take, indirect=False))
+
+    def _take(self, sample: zenoh.Sample) -> None:
+        self._queue.put(sample.payload.to_bytes())
+
+    def send(self, packet: bytes) -> None:
+        """Send one packet."""
+        self._put(packet)
+        self.counters.sent += 1
+
+    def receive(self, timeout_s: float) -> bytes | None:
+        """Return the next packet, None when none came in time."""
+        try:
+            packet = self._queue.get(timeout_s > 0, timeout_s if timeout_s > 0 else None)
+        except Empty:
+            return None
+        self.counters.received += 1
+        return packet
+
+    def close(self) -> None:
+        """Let go of it; may be called twice."""
+        self._session.close()  # type: ignore[no-untyped-call]
+
 
 LINKS: Final = (
     "can:hil:bench-{pid}",
@@ -56,12 +149,8 @@ Way = tuple[str, Affinity]
 
 
 def bench_links(
-    rate_hz: float = 1000.0,
-    duration_s: float = 10.0,
-    *,
-    links: Sequence[str] = LINKS,
-    floor: bool = True,
-) -> list[Row]:
+    rate_hz: float = 1000.0, duration_s: float = 10.0, *, links: Sequence[str] = LINKS, floor: bool = True
+) -> list[Row]:  # fmt: skip
     """Measure round trips, 20 bytes there and 48 back, over every link and over plain UDP in C, all in one run.
 
     Over our link over zenoh twice: with both processes where the scheduler puts them, and on one CPU (`timing.affinity`).
@@ -112,18 +201,9 @@ def _row(way: Way, taken: list[int], floor_us: float, late_ns: float, note: str)
     lost = sum(trip < 0 for trip in taken)
     late = sum(not 0 <= trip <= late_ns for trip in taken)
     return {
-        "link": way[0],
-        "affinity": way[1],
-        "p50_us": p50,
-        "p99_us": p99,
-        "p99_9_us": p99_9,
-        "times_floor": p50 / floor_us,
-        "trips": len(taken),
-        "lost": lost,
-        "late": late,
-        "late_share": late / len(taken) if taken else math.nan,
-        "note": note,
-    }
+        "link": way[0], "affinity": way[1], "p50_us": p50, "p99_us": p99, "p99_9_us": p99_9, "times_floor": p50 / floor_us,
+        "trips": len(taken), "lost": lost, "late": late, "late_share": late / len(taken) if taken else math.nan, "note": note,
+    }  # fmt: skip
 
 
 def _percentile(taken: list[int], q: float) -> float:

@@ -12,10 +12,9 @@ from hil.errors import HilError
 from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.can_bus import periodic_message, periodic_traffic, rates_of
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
-from transport.can_bus_model import BitRates
+from transport.can_bus_model import BitRates, Traffic
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.node import CanNode, Waiting
-from transport.can_bus_model.traffic import Traffic
 
 MOST_MESSAGES: Final = 1000
 MOST_WAITING: Final = 20_000

@@ -21,7 +21,7 @@ from transport.wire import control_length, frame_length, sensor_length
 
 if TYPE_CHECKING:
     from transport.can_analysis import PeriodicMessage
-    from transport.can_bus_model.traffic import Periodic
+    from transport.can_bus_model import Periodic
 
 CONTROL: Final = "links.control_can_id"
 
@@ -174,7 +174,7 @@ def periodic_traffic(medium: Medium, number: Mapping[str, int]) -> list[Periodic
         medium: the bus.
         number: of each sender.
     """
-    from transport.can_bus_model.traffic import Periodic  # loaded where there is a bus
+    from transport.can_bus_model import Periodic  # loaded where there is a bus
 
     return [
         Periodic(

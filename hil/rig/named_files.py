@@ -27,7 +27,7 @@ from transport.wire import frame_length
 if TYPE_CHECKING:
     import csv
 
-    from transport.can_bus_model.traffic import Due
+    from transport.can_bus_model import Due
 
 
 def with_named_files(e: Experiment) -> Experiment:
@@ -266,7 +266,7 @@ def due_of(line: str, node: int = 0) -> Due:
     found = _LINE.fullmatch(line)
     if found is None:
         raise ValueError(f"{line!r:.60}, expected nanoseconds and a frame, as in '12000000 123#1122'")
-    from transport.can_bus_model.traffic import Due  # loaded where there is a bus
+    from transport.can_bus_model import Due  # loaded where there is a bus
 
     at, identifier, kind, dlc, flags, flexible, classic = found.groups()
     number, extended = int(identifier, 16), len(identifier) == 8

@@ -10,7 +10,7 @@ from msgspec import Struct
 from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
-from transport.medium.faulted import FaultInterval
+from transport.medium import FaultInterval
 
 if TYPE_CHECKING:
     from transport.can_bus_model.disturbances import BusFault

@@ -25,7 +25,7 @@ from tests.waiting import LIMIT_S, until
 from transport import SensorPacket, dbc_path, encode_sensor, open_link
 from transport.links.can_bus import HilBus
 from transport.links.contract import SEND_LIMIT_S
-from transport.links.mesh_peer import HEAD, Peer
+from transport.links.mesh_members import HEAD, Peer
 from transport.links.unix_mesh import QUEUE_LIMIT
 
 BIN = Path(sys.executable).parent
@@ -105,7 +105,7 @@ def test_all_listeners_get_the_same_time_stamp_which_is_the_senders() -> None:
 def test_a_frame_of_a_link_has_the_time_at_which_it_arrived_for_who_logs_it(
     option: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("transport.links.mesh_peer._SO_TIMESTAMPNS", option)
+    monkeypatch.setattr("transport.links.mesh_members._SO_TIMESTAMPNS", option)
     with open_link("can:hil:t", "rig") as link, bus() as listener:
         times = []
         for _ in range(3):

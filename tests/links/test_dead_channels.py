@@ -9,8 +9,7 @@ import sys
 from pathlib import Path, PosixPath
 
 import hil
-from transport.links.mesh_peer import clear_dead_channels
-from transport.links.private_directory import private_directory
+from transport.links.private_directory import clear_dead_channels, private_directory
 from transport.links.unix_mesh import Mesh
 
 KILLED = """

@@ -11,9 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from transport.can_analysis import ErrorBursts, PeriodicMessage
-from transport.can_bus_model import CanFrame
+from transport.can_bus_model import CanFrame, Periodic
 from transport.can_bus_model.bits import frame_bounds
-from transport.can_bus_model.traffic import Periodic
 from transport.errors import FieldError
 from transport.law_fit.packet_record import LEAST, PacketRecord
 from transport.laws.age import MarkovAge

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple
 
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws import SemiMarkovLaw, Sojourn
+from transport.laws import BoundedTail, SemiMarkovLaw, SettlingHazard, Sojourn
 from transport.laws.age import AgePath, ChainAge
-from transport.laws.sojourn import SojournLaw, hazard_bounds, hazards, longest_stay, mean_sojourn, remaining_sampler
+from transport.laws.sojourn import Geometric, SojournLaw, hazards
 from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
 
 RESOLUTION = 1e-12
@@ -160,3 +160,42 @@ def _distinct(hazard: NDArray[np.float64]) -> NDArray[np.float64]:
     """Cut the tail in which the hazard no longer changes."""
     changes = np.flatnonzero(np.abs(np.diff(hazard)) > RESOLUTION)
     return hazard[: 1 if not len(changes) else changes[-1] + 2]
+
+
+def hazard_bounds(law: Sojourn, slots: int) -> tuple[float, float]:
+    """Return the infimum and the supremum of the hazard at all n > slots: (0, 1) for a law that does not say.
+
+    >>> hazard_bounds(Geometric(p=0.25), 7)
+    (0.25, 0.25)
+    """
+    return law.hazard_beyond(slots) if isinstance(law, BoundedTail) else (0.0, 1.0)
+
+
+def longest_stay(law: Sojourn) -> float:
+    """Return the limit of the probability to stay one slot more, of a stay that has lasted long; 0 for a law that does not say.
+
+    >>> from transport.laws.sojourn import DiscreteWeibull, Table
+    >>> longest_stay(DiscreteWeibull(q=0.6, beta=0.8)), longest_stay(Table(probabilities=(0.5, 0.5)))
+    (1.0, 0.0)
+    """
+    return 1.0 - law.hazard_limit() if isinstance(law, SettlingHazard) else 0.0
+
+
+def mean_sojourn(law: Sojourn) -> float:
+    """Return E h = sum_{n>=0} S(n), slots.
+
+    >>> mean_sojourn(Geometric(p=0.25))
+    4.0
+    """
+    return float(law.survival(np.arange(law.support + 1)).sum()) if not isinstance(law, Geometric) else 1.0 / law.p
+
+
+def remaining_sampler(law: Sojourn) -> Callable[[float], int]:
+    """Return the sampler of the slots that are left, this one included, when a mode is met at any slot of a long run.
+
+    Pr(remaining = n) = S(n-1)/E h: long sojourns are met more often (renewal theory, equilibrium distribution).
+    """
+    weights = law.survival(np.arange(law.support))
+    reached = (np.cumsum(weights) / weights.sum()).tolist()
+    reached[-1] = 1.0
+    return lambda u: bisect_right(reached, u) + 1

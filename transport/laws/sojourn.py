@@ -2,6 +2,10 @@
 
 Every law is given by its survival function S(n) = Pr(h > n), S(0) = 1. All else follows from it: the hazard
 Pr(h = n | h >= n) = 1 - S(n)/S(n-1), the mean sum_{n>=0} S(n), the draw h = smallest n with S(n) <= 1 - u.
+
+Logarithms and powers are the same on every machine. ``libm`` differs from one processor to the next in the last bit. Where that
+bit could decide, it is asked of `decimal`, which Python computes with whole numbers; where it cannot, a double is enough, and
+quicker.
 """
 
 from __future__ import annotations
@@ -9,18 +13,91 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Callable
+from decimal import Context, Decimal
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.errors import FieldError
-from transport.laws import BoundedTail, SettlingHazard, Sojourn
-from transport.laws.decimal_powers import CLOSE, complement_of_power, ln, ln_complement, powers, root, whole_powers
+from transport.laws import Sojourn
 from transport.laws.stochastic_matrix import checked_row
 
 LONGEST = 100_000
 TAIL = 1e-12
+
+CLOSE: Final = 1e-12
+"""Relative distance below which a number in doubles may be on either side of another: some thousand units in the last place."""
+
+_DIGITS: Final = Context(prec=40, Emin=-(10**6), Emax=10**6)
+_EXACT: Final = Context(prec=1200, Emin=-(10**6), Emax=10**6)  # a double has at most 1,074 decimals
+
+_BITS: Final = 43
+"""Of a power that are kept. How far one in doubles may be off decides which of them have to be computed in decimals."""
+
+
+def ln(x: float) -> Decimal:
+    """Return ln x to 40 digits, for x > 0."""
+    return _DIGITS.ln(Decimal(x))
+
+
+def ln_complement(u: float) -> Decimal:
+    """Return ln(1 - u) to 40 digits, for 0 <= u < 1."""
+    return _DIGITS.ln(_EXACT.subtract(Decimal(1), Decimal(u)))
+
+
+def root(value: Decimal, power: float) -> Decimal:
+    """Return value^(1/power) to 40 digits, for a value of at least 0."""
+    return _DIGITS.exp(_DIGITS.divide(_DIGITS.ln(value), Decimal(power))) if value else value
+
+
+def complement_of_power(q: float, order: float, other: float, beta: float) -> float:
+    """Return 1 - q^(order^beta - other^beta), for order > other >= 0."""
+    first, second = (_DIGITS.exp(_DIGITS.multiply(Decimal(beta), ln(n))) if n else Decimal(0) for n in (order, other))
+    return float(_DIGITS.subtract(Decimal(1), _DIGITS.exp(_DIGITS.multiply(ln(q), _DIGITS.subtract(first, second)))))
+
+
+def whole_powers(base: float, exponents: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return base^n for whole n >= 0, same shape, by squaring."""
+    left = np.asarray(exponents, dtype=np.int64).copy()
+    out, square = np.ones(left.shape), base
+    while left.any():
+        out = np.where(left & 1, out * square, out)
+        left >>= 1
+        square *= square
+    return out
+
+
+def powers(q: float, beta: float, slots: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return q^(n^beta) for whole n >= 0, rounded to 43 bits, same shape.
+
+    Args:
+        q: between 0 and 1.
+        beta: above 0.
+        slots: n.
+    """
+    n = np.asarray(slots, dtype=np.int64)
+    if beta == 1.0:
+        return whole_powers(q, n)
+    order = n.astype(np.float64) ** beta
+    mantissa, exponent = np.frexp(q**order)
+    scaled = np.ldexp(mantissa, _BITS)
+    off = np.ldexp(4.0 + 4.0 * order * abs(float(ln(q))), _BITS - 53)  # units in the last place, as units of what is kept
+    unsure = np.abs(scaled - np.floor(scaled) - 0.5) <= off
+    out = np.ldexp(np.rint(scaled), exponent - _BITS)
+    for at in zip(*np.nonzero(unsure)):
+        out[at] = _rounded(q, beta, int(n[at]))
+    return np.asarray(out, dtype=np.float64)
+
+
+@lru_cache(maxsize=100_000)
+def _rounded(q: float, beta: float, n: int) -> float:
+    exact = _DIGITS.exp(_DIGITS.multiply(ln(q), _DIGITS.exp(_DIGITS.multiply(Decimal(beta), ln(float(n)))))) if n else Decimal(1)
+    _, exponent = np.frexp(float(exact))
+    whole = int(_DIGITS.multiply(exact, _DIGITS.power(Decimal(2), _BITS - int(exponent))).to_integral_value())
+    return float(np.ldexp(float(whole), int(exponent) - _BITS))
 
 
 class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="law", tag="geometric"):
@@ -29,8 +106,8 @@ class Geometric(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, t
     Args:
         p: probability of leaving in a slot, 0 < p <= 1.
 
-    >>> mean_sojourn(Geometric(p=0.25))
-    4.0
+    >>> Geometric(p=0.25).survival(np.arange(3)).tolist()
+    [1.0, 0.75, 0.5625]
     """
 
     p: float
@@ -236,37 +313,3 @@ def bounds_until_the_end(law: Sojourn, slots: int) -> tuple[float, float]:
     """
     left = hazards(law)[slots:]
     return (float(left.min()), float(left.max())) if len(left) else (1.0, 1.0)
-
-
-def hazard_bounds(law: Sojourn, slots: int) -> tuple[float, float]:
-    """Return the infimum and the supremum of the hazard at all n > slots: (0, 1) for a law that does not say.
-
-    >>> hazard_bounds(Geometric(p=0.25), 7)
-    (0.25, 0.25)
-    """
-    return law.hazard_beyond(slots) if isinstance(law, BoundedTail) else (0.0, 1.0)
-
-
-def longest_stay(law: Sojourn) -> float:
-    """Return the limit of the probability to stay one slot more, of a stay that has lasted long; 0 for a law that does not say.
-
-    >>> longest_stay(DiscreteWeibull(q=0.6, beta=0.8)), longest_stay(Table(probabilities=(0.5, 0.5)))
-    (1.0, 0.0)
-    """
-    return 1.0 - law.hazard_limit() if isinstance(law, SettlingHazard) else 0.0
-
-
-def mean_sojourn(law: Sojourn) -> float:
-    """Return E h = sum_{n>=0} S(n), slots."""
-    return float(law.survival(np.arange(law.support + 1)).sum()) if not isinstance(law, Geometric) else 1.0 / law.p
-
-
-def remaining_sampler(law: Sojourn) -> Callable[[float], int]:
-    """Return the sampler of the slots that are left, this one included, when a mode is met at any slot of a long run.
-
-    Pr(remaining = n) = S(n-1)/E h: long sojourns are met more often (renewal theory, equilibrium distribution).
-    """
-    weights = law.survival(np.arange(law.support))
-    reached = (np.cumsum(weights) / weights.sum()).tolist()
-    reached[-1] = 1.0
-    return lambda u: bisect_right(reached, u) + 1

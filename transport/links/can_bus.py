@@ -37,7 +37,7 @@ from transport.links.can_datagram import (
 )
 from transport.links.can_open import join_channel
 from transport.links.hil_frames import HilFrames
-from transport.links.mesh_peer import bus_directory as bus_directory
+from transport.links.private_directory import bus_directory as bus_directory
 from transport.links.python_can import can
 
 if TYPE_CHECKING:

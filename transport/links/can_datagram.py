@@ -21,7 +21,7 @@ from transport.links import BusStatus
 from transport.wire import frame_length
 
 FRAME: Final = Struct("<dHIBB")
-"""Time stamp, frames lost before (see `transport.links.mesh_peer.HEAD`); identifier with flags, length, FD flags; then data."""
+"""Time stamp, frames lost before (see `mesh_members.HEAD`); identifier with flags, length, FD flags; then data."""
 
 # The bits of <linux/can.h>.
 EXTENDED: Final = 0x80000000

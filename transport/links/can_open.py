@@ -22,8 +22,7 @@ from transport.links import Role, TransportError, split_uri
 from transport.links.can_identifiers import filters, identifiers_of
 from transport.links.can_link import CanLink, Frames
 from transport.links.hil_frames import HilFrames
-from transport.links.mesh_peer import bus_directory
-from transport.links.private_directory import Claim, network
+from transport.links.private_directory import Claim, bus_directory, network
 
 OPTIONS: Final = ("fd", "pad", "base", "nodes", "ids", "control")
 """What a CAN link's URI may say of its frames; the rest is the interface's."""

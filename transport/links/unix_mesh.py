@@ -8,10 +8,10 @@ The kernel queues up to `QUEUE_LIMIT` datagrams from each sender at each receive
 receiver only: the sender counts it as dropped, and the next datagram that gets through carries to the receiver how many it
 missed. No participant ever waits for another, be it slow, stopped or dead.
 
-A datagram begins with `mesh_peer.HEAD`: the time it was sent, for who logs it, or 0 for the time at which the kernel of who logs
-it took it, and the number of datagrams missed before it, which is the mesh's to fill in. A receiver merges its senders by the
-instant at which its own kernel took each datagram: what a sender says of the time decides nothing, or who says 0 would always
-come first.
+A datagram begins with `mesh_members.HEAD`: the time it was sent, for who logs it, or 0 for the time at which the kernel of who
+logs it took it, and the number of datagrams missed before it, which is the mesh's to fill in. A receiver merges its senders by
+the instant at which its own kernel took each datagram: what a sender says of the time decides nothing, or who says 0 would
+always come first.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from pathlib import Path
 from typing import Final
 
 from transport.links import Closing
-from transport.links.mesh_members import Members
-from transport.links.mesh_peer import HEAD_BYTES, Peer
+from transport.links.mesh_members import HEAD_BYTES, Members, Peer
 
 QUEUE_LIMIT: Final = 256
 """So many datagrams of up to 80 bytes wait at least at a receiver, from each sender."""

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from struct import pack
 from typing import Any
 
-from transport.can_bus_model import BitRates, CanFrame
+from transport.can_bus_model import BitRates, CanFrame, Traffic
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.disturbances import BusFault, PlannedOutages
 from transport.can_bus_model.node import Waiting
-from transport.can_bus_model.traffic import Traffic
 from transport.draws import REPLACED
 from transport.errors import FieldError
 from transport.medium import Delivery

@@ -10,11 +10,10 @@ from hil.rig.loop import Loop
 from hil.rig.named_files import due_of
 from hil.rig.schedules import bus_faults
 from hil.runtime.streams import rng_for
-from transport.can_bus_model import CanFrame
+from transport.can_bus_model import CanFrame, Due, Traffic
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.disturbances import BitErrors, PlannedErrors
 from transport.can_bus_model.node import CanNode
-from transport.can_bus_model.traffic import Due, Traffic
 from transport.medium import OneWay
 from transport.medium.independent import Impairment
 from transport.medium.timed_bus import BusInSlots, TimedBusWay, value_frames

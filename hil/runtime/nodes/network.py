@@ -13,8 +13,7 @@ from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.laws import NetworkLaw
-from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
-from transport.medium.faulted import FaultedMedium, FaultyPath
+from transport.medium import Delivery, FaultedMedium, FaultyPath, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
 from transport.medium.independent import Impairment, impair
 from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium, Turns
 from transport.packets import packet_size

@@ -29,7 +29,7 @@ from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
-from transport.links.mesh_peer import bus_directory, clear_dead_channels
+from transport.links.private_directory import bus_directory, clear_dead_channels
 
 EVERY_NS: Final = 1_000_000_000
 

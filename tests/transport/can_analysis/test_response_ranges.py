@@ -10,11 +10,10 @@ import pytest
 from tests.transport.can_analysis.sae import SAE
 from transport.can_analysis import PeriodicMessage, response_times
 from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage, response_ranges
-from transport.can_bus_model import BitRates, CanFrame, FrameLength
+from transport.can_bus_model import BitRates, CanFrame, FrameLength, Periodic, Traffic
 from transport.can_bus_model.bits import frame_bounds, frame_length
 from transport.can_bus_model.bus import CanBus, CanNode
 from transport.can_bus_model.node import Waiting
-from transport.can_bus_model.traffic import Periodic, Traffic
 from transport.errors import FieldError
 
 MS = 1_000_000

@@ -20,17 +20,8 @@ from hypothesis import strategies as st
 from transport.laws import load_files, slots_served
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.delay_states import long_run
-from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
-from transport.laws.sojourn import (
-    DiscreteWeibull,
-    Geometric,
-    SojournLaw,
-    Table,
-    Uniform,
-    hazards,
-    mean_sojourn,
-    remaining_sampler,
-)
+from transport.laws.semi_markov import SemiMarkovAge, augmented_chain, mean_sojourn, remaining_sampler
+from transport.laws.sojourn import DiscreteWeibull, Geometric, SojournLaw, Table, Uniform, hazards
 from transport.laws.stochastic_matrix import closed_classes, cumulative, stationary_row
 from transport.laws.trace import TraceAge
 

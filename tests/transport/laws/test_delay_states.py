@@ -10,8 +10,8 @@ from transport.law_tests.analysis import analyse_law
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.delay_states import delay_states, measured_ages
 from transport.laws.packet import PacketLaw
-from transport.laws.semi_markov import SemiMarkovAge, augmented_chain
-from transport.laws.sojourn import DiscreteWeibull, Geometric, Table, Uniform, hazard_bounds, hazards
+from transport.laws.semi_markov import SemiMarkovAge, augmented_chain, hazard_bounds
+from transport.laws.sojourn import DiscreteWeibull, Geometric, Table, Uniform, hazards
 from transport.laws.trace import TraceAge
 from transport.medium.independent import impair
 

@@ -19,7 +19,7 @@ import pytest
 from tests.file_limit import files_up_to
 from tests.waiting import LIMIT_S
 from transport import TransportError
-from transport.links.mesh_peer import HEAD
+from transport.links.mesh_members import HEAD
 from transport.links.unix_mesh import POLLS, QUEUE_LIMIT, Mesh
 
 

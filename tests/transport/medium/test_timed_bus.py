@@ -6,11 +6,10 @@ import struct
 
 import numpy as np
 
-from transport.can_bus_model import BitRates, CanFrame
+from transport.can_bus_model import BitRates, CanFrame, Due, Periodic, Traffic
 from transport.can_bus_model.bits import frame_length
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.node import CanNode
-from transport.can_bus_model.traffic import Due, Periodic, Traffic
 from transport.draws import DELIVERED, REPLACED, SUPERSEDED
 from transport.laws.age import ConstantAge
 from transport.medium import OneWay

@@ -1,4 +1,4 @@
-"""Powers and logarithms that decide nothing by a last bit."""
+"""Sojourn laws whose powers and logarithms decide nothing by a last bit."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from transport.laws.decimal_powers import powers, whole_powers
-from transport.laws.sojourn import TAIL, DiscreteWeibull, Geometric
+from transport.laws.sojourn import TAIL, DiscreteWeibull, Geometric, powers, whole_powers
 from transport.laws.stochastic_matrix import stationary_row
 
 
