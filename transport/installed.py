@@ -42,7 +42,6 @@ class Package(Protocol):
 
     def read_text(self, filename: str, /) -> str | None:
         """Return a file of what it says of itself, None where it has none."""
-        ...
 
 
 class Folder(NamedTuple):

@@ -6,71 +6,75 @@ Links and buses are measured between two processes: one answers, one drives and 
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from typing import IO, Final
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from typing import IO, Any, Final
 
-GRACE_S: Final = 0.4
+GRACE_S: Final = 1.0
 
+Commands = tuple[Sequence[str], Sequence[str]]
+"""Of the process that answers, and of the one that drives."""
 
-class Pair:
-    """An answering process and a driving one that is given the number of round trips."""
-
-    def __init__(self, echo: Sequence[str], drive: Sequence[str]) -> None:
-        self._children: list[subprocess.Popen[str]] = []
-        try:
-            for command in (echo, drive):
-                child = subprocess.Popen(
-                    command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-                )
-                self._children.append(child)
-                line = self._pipe(child.stdout).readline().strip()
-                if line != "ready":
-                    raise OSError(line or "the process ended")
-        except BaseException:
-            self.close()
-            raise
-
-    @staticmethod
-    def _pipe(stream: IO[str] | None) -> IO[str]:
-        assert stream is not None
-        return stream
-
-    def ask(self, line: str) -> list[int]:
-        """Return the numbers with which the driving process answers a line."""
-        driver = self._children[1]
-        stream = self._pipe(driver.stdin)
-        stream.write(f"{line}\n")
-        stream.flush()
-        words = self._pipe(driver.stdout).readline().split()
-        if not words:
-            raise OSError("the driving process ended")
-        return [int(word) for word in words]
-
-    def drive(self, number: int) -> list[int]:
-        """Make round trips; return ns for each, -1 where none came back."""
-        trips = self.ask(f"{number}")
-        if len(trips) != number:
-            raise OSError("the driving process ended")
-        return trips
-
-    def close(self) -> None:
-        """End both processes."""
-        for child in self._children:
-            child.terminate()
-        for child in self._children:
-            try:
-                child.communicate(timeout=GRACE_S)  # they tidy up their links
-            except subprocess.TimeoutExpired:
-                child.kill()
-                child.communicate()
+Ask = Callable[[str], list[int]]
+"""Give the driving process a line; return the numbers with which it answers. `OSError`: it has ended."""
 
 
-def open_pair(stack: ExitStack, make: Callable[[], Pair]) -> Pair | str:
-    """Return the pair, or why there is none."""
+def _pipe(stream: IO[str] | None) -> IO[str]:
+    assert stream is not None
+    return stream
+
+
+@contextmanager
+def running(command: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a process, which says in its first line that it is ready; end it with the block.
+
+    Raises:
+        OSError: what it said instead.
+    """
+    child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
-        pair = make()
-    except (OSError, subprocess.CalledProcessError) as error:
-        return str(error)
-    stack.callback(pair.close)
-    return pair
+        line = _pipe(child.stdout).readline().strip()
+        if line != "ready":
+            raise OSError(line or "the process ended")
+        yield child
+    finally:
+        child.terminate()
+        try:
+            child.communicate(timeout=GRACE_S)  # it tidies up its link
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.communicate()
+
+
+def _ask(driver: subprocess.Popen[str], line: str) -> list[int]:
+    stream = _pipe(driver.stdin)
+    stream.write(f"{line}\n")
+    stream.flush()
+    words = _pipe(driver.stdout).readline().split()
+    if not words:
+        raise OSError("the driving process ended")
+    return [int(word) for word in words]
+
+
+def open_pair(stack: ExitStack, commands: Callable[[], Commands]) -> Ask | str:
+    """Return what asks the driving process of a pair that ends with a stack, or why there is none."""
+    with ExitStack() as pair:
+        try:
+            _, driver = [pair.enter_context(running(command)) for command in commands()]
+        except (OSError, subprocess.CalledProcessError) as error:
+            return str(error)
+        stack.enter_context(pair.pop_all())
+    return partial(_ask, driver)
+
+
+@contextmanager
+def killed(*processes: subprocess.Popen[Any] | None) -> Iterator[None]:
+    """Kill what still runs of some processes when the block is left."""
+    try:
+        yield
+    finally:
+        for process in filter(None, processes):
+            if process.poll() is None:
+                process.kill()
+                process.wait()

@@ -22,7 +22,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.bench import Pair, open_pair
+from hil.bench import Ask, Commands, open_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real.child import python_module
@@ -72,12 +72,12 @@ def bench_can_buses(
         end, turn = monotonic_ns() + round(duration_s * 1e9), 0
         while turn < 2 or monotonic_ns() < end:
             progress(f"turn {turn}")
-            for bus, pair in pairs.items():
-                if isinstance(pair, str):
+            for bus, ask in pairs.items():
+                if isinstance(ask, str):
                     continue
                 try:
-                    found, ns = pair.ask(f"flood {FLOOD}")
-                    answers = pair.ask(f"trips {TRIPS}")
+                    found, ns = ask(f"flood {FLOOD}")
+                    answers = ask(f"trips {TRIPS}")
                 except (OSError, ValueError) as error:
                     pairs[bus] = f"ended in mid-run: {error}"
                     continue
@@ -98,7 +98,7 @@ def bench_can_buses(
     return rows
 
 
-def _row(bus: str, floods: list[tuple[int, int]], trips: list[int], late: list[int], cyclic: float, pair: Pair | str) -> Row:
+def _row(bus: str, floods: list[tuple[int, int]], trips: list[int], late: list[int], cyclic: float, pair: Ask | str) -> Row:
     came = [trip / 1e3 for trip in trips if trip >= 0]
     p50, p99 = (float(np.percentile(came, q)) if came else math.nan for q in (50, 99))
     errors = [float(np.percentile(late, q)) / 1e3 if late else None for q in (50, 99)]
@@ -113,9 +113,9 @@ def _row(bus: str, floods: list[tuple[int, int]], trips: list[int], late: list[i
     }  # fmt: skip
 
 
-def _pair(bus: str) -> Callable[[], Pair]:
+def _pair(bus: str) -> Callable[[], Commands]:
     command, channel = python_module("hil.bench.can_buses"), f"bench-{os.getpid()}-{abs(hash(bus)) % 1000}"
-    return lambda: Pair([*command, "echo", bus, channel], [*command, "drive", bus, channel])
+    return lambda: ([*command, "echo", bus, channel], [*command, "drive", bus, channel])
 
 
 # What follows runs in the processes of a pair.

@@ -23,7 +23,7 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from hil.bench import Pair, open_pair
+from hil.bench import Ask, Commands, open_pair
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.real.child import python_module
@@ -170,7 +170,7 @@ def bench_links(
     slices = max(round(duration_s * rate_hz / number), 1)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-bench-")))
-        pairs: list[tuple[Way, Pair | str]] = []
+        pairs: list[tuple[Way, Ask | str]] = []
         if floor:
             pairs.append(((FLOOR, "free"), open_pair(stack, lambda: _floor(folder, rate_hz))))
         for template in links:
@@ -181,11 +181,13 @@ def bench_links(
                 pairs.append((way, open_pair(stack, _python(uri, how, rate_hz))))
         taken: dict[Way, list[int]] = {way: [] for way, _ in pairs}
         for turn in range(slices + 1):
-            for i, (way, pair) in enumerate(pairs):
-                if isinstance(pair, str):
+            for i, (way, ask) in enumerate(pairs):
+                if isinstance(ask, str):
                     continue
                 try:
-                    trips = pair.drive(number)
+                    trips = ask(f"{number}")
+                    if len(trips) != number:
+                        raise OSError("the driving process ended")
                 except (OSError, ValueError) as error:
                     pairs[i] = (way, f"ended in mid-run: {error}")
                     continue
@@ -216,12 +218,12 @@ def _percentile(taken: list[int], q: float) -> float:
     return trips[min(int(len(trips) * q), len(trips) - 1)] / 1e3 if trips else math.nan
 
 
-def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], Pair]:
+def _python(uri: str, affinity: Affinity, rate_hz: float) -> Callable[[], Commands]:
     command = python_module("hil.bench.links")
-    return lambda: Pair([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
+    return lambda: ([*command, "echo", uri, affinity], [*command, "drive", uri, affinity, str(rate_hz)])
 
 
-def _floor(folder: Path, rate_hz: float) -> Pair:
+def _floor(folder: Path, rate_hz: float) -> Commands:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         raise OSError("no C compiler is installed, so the floor cannot be measured: apt-get install gcc")
@@ -229,10 +231,8 @@ def _floor(folder: Path, rate_hz: float) -> Pair:
     source = Path(__file__).with_name("udp_echo.c")
     subprocess.run([compiler, "-O2", "-o", program, source], check=True, capture_output=True)
     port, any_cpu = str(free_port()), "-1"  # as sessions run: the scheduler chooses the CPU
-    return Pair(
-        [str(program), "echo", port, str(PRIORITY - 1), any_cpu],
-        [str(program), "drive", port, str(PRIORITY), any_cpu, str(rate_hz)],
-    )
+    echo = [str(program), "echo", port, str(PRIORITY - 1), any_cpu]
+    return echo, [str(program), "drive", port, str(PRIORITY), any_cpu, str(rate_hz)]
 
 
 def _has_threads(template: str) -> bool:

@@ -10,15 +10,15 @@ from __future__ import annotations
 import os
 import secrets
 import signal
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from hil.bench import running
 from hil.errors import HilError
 from hil.log.records import Channel, Schema
 from hil.log.topics import PROBE
@@ -34,7 +34,6 @@ LEAD_NS: Final = 5_000_000
 MEETING_NS: Final = 5_000_000_000
 STRAGGLERS_NS: Final = 1_000_000_000
 IDLE_S: Final = 0.2
-GRACE_S: Final = 1.0
 
 
 @dataclass(slots=True)
@@ -190,19 +189,12 @@ def write_probe_log(path: Path, uri: str, rate_hz: float, trips: list[Trip], one
 @contextmanager
 def answering(uri: str) -> Iterator[None]:
     """Answer on a link in a process of its own, for a link within this machine."""
-    child = subprocess.Popen(python_module("hil.bench.probe", uri), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        assert child.stdout is not None and child.stderr is not None
-        if child.stdout.readline().strip() != "ready":
-            raise HilError(child.stderr.read().strip()[:500] or f"link {uri!r}: the answering process ended")
-        yield
-    finally:
-        child.terminate()
+    with ExitStack() as stack:
         try:
-            child.communicate(timeout=GRACE_S)
-        except subprocess.TimeoutExpired:
-            child.kill()
-            child.communicate()
+            stack.enter_context(running(python_module("hil.bench.probe", uri)))
+        except OSError as error:
+            raise HilError(f"the answering process: {error}") from error
+        yield
 
 
 def main() -> None:
@@ -215,7 +207,8 @@ def main() -> None:
             print("ready", flush=True)  # noqa: T201 (this is the process's interface)
             answer(link)
     except TransportError as error:
-        sys.exit(str(error))
+        print(error, flush=True)  # noqa: T201
+        raise SystemExit(1) from error
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
+from hil.bench import killed
 from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -208,16 +209,11 @@ def _long(folder: Path, duration_s: float) -> Row:
     if shutil.which("cyclictest") is not None:
         beside = start_cyclictest(experiment.timing.priority, period_us, duration_s, output)
     session = _start(folder, 0, duration_s)
-    try:
+    with killed(session, beside):
         seen = _watch(session, folder / "0.mcap", duration_s)
         status = session.wait(duration_s + GRACE_S)
         if beside is not None:
             beside.wait(duration_s + GRACE_S)
-    finally:
-        for process in filter(None, (session, beside)):
-            if process.poll() is None:
-                process.kill()
-                process.wait()
     try:
         summary = json.loads((folder / "0.json").read_text())
     except ValueError:
@@ -308,15 +304,10 @@ def _short(folder: Path, groups: list[int], progress: Callable[[str], None], how
     for turn, group in enumerate(groups):
         progress(f"{how}: {turn + 1} of {len(groups)}, {group} sessions of {SHORT_S:g} s")
         running = [_start(folder, 1 + number, SHORT_S) for number in range(group)]
-        try:
+        with killed(*running):
             for number, process in enumerate(running):
                 status = str(process.wait(SHORT_S + GRACE_S * (1 + group / 4)))
                 statuses[status] = statuses.get(status, 0) + 1
                 with suppress(ValueError):  # one without a summary says so by its status
                     dropped += json.loads((folder / f"{1 + number}.json").read_text())["log"]["dropped"]
-        finally:
-            for process in running:
-                if process.poll() is None:
-                    process.kill()
-                    process.wait()
     return {"statuses": statuses, "dropped": dropped}

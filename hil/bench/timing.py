@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from hil.bench import killed
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.topics import TIMING
@@ -89,7 +90,7 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
     period_us = round(1e6 * float(experiment.period))
     output, log = folder / "cyclictest.json", folder / "run.mcap"
     reference = start_cyclictest(experiment.timing.priority, period_us, duration_s, output) if beside else None
-    try:
+    with killed(reference):
         session = run_session(experiment, clock="real", link=uri, path=log)
         if session.status > 128:  # a signal, which the session took to close its log
             raise SystemExit(session.status)
@@ -97,10 +98,6 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
             raise HilError(f"{uri}: the session failed: {'; '.join(map(str, session.summary['problems'].values()))}")
         if reference is not None:
             reference.wait(duration_s + 10)
-    finally:
-        if reference is not None and reference.poll() is None:
-            reference.kill()
-            reference.wait()
     timed = session.run.arrays[TIMING.name]
     log.unlink()
     if reference is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 import site
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -61,7 +61,7 @@ def first_process(
         python: of the program that carries stdin.
         stdin: whether the third terminal carries the command's stdin.
     """
-    quote = shlex.quote
+    quote, lines = shlex.quote, "\n".join
     return f"""#!/bin/sh
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin
 # The command may have taken /proc away; without it the end of PID 1 ends the kernel.
@@ -74,7 +74,7 @@ mount -t proc proc /proc
 mount -t tmpfs tmpfs /mnt
 mkdir /mnt/up /mnt/wk /mnt/new /mnt/low
 mount -t hostfs -o / none /mnt/low
-{_lines(f"insmod {quote(str(m))}" for m in modules if m.name == "overlay.ko")}
+{lines(f"insmod {quote(str(m))}" for m in modules if m.name == "overlay.ko")}
 mount -t overlay -o lowerdir=/mnt/low,upperdir=/mnt/up,workdir=/mnt/wk overlay /mnt/new
 cd /mnt/new
 mount -t tmpfs -o mode=755 tmpfs run
@@ -90,10 +90,10 @@ mount -t devpts -o ptmxmode=666 devpts /dev/pts
 mount -t tmpfs -o mode=1777 tmpfs /dev/shm
 mount -t tmpfs -o mode=1777 tmpfs /tmp
 mkdir /tmp/home
-{_lines(f"mkdir -p {d}; mount -t hostfs -o ro,{d} none {d}" for d in map(quote, readable))}
-{_lines(f"mkdir -p {d}; mount -t hostfs -o rw,{d} none {d}" for d in map(quote, writable))}
-{_lines(f"insmod {quote(f'/run/old{m}')}" for m in modules if m.name != "overlay.ko")}
-{_lines(f"{line}" for line in LINKS.splitlines())}
+{lines(f"mkdir -p {d}; mount -t hostfs -o ro,{d} none {d}" for d in map(quote, readable))}
+{lines(f"mkdir -p {d}; mount -t hostfs -o rw,{d} none {d}" for d in map(quote, writable))}
+{lines(f"insmod {quote(f'/run/old{m}')}" for m in modules if m.name != "overlay.ko")}
+{LINKS.rstrip()}
 stty -F /dev/tty1 -opost
 stty -F /dev/tty2 -opost
 # The terminals are our way out; the command itself shall see pipes, as under any other program.
@@ -140,7 +140,3 @@ def _stdin(python: str) -> str:
 stty raw -echo <&3
 {shlex.quote(python)} -ISc {shlex.quote(UNFRAME)} <&3 >/run/in &
 exec 3<&- </run/in"""
-
-
-def _lines(lines: Iterable[str]) -> str:
-    return "\n".join(lines)

@@ -190,8 +190,7 @@ def _source_version() -> str:
 
 def _build(path: Path, source: Path, lock: int) -> None:
     """Build into `path`, all at once or not at all; the build's processes hold the lock as long as one of them lives."""
-    directory = path.parent
-    (tree, new), log = _half_built(directory), directory / "build.log"
+    (tree, new), log = _half_built(), path.parent / "build.log"
     argv = ["nice", "sh", str(HERE / "build_kernel"), str(source), str(tree), str(new)]
     begin = time.monotonic()
     say(f"building a small kernel with vcan, once, some minutes ({path})")
@@ -207,7 +206,7 @@ def _build(path: Path, source: Path, lock: int) -> None:
             raise RunnerError(f"the kernel's build from {source} failed; see {log}:\n{last}")
         new.rename(path)
     finally:  # Ctrl-C and SIGTERM too; what SIGKILL leaves is the next run's to remove
-        _remove_half_built(directory)
+        _remove_half_built()
     say(f"kernel built in {time.monotonic() - begin:.0f} s")
 
 
@@ -231,20 +230,20 @@ def _show_progress(lines: Iterable[bytes]) -> None:
 def clear_half_built() -> None:
     """Remove what a killed build has left in the cache (700 MB); one that still runs is left alone."""
     directory = cache_directory()
-    if not any(place.exists() for place in _half_built(directory)):
+    if not any(place.exists() for place in _half_built()):
         return
     with suppress(OSError), (directory / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         say(f"removing what a killed build left in {directory}")
-        _remove_half_built(directory)
+        _remove_half_built()
 
 
-def _half_built(directory: Path) -> tuple[Path, Path]:
-    return directory / "build", directory / "kernel.new"
+def _half_built() -> tuple[Path, Path]:
+    return cache_directory() / "build", cache_directory() / "kernel.new"
 
 
-def _remove_half_built(directory: Path) -> None:
-    tree, new = _half_built(directory)
+def _remove_half_built() -> None:
+    tree, new = _half_built()
     shutil.rmtree(tree, ignore_errors=True)
     new.unlink(missing_ok=True)
 

@@ -32,7 +32,6 @@ class Noise(Protocol):
             start: first instant of its start of frame, in units.
             frame: what is sent.
         """
-        ...
 
 
 _MOST_BITS: Final = 800  # longer than any frame

@@ -36,15 +36,15 @@ class Interval(NamedTuple):
     high: float
 
 
-def wilson(count: float, n: float, level: float = LEVEL) -> Interval:
-    """Return Wilson's interval (1927) of a probability, of which `count` in `n` were seen.
+def wilson(count: float, n: float) -> Interval:
+    """Return Wilson's interval (1927) of a probability, of which `count` in `n` were seen, with 95 % confidence.
 
     >>> [round(end, 4) for end in wilson(10, 100)]
     [0.0552, 0.1744]
     """
     if n <= 0:
         return Interval(0.0, 1.0)
-    z = float(stats.norm.ppf(0.5 + level / 2.0))
+    z = float(stats.norm.ppf(0.5 + LEVEL / 2.0))
     p = count / n
     middle, half = p + z * z / (2 * n), z * float(np.sqrt(p * (1.0 - p) / n + z * z / (4 * n * n)))
     low, high = (middle - half) / (1.0 + z * z / n), (middle + half) / (1.0 + z * z / n)

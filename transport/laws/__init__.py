@@ -29,7 +29,6 @@ class AgeProcess(Protocol):
     @property
     def draw(self) -> Callable[[], tuple[int, int]]:
         """Return (mode, age) of the next slot; to be called once per slot, from slot 0."""
-        ...
 
 
 class AgeLaw(Protocol):
@@ -41,11 +40,9 @@ class AgeLaw(Protocol):
     @property
     def max_age(self) -> int:
         """Largest age in slots that `draw` can return."""
-        ...
 
     def start(self, rng: np.random.Generator) -> AgeProcess:
         """Return a new process whose randomness is `rng` alone."""
-        ...
 
 
 class PacketProcess(Protocol):
@@ -53,7 +50,6 @@ class PacketProcess(Protocol):
 
     def draw(self, k: int) -> list[Draw]:
         """Return what becomes of the packet of slot k: one draw (sent or lost), and one more if it is copied."""
-        ...
 
 
 class PerPacketLaw(Protocol):
@@ -65,16 +61,13 @@ class PerPacketLaw(Protocol):
     @property
     def reordering(self) -> bool:
         """Whether a packet may overtake an earlier one; otherwise it waits for it."""
-        ...
 
     @property
     def queue(self) -> int:
         """Largest number of packets in flight; one more is dropped and booked as overflow."""
-        ...
 
     def start(self, rng: np.random.Generator, period_s: float, deadline_s: float) -> PacketProcess:
         """Return a new process for slots of `period_s` seconds that close `deadline_s` after they begin."""
-        ...
 
 
 NetworkLaw = AgeLaw | PerPacketLaw
@@ -88,7 +81,6 @@ class BoundedAge(Protocol):
     @property
     def max_age(self) -> int | None:
         """Largest age in slots; None for no bound."""
-        ...
 
 
 @runtime_checkable
@@ -97,7 +89,6 @@ class MarkovModes(Protocol):
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return Pr(mode j in the next slot | mode i), (n, n)."""
-        ...
 
 
 @runtime_checkable
@@ -107,7 +98,6 @@ class ChainLaw(MarkovModes, Protocol):
     @property
     def mode_ages(self) -> Sequence[int]:
         """Age of every mode, in slots."""
-        ...
 
 
 @runtime_checkable
@@ -117,16 +107,13 @@ class AgeChain(ChainLaw, Protocol):
     @property
     def bound(self) -> int:
         """Age in slots beyond which no packet comes any more."""
-        ...
 
     @property
     def neglected(self) -> float:
         """Probability of a packet's latency that the chain leaves out; 0 where it is exact."""
-        ...
 
     def initial_law(self) -> NDArray[np.float64]:
         """Return the law of the state in slot 0, (N,)."""
-        ...
 
 
 class Sojourn(Protocol):
@@ -134,12 +121,10 @@ class Sojourn(Protocol):
 
     def survival(self, slots: NDArray[np.int64]) -> NDArray[np.float64]:
         """Return S(n) = Pr(h > n) for an array of n >= 0, same shape."""
-        ...
 
     @property
     def support(self) -> int:
         """Largest sojourn time, or the one beyond which the probability is below 1e-12."""
-        ...
 
 
 @runtime_checkable
@@ -148,7 +133,6 @@ class BoundedTail(Protocol):
 
     def hazard_beyond(self, slots: int) -> tuple[float, float]:
         """Return the infimum and the supremum of Pr(h = n | h >= n) over all n > slots."""
-        ...
 
 
 @runtime_checkable
@@ -157,7 +141,6 @@ class SettlingHazard(Protocol):
 
     def hazard_limit(self) -> float:
         """Return the limit of Pr(h = n | h >= n) as n grows."""
-        ...
 
 
 @runtime_checkable
@@ -167,17 +150,14 @@ class SemiMarkovLaw(Protocol):
     @property
     def mode_ages(self) -> Sequence[int]:
         """Age of every mode, in slots."""
-        ...
 
     @property
     def matrix(self) -> Sequence[Sequence[float]]:
         """The embedded chain, (n, n)."""
-        ...
 
     @property
     def sojourn(self) -> Sequence[Sojourn]:
         """One sojourn law per mode."""
-        ...
 
 
 @runtime_checkable
@@ -186,7 +166,6 @@ class RecordedLaw(Protocol):
 
     def recorded(self) -> NDArray[np.int64]:
         """Return the ages of slots 0, 1, ...; a law without end repeats them (see `FiniteLaw`)."""
-        ...
 
 
 @runtime_checkable
@@ -202,7 +181,6 @@ class ChannelLaw(MarkovModes, Protocol):
 
     def channel_losses(self) -> Sequence[float]:
         """Return the loss probability in every mode, (n,)."""
-        ...
 
 
 @runtime_checkable
@@ -211,7 +189,6 @@ class PacketAges(Protocol):
 
     def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> AgeChain | str:
         """Return the chain of the ages of the newest packet, those up to `reach` distinguished; in words why there is none."""
-        ...
 
 
 @runtime_checkable
@@ -221,23 +198,18 @@ class PacketDelays(Protocol):
     @property
     def reordering(self) -> bool:
         """Whether a packet may overtake an earlier one; otherwise it waits for those that are not lost."""
-        ...
 
     def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
         """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
-        ...
 
     def channel_losses(self) -> Sequence[float]:
         """Return the probability that a packet is lost, in every mode of the channel."""
-        ...
 
     def transition_matrix(self) -> NDArray[np.float64]:
         """Return Pr(mode in the next slot | mode), (modes, modes)."""
-        ...
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the law of the mode in slot 0, (modes,)."""
-        ...
 
 
 @runtime_checkable
@@ -246,11 +218,9 @@ class LongRunLaw(Protocol):
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the share of slots in every mode, (n,)."""
-        ...
 
     def mean_bursts(self) -> NDArray[np.float64]:
         """Return the mean number of slots that a mode lasts, (n,)."""
-        ...
 
 
 @runtime_checkable
@@ -260,11 +230,9 @@ class InitialLaw(Protocol):
     @property
     def initial(self) -> str | Sequence[float]:
         """ "stationary" when slot 0 is met in a long run, else how the first mode is drawn."""
-        ...
 
     def initial_law(self) -> NDArray[np.float64]:
         """Return the law of the mode in slot 0, (n,)."""
-        ...
 
 
 @runtime_checkable
@@ -281,7 +249,6 @@ class FiniteLaw(Protocol):
     @property
     def length(self) -> int | None:
         """Number of slots that the law serves, None for without end."""
-        ...
 
 
 @runtime_checkable
@@ -290,7 +257,6 @@ class FileLaw(Protocol):
 
     def loaded(self, directory: str | PathLike[str] | None = None) -> Self:
         """Return the same law with its files read."""
-        ...
 
 
 @runtime_checkable
@@ -299,7 +265,6 @@ class PreparedLaw(Protocol):
 
     def prepared(self) -> Self:
         """Return the same law, tabulated, with its files read."""
-        ...
 
 
 _Law = TypeVar("_Law")

@@ -149,7 +149,7 @@ Latency = QuantileTable | LatencyTrace
 LatencySpec = float | str | dict[str, Any]
 
 
-def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, path: str = "latency") -> Latency:
+def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None) -> Latency:
     """Return the law that an experiment describes.
 
     Args:
@@ -157,7 +157,6 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
             durations; `{table = [[level, duration], ...]}`: quantiles; `{trace = [duration or "lost", ...]}` or `{file
             = "x.csv"}` with the column `latency_s` (or the first one), both with `past_end = "repeat" | "refuse"`.
         directory: where a relative file name starts.
-        path: field path that starts every message.
 
     Raises:
         ValueError: names the entry.
@@ -165,6 +164,7 @@ def latency(spec: LatencySpec, directory: str | PathLike[str] | None = None, pat
     >>> latency({"table": [[0, "1 ms"], [1, "3 ms"]]}).mean_s
     0.002
     """
+    path = "latency"
     if not isinstance(spec, Mapping):
         value = _positive(path, spec)
         return QuantileTable(levels=(0.0, 1.0), values_s=(value, value))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.laws import SLOT_TOLERANCE
-from transport.laws.latency import Latency, LatencyTrace
+from transport.laws.latency import Latency, LatencyTrace, QuantileTable
 
 if TYPE_CHECKING:
     from transport.laws.packet import PacketLaw
@@ -53,18 +53,17 @@ class PacketChain:
 
 
 def arrival_ages(
-    latencies: Latency, duplication: float, discard_older: int | None, period_s: float, deadline_s: float
+    latencies: QuantileTable, duplication: float, discard_older: int | None, period_s: float, deadline_s: float
 ) -> NDArray[np.float64]:  # fmt: skip
     """Return Pr(a packet that the channel does not lose comes first at age i), (J + 1,); what misses to 1 never comes.
 
     Args:
-        latencies: of the packets, no trace.
+        latencies: of the packets.
         duplication: probability of a copy.
         discard_older: what the receiver discards, see `transport.laws.packet.PacketLaw`.
         period_s, deadline_s: length of a slot, and when it closes, s.
     """
-    longest = 0 if isinstance(latencies, LatencyTrace) else slots_late(latencies.values_s[-1], period_s, deadline_s)
-    bound = longest if discard_older is None else min(longest, discard_older)
+    _, bound = _reach(latencies, discard_older, period_s, deadline_s)
     due = deadline_s + (np.arange(bound + 1, dtype=np.float64) + SLOT_TOLERANCE) * period_s
     late = 1.0 - latencies.cdf(np.asarray(due, dtype=np.float64))
     missed = (1.0 - duplication) * late + duplication * late**2
@@ -84,7 +83,7 @@ def first_arrivals(
         return "its latencies are a recorded trace"
     if not law.reordering and law.duplication > 0.0:
         return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
-    longest, bound = _reach(law, latencies, period_s, deadline_s)
+    longest, bound = _reach(latencies, law.discard_older, period_s, deadline_s)
     if bound > MOST_STATES:
         return f"latencies reach {bound} slots, at most {MOST_STATES}{_bounds(law, longest)}"
     if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
@@ -92,10 +91,10 @@ def first_arrivals(
     return arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s)
 
 
-def _reach(law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float) -> tuple[int, int]:
+def _reach(latencies: QuantileTable, discard_older: int | None, period_s: float, deadline_s: float) -> tuple[int, int]:
     """Slots that the longest latency takes, and those after which no packet comes any more."""
     longest = slots_late(latencies.values_s[-1], period_s, deadline_s)
-    return longest, longest if law.discard_older is None else min(longest, law.discard_older)
+    return longest, longest if discard_older is None else min(longest, discard_older)
 
 
 def _bounds(law: PacketLaw, longest: int) -> str:
@@ -132,7 +131,7 @@ def packet_chain(
     """
     if isinstance(latencies, LatencyTrace):
         return "its latencies are a recorded trace"
-    longest, bound = _reach(law, latencies, period_s, deadline_s)
+    longest, bound = _reach(latencies, law.discard_older, period_s, deadline_s)
     modes = len(law.channel_losses())
     windows = modes ** min(bound, 20)
     states = max(bound, reach) + 2 if modes == 1 else (3 + max(0, reach - bound)) * windows

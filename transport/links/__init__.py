@@ -75,7 +75,6 @@ class Link(Protocol):
         Args:
             packet: as made by `encode_sensor` or `encode_control`.
         """
-        ...
 
     def receive(self, timeout_s: float) -> bytes | None:
         """Return the next packet, or None when none came in time; never raises.
@@ -87,11 +86,9 @@ class Link(Protocol):
             timeout_s: how long to wait, s; 0 or less only looks. However many frames are passed over, the call ends then, a
                 look within `LOOK_S`.
         """
-        ...
 
     def close(self) -> None:
         """Let go of the medium; may be called twice. Afterwards `send` drops and `receive` returns None."""
-        ...
 
     def __enter__(self) -> Self: ...
 
@@ -110,7 +107,6 @@ class Discoverable(Protocol):
         Args:
             about: plain values.
         """
-        ...
 
 
 @runtime_checkable
@@ -123,7 +119,6 @@ class OneOfARole(Protocol):
         Raises:
             TransportError: who has the role.
         """
-        ...
 
 
 class BusStatus(Struct, frozen=True):
@@ -153,11 +148,9 @@ class OnBus(Protocol):
         Raises:
             TransportError: the bus takes no time.
         """
-        ...
 
     def statuses(self) -> list[BusStatus]:
         """Return the error states that this end has reached since the last call, in order; of very many the last ones."""
-        ...
 
 
 class Closing:

@@ -86,8 +86,6 @@ class AuthenticatedLink(Closing):
         now_s: a monotonic clock, s.
     """
 
-    __slots__ = ("_code", "_last", "_link", "_now_s", "_received_s", "_receives", "_refused", "_rig", "_session", "uri")
-
     def __init__(self, link: Link, role: Role, code: Code, now_s: Callable[[], float] = monotonic) -> None:
         self.uri = link.uri
         self._link, self._rig, self._code, self._now_s = link, role == "rig", code, now_s

@@ -80,28 +80,6 @@ class CanLink(Closing):
         claims: closed with the link.
     """
 
-    __slots__ = (
-        "_claims",
-        "_closed",
-        "_counters",
-        "_fd",
-        "_frames",
-        "_join",
-        "_lengths",
-        "_ours",
-        "_pad",
-        "_parts",
-        "_received",
-        "_receives",
-        "_row",
-        "_say",
-        "_sent",
-        "_state",
-        "_statuses",
-        "_step",
-        "uri",
-    )  # fmt: skip
-
     def __init__(
         self,
         uri: str,

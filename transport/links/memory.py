@@ -33,8 +33,6 @@ QUEUE_LIMIT = 256
 class MemoryLink(Closing):
     """One end of an in-process pair; make both with `memory_pair`. Ends may live in different threads."""
 
-    __slots__ = ("_arrived", "_closed", "_queue", "_waiting", "counters", "peer", "uri")
-
     def __init__(self) -> None:
         self.uri = "memory:"
         self.counters = LinkCounters()

@@ -161,8 +161,6 @@ class Claim(Closing):
         TransportError: another process holds it, or the directory is not ours alone or cannot be had.
     """
 
-    __slots__ = ("_descriptor", "_path")
-
     def __init__(self, uri: str, role: Role, *where: object, choose: str) -> None:
         name = sha256(repr((role, *where)).encode()).hexdigest()
         self._descriptor = -1

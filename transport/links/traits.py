@@ -144,7 +144,6 @@ class SaysTraits(Protocol):
         Raises:
             TransportError: a URI of another form than the scheme's.
         """
-        ...
 
 
 def traits_of(uri: str) -> LinkTraits:

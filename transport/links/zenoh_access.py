@@ -205,8 +205,6 @@ class Claims:
         own: `own_name` of this end.
     """
 
-    __slots__ = ("_alive", "_commanders", "_own", "_said", "_session", "_since_s", "_token", "_where")
-
     def __init__(self, session: zenoh.Session, name: str, role: Role, own: str) -> None:
         import zenoh
 

@@ -74,9 +74,6 @@ class ZenohLink(Closing):
         zenoh.ZError: the endpoint cannot be had.
     """
 
-    __slots__ = ("_claims", "_closed", "_error", "_get", "_listened_to", "_name", "_publish", "_queue", "_roles", "_say_again",
-                 "_session", "_session_id", "counters", "uri")  # fmt: skip
-
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access, claims: Sequence[Closing] = ()) -> None:
         os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
         import zenoh

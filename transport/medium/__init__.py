@@ -29,7 +29,6 @@ class Medium(Protocol):
 
     def may_send(self, node: int, k: int) -> bool:
         """Return whether slot k is the node's to send in, by its own clock; asked before `offer`, slots in order."""
-        ...
 
     def offer(self, node: int, k: int, packet: object) -> None:
         """Take a packet that a node sends in slot k, before `collect(k)`; at most one per node and slot.
@@ -37,7 +36,6 @@ class Medium(Protocol):
         Raises:
             ValueError: slot k has been collected, or the node has sent already.
         """
-        ...
 
     def collect(self, k: int) -> Sequence[Delivery]:
         """Return what became of the packets of every node in slot k, one entry per node.
@@ -45,7 +43,6 @@ class Medium(Protocol):
         Raises:
             ValueError: slot k has been collected before.
         """
-        ...
 
 
 class IndependentChannels:

@@ -19,7 +19,6 @@ from transport.draws import (
     NO_MODE,
     NONE_YET,
     OVERFLOW,
-    REASONS,
     REPEATED,
     SENT,
     SUPERSEDED,
@@ -27,8 +26,6 @@ from transport.draws import (
 )
 from transport.errors import FieldError
 from transport.laws import AgeLaw, AgeProcess, GapLaw, NetworkLaw, PacketProcess, PerPacketLaw
-
-__all__ = ["REASONS", "AgeImpairment", "Draw", "GappedAgeImpairment", "Impairment", "PacketImpairment", "impair"]
 
 Arrivals = list[tuple[int, object]]
 _new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
@@ -43,7 +40,6 @@ class Impairment(Protocol):
         Raises:
             ValueError: slot k has been collected, or has a packet already: a fault of the caller.
         """
-        ...
 
     def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
         """Return the decisions of slot k, and its arrivals as (packet_slot, packet) in order of arrival.
@@ -53,7 +49,6 @@ class Impairment(Protocol):
         Raises:
             ValueError: slot k has been collected before.
         """
-        ...
 
 
 class AgeImpairment:

@@ -21,7 +21,6 @@ class Turns(Protocol):
 
     def turn(self) -> tuple[int, bool]:
         """Return the node of the next slot, and whether its packet is lost; called once a slot, from slot 0."""
-        ...
 
 
 class RoundRobin:
