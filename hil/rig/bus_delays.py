@@ -26,7 +26,8 @@ from transport.laws import RecordedLaw
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
-    from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage
+    from transport.can_analysis import PeriodicMessage
+    from transport.can_analysis.response_ranges import ResponseRanges
 
 MOST_SLOTS: Final = 1024
 """Of a cycle: the theory takes a matrix for each of its slots."""
@@ -69,7 +70,7 @@ def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, long
     from transport.can_analysis.response_ranges import response_ranges
 
     rates, timed = rates_of(bus.table), _timed(rig, bus, rows, longest)
-    if len({each.message.key() for each in timed}) < len(timed):
+    if len({each.key() for each in timed}) < len(timed):
         return f"two messages of network.media.{bus.name} have one identifier"
     found = response_ranges(timed, rates)
     if not isinstance(found, str):
@@ -95,10 +96,8 @@ def _why_unknown(rig: RigSpec, bus: SharedMedium) -> str:
     return ""
 
 
-def _timed(rig: RigSpec, bus: SharedMedium, rows: int | None, longest: bool) -> list[TimedMessage]:
+def _timed(rig: RigSpec, bus: SharedMedium, rows: int | None, longest: bool) -> list[PeriodicMessage]:
     """Return all messages with the instants at which they are due: the rig's own first."""
-    from transport.can_analysis.response_ranges import TimedMessage
-
     fd, sensor, medium = bus.table.dbitrate is not None, rig.sensors[0], bus.table
     deadline_ns = round(rig.at_controller.deadline_s * 1e9)
     offsets = [
@@ -116,7 +115,7 @@ def _timed(rig: RigSpec, bus: SharedMedium, rows: int | None, longest: bool) -> 
         known = message if bits is None else replace(message, bits=bits)
         if longest:
             known, bits = replace(known, jitter_ns=0), known.frame_length()
-        found.append(TimedMessage(message=known, offset_ns=offset, shortest=bits))
+        found.append(replace(known, offset_ns=offset, shortest=bits))
     return found
 
 
@@ -174,23 +173,23 @@ def _replaced(bus: SharedMedium, which: str) -> str:
 
 
 def _from_any_offset(
-    rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[TimedMessage], why: str
+    rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[PeriodicMessage], why: str
 ) -> BusDelays | str:  # fmt: skip
     """Return the bounds that hold whatever the offsets are: the critical instant for every packet."""
     from transport.can_analysis import response_times
 
     rates, clock = rates_of(bus.table), rig.sensors[0].clock
-    bounds = {each.message.name: each.response_ns for each in response_times([each.message for each in timed], rates)}
+    bounds = {each.message.name: each.response_ns for each in response_times(timed, rates)}
     found, worst = [], [0, 0]
     for way, end in enumerate(_last_frames(rig, bus, rows)):
         own, within, slot = timed[end], _slots(rig)[way], BitRates.units(rig.period_ns)
-        bound = bounds[own.message.name]
+        bound = bounds[own.name]
         if bound is None:
-            return f"network.media.{bus.name}: {own.message.name!r} has no bound: {why}"
-        if bus.table.buffer == "overwritten" and bound > own.message.period_ns:
+            return f"network.media.{bus.name}: {own.name!r} has no bound: {why}"
+        if bus.table.buffer == "overwritten" and bound > own.period_ns:
             return _replaced(bus, ("sensor", "control")[way])
         worst[way] = bound
-        found.append((_late(rates.duration(own.least()), within, slot), _late(BitRates.units(bound), within, slot)))
+        found.append((_late(rates.duration(own.least_length()), within, slot), _late(BitRates.units(bound), within, slot)))
     sensor = tuple(found[0] if k == clock.phase else None for k in range(clock.every))
     return BusDelays(sensor=sensor, control=tuple(found[1:]), worst_ns=(worst[0], worst[1]))
 

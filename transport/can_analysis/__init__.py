@@ -35,6 +35,8 @@ class PeriodicMessage:
         fd: CAN FD.
         bitrate_switch: with the data bit rate.
         bits: its length with intermission; by default that of the longest frame of so many bytes.
+        offset_ns: when the first instance is due, where instants are known.
+        shortest: its shortest frame, so; by default one of its length without stuff bits.
 
     Raises:
         ValueError: a value that no message has; the message begins with its field.
@@ -50,6 +52,8 @@ class PeriodicMessage:
     fd: bool = False
     bitrate_switch: bool = False
     bits: FrameLength | None = None
+    offset_ns: int = 0
+    shortest: FrameLength | None = None
 
     def __post_init__(self) -> None:
         self.key()
@@ -58,14 +62,23 @@ class PeriodicMessage:
             raise FieldError("period_ns", f"{self.period_ns}, expected more than 0")
         if self.jitter_ns < 0:
             raise FieldError("jitter_ns", f"{self.jitter_ns} is negative")
+        if self.offset_ns < 0:
+            raise FieldError("offset_ns", f"{self.offset_ns} is negative")
 
     def key(self) -> int:
         """Return its place in arbitration: the smaller one wins."""
         return arbitration_key(CanFrame(identifier=self.identifier, extended=self.extended))
 
+    def _bounds(self) -> tuple[FrameLength, FrameLength]:
+        return frame_bounds(self.length, extended=self.extended, fd=self.fd, bitrate_switch=self.bitrate_switch)
+
     def frame_length(self) -> FrameLength:
         """Return the length of its longest frame, with intermission."""
-        return self.bits or frame_bounds(self.length, extended=self.extended, fd=self.fd, bitrate_switch=self.bitrate_switch)[1]
+        return self.bits or self._bounds()[1]
+
+    def least_length(self) -> FrameLength:
+        """Return the length of its shortest frame, with intermission."""
+        return self.shortest or self._bounds()[0]
 
     @property
     def due_in_ns(self) -> int:
@@ -140,13 +153,34 @@ class ResponseTime:
         return self.response_ns is not None and self.response_ns <= self.message.due_in_ns
 
 
-class _Of:
-    """What the recurrences need of a message, in units."""
+class InUnits:
+    """What is computed with of a message, in units.
 
-    def __init__(self, message: PeriodicMessage, rates: BitRates) -> None:
-        self.message = message
-        self.length = rates.duration(message.frame_length())
-        self.period, self.jitter = rates.units(message.period_ns), rates.units(message.jitter_ns)
+    Args:
+        place: among those that were given.
+        message: what is sent.
+        rates: of the bus.
+    """
+
+    def __init__(self, place: int, message: PeriodicMessage, rates: BitRates) -> None:
+        self.place, self.message, self.key = place, message, message.key()
+        self.least, self.length = rates.duration(message.least_length()), rates.duration(message.frame_length())
+        times = message.offset_ns, message.period_ns, message.jitter_ns
+        self.offset, self.period, self.jitter = map(rates.units, times)
+
+
+def in_order(messages: Sequence[PeriodicMessage], rates: BitRates) -> list[InUnits]:
+    """Return messages in order of priority.
+
+    Raises:
+        ValueError: two messages have one identifier.
+    """
+    order = sorted((InUnits(place, each, rates) for place, each in enumerate(messages)), key=lambda each: each.key)
+    for first, second in pairwise(order):
+        if first.key == second.key:
+            both = f"{first.message.name!r} and {second.message.name!r}"
+            raise FieldError("identifier", f"{both} have {first.message.identifier:#x}, expected one each")
+    return order
 
 
 def response_times(
@@ -182,11 +216,7 @@ def response_times(
     >>> [found.intermission_ns / 1e6 for found in response_times(abc, BitRates(125_000))]
     [2.0, 3.0, 3.5]
     """
-    order = sorted(messages, key=PeriodicMessage.key)
-    for first, second in pairwise(order):
-        if first.key() == second.key():
-            raise FieldError("identifier", f"{first.name!r} and {second.name!r} have {first.identifier:#x}, expected one each")
-    known = [_Of(message, rates) for message in order]
+    known = in_order(messages, rates)
     found, load = [], Fraction(0)
     for place, own in enumerate(known):
         higher = known[:place]
@@ -209,7 +239,7 @@ def response_times(
 
 
 def _slowest(
-    own: _Of, higher: Sequence[_Of], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None
+    own: InUnits, higher: Sequence[InUnits], blocking: int, load: Fraction, rates: BitRates, errors: ErrorBursts | None
 ) -> tuple[int, int] | None:  # fmt: skip
     """Return the largest response time in units and its instance; None without a bound."""
     of_bus = [*higher, own]

@@ -22,10 +22,9 @@ from dataclasses import dataclass, field
 from math import lcm
 from typing import Final
 
-from transport.can_analysis import PeriodicMessage
-from transport.can_bus_model import BitRates, FrameLength
-from transport.can_bus_model.bits import INTERMISSION, frame_bounds
-from transport.errors import FieldError
+from transport.can_analysis import InUnits, PeriodicMessage, in_order
+from transport.can_bus_model import BitRates
+from transport.can_bus_model.bits import INTERMISSION
 
 MOST_FRAMES: Final = 40_000
 """Frames that are followed, over all hyperperiods."""
@@ -35,33 +34,6 @@ MOST_ORDERS: Final = 500
 Interval = tuple[int, int]
 States = dict[tuple[int, ...], list[Interval]]
 """Instances of every message that are through, to the intervals in which the bus becomes idle."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TimedMessage:
-    """A message whose instants are known.
-
-    Args:
-        message: what is sent; its length is the longest.
-        offset_ns: when the first instance is due.
-        shortest: its shortest frame; by default one of its length without stuff bits.
-
-    Raises:
-        FieldError: a negative offset.
-    """
-
-    message: PeriodicMessage
-    offset_ns: int = 0
-    shortest: FrameLength | None = None
-
-    def __post_init__(self) -> None:
-        if self.offset_ns < 0:
-            raise FieldError("offset_ns", f"{self.offset_ns} is negative")
-
-    def least(self) -> FrameLength:
-        """Return the length of its shortest frame."""
-        own = self.message
-        return self.shortest or frame_bounds(own.length, extended=own.extended, fd=own.fd, bitrate_switch=own.bitrate_switch)[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -92,37 +64,24 @@ class ResponseRanges:
         return self.ranges[message, at]
 
 
-class _Timed:
-    """What is needed of a message, in units."""
-
-    def __init__(self, place: int, timed: TimedMessage, rates: BitRates) -> None:
-        own = timed.message
-        self.place, self.key = place, own.key()
-        self.offset, self.period, self.jitter = (rates.units(ns) for ns in (timed.offset_ns, own.period_ns, own.jitter_ns))
-        self.gap = INTERMISSION * rates.bit
-        self.least, self.most = rates.duration(timed.least()), rates.duration(own.frame_length())
-
-
-def response_ranges(messages: Sequence[TimedMessage], rates: BitRates) -> ResponseRanges | str:
+def response_ranges(messages: Sequence[PeriodicMessage], rates: BitRates) -> ResponseRanges | str:
     """Return how long every instance of every message takes; or in words why that is not known.
 
     Args:
-        messages: all that is sent on the bus; each node queues by priority, and nothing is disturbed.
+        messages: all that is sent on the bus, with offsets; each node queues by priority, and nothing is disturbed.
         rates: of the bus.
 
     Raises:
         ValueError: two messages have one identifier.
     """
-    order = sorted((_Timed(i, each, rates) for i, each in enumerate(messages)), key=lambda each: each.key)
-    if len({each.key for each in order}) < len(order):
-        raise FieldError("identifier", "two messages have one identifier, expected one each")
-    cycle = lcm(*(each.period for each in order))
+    order = in_order(messages, rates)
+    cycle, gap = lcm(*(each.period for each in order)), INTERMISSION * rates.bit
     count = tuple(cycle // each.period for each in order)
     frames = sum(count)
     if 2 * frames > MOST_FRAMES:
         said = f"the messages come again after {rates.ns(cycle) / 1e9:g} s and {frames} frames"
         return f"{said}, at most {MOST_FRAMES // 2} are followed"
-    if sum(each.most * n for each, n in zip(order, count)) > cycle:
+    if sum(each.length * n for each, n in zip(order, count)) > cycle:
         return "the messages may need more than the whole bus"
     found: dict[tuple[int, int], Interval] = {}
     states, before, last = _idle({(0,) * len(order): [(0, 0)]}, order), None, ()
@@ -132,13 +91,13 @@ def response_ranges(messages: Sequence[TimedMessage], rates: BitRates) -> Respon
             return _closed(found, order, count, rates.ns(cycle), last)
         before, last = begun, tuple(min(own) for own in zip(*states))
         for _ in range(frames):
-            states = _idle(_next(states, order, found), order)
+            states = _idle(_next(states, order, found, gap), order)
             if sum(map(len, states.values())) > MOST_ORDERS:
                 return f"frames may come in more than {MOST_ORDERS} orders"
     return f"after {passed} times {rates.ns(cycle) / 1e9:g} s the bus is still not where it was before"
 
 
-def _next(states: States, order: Sequence[_Timed], found: dict[tuple[int, int], Interval]) -> States:
+def _next(states: States, order: Sequence[InUnits], found: dict[tuple[int, int], Interval], gap: int) -> States:
     """Return what may be after one frame more, and note how long it took."""
     after: States = {}
     for through, idles in states.items():
@@ -150,8 +109,8 @@ def _next(states: States, order: Sequence[_Timed], found: dict[tuple[int, int], 
             for i, own in enumerate(order):
                 first = max(earliest, due[i])
                 if first <= last:
-                    end = first + own.least, last + own.most
-                    job, cut = (own.place, through[i]), due[i] + own.gap
+                    end = first + own.least, last + own.length
+                    job, cut = (own.place, through[i]), due[i] + gap
                     low, high = found.get(job, (end[0] - cut, end[1] - cut))
                     found[job] = min(low, end[0] - cut), max(high, end[1] - cut)
                     after.setdefault((*through[:i], through[i] + 1, *through[i + 1 :]), []).append(end)
@@ -172,7 +131,7 @@ def _merged(idles: list[Interval]) -> list[Interval]:
     return kept
 
 
-def _idle(states: States, order: Sequence[_Timed]) -> States:
+def _idle(states: States, order: Sequence[InUnits]) -> States:
     """Return the states with the time left out in which nothing is queued: it changes nothing."""
     found = {}
     for through, idles in states.items():
@@ -196,7 +155,7 @@ def _within(now: States, before: States) -> bool:
 
 
 def _closed(
-    found: Mapping[tuple[int, int], Interval], order: Sequence[_Timed], count: Sequence[int], cycle_ns: int, last: Sequence[int]
+    found: Mapping[tuple[int, int], Interval], order: Sequence[InUnits], count: Sequence[int], cycle_ns: int, last: Sequence[int]
 ) -> ResponseRanges:
     """Return the ranges; from the last hyperperiod on an instance stands for all that come again in its place."""
     ranges = dict(found)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from transport.errors import FieldError
-from transport.laws import SLOT_TOLERANCE
+from transport.laws.packet import delays
 
 Array = NDArray[np.float64]
 Ages = NDArray[np.int64]
@@ -85,9 +85,7 @@ def delays_in_slots(record: PacketRecord, period_s: float, deadline_s: float) ->
         record: packets.
         period_s, deadline_s: length T of a slot, and when it closes, s.
     """
-    with np.errstate(invalid="ignore"):
-        slots = np.maximum(0.0, np.ceil((record.latency_s - deadline_s) / period_s - SLOT_TOLERANCE))
-    return np.where(record.came, np.nan_to_num(slots), -1.0).astype(np.int64)
+    return np.where(record.came, delays(np.where(record.came, record.latency_s, 0.0), period_s, deadline_s), -1)
 
 
 def ages_of(record: PacketRecord, period_s: float, deadline_s: float) -> Ages:

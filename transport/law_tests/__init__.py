@@ -15,8 +15,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from transport.draws import COPIED, LOST, OVERFLOW, SENT
-from transport.laws import SLOT_TOLERANCE, ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
+from transport.draws import COPIED, LOST, OVERFLOW, SENT, SLOT_TOLERANCE
+from transport.laws import ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
 from transport.laws.sojourn import hazards
 
 EXPECTED = 5.0

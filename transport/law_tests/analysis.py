@@ -10,8 +10,8 @@ from typing import Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.draws import DELIVERED, NO_MODE, OVERFLOW
-from transport.laws import SLOT_TOLERANCE, ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
+from transport.draws import DELIVERED, NO_MODE, OVERFLOW, SLOT_TOLERANCE
+from transport.laws import ChainLaw, ChannelLaw, NetworkLaw, RecordedLaw, prepare, slots_served
 from transport.laws.delay_states import delay_states, long_run, measured_ages
 from transport.laws.latency import LatencyTrace, QuantileTable, latency
 from transport.laws.packet_chain import arrival_ages, slots_late

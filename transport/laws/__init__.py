@@ -12,15 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from os import PathLike
-from typing import Any, ClassVar, Final, Literal, Protocol, Self, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import Draw
-
-SLOT_TOLERANCE: Final = 1e-9
-"""Share of a slot by which a packet may come behind a deadline and be taken as in time: rounding, not lateness."""
 
 
 class AgeProcess(Protocol):

@@ -14,15 +14,14 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from transport.draws import ChainDraws, cumulative
 from transport.errors import FieldError
-from transport.laws.draws import ChainDraws
 from transport.laws.stochastic_matrix import (
     Ages,
     Row,
     chain_ages,
     checked_matrix,
     checked_row,
-    cumulative,
     mean_holding,
     several_of_many,
     stationary_row,

@@ -13,9 +13,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from transport.draws import LATEST, SLOT_TOLERANCE, PacketDraws, cumulative
 from transport.errors import FieldError
-from transport.laws import SLOT_TOLERANCE
-from transport.laws.draws import LATEST, PacketDraws
 from transport.laws.latency import Latency, LatencySpec, LatencyTrace, described, latency
 from transport.laws.packet_chain import PacketChain, first_arrivals, packet_chain
 from transport.laws.stochastic_matrix import chain_ages, several_of_many, stationary_row
@@ -140,7 +139,12 @@ class PacketLaw:
             raise FieldError("period_s", f"got {period_s:g}, expected a positive number of seconds")
         if not 0.0 <= deadline_s < math.inf:
             raise FieldError("deadline_s", f"got {deadline_s:g}, expected a number of seconds >= 0")
-        return PacketDraws(self, rng, period_s, deadline_s)
+        latencies, rows = latency(self.latency), [cumulative(row) for row in self.transition_matrix().tolist()]
+        return PacketDraws(
+            latencies.in_order(), latencies.sampler(), self.channel_losses(), cumulative(self.stationary().tolist()), rows,
+            duplication=self.duplication, latest=LATEST if self.discard_older is None else self.discard_older,
+            period_s=period_s, deadline_s=deadline_s, rng=rng,
+        )  # fmt: skip
 
     def newest_of_batch(
         self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
@@ -211,7 +215,7 @@ Slots = NDArray[np.int32]
 
 
 def delays(latency_s: Seconds, period_s: float, deadline_s: float) -> NDArray[np.int64]:
-    """Return the delays in slots of finite latencies, the same shape; see `transport.laws.draws.PacketDraws`."""
+    """Return the delays in slots of finite latencies, the same shape; see `transport.draws.PacketDraws`."""
     slots = np.ceil((latency_s - deadline_s) / period_s - SLOT_TOLERANCE)
     return np.clip(slots, 0, LATEST).astype(np.int64)
 

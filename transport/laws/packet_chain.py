@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from transport.laws import SLOT_TOLERANCE
+from transport.draws import SLOT_TOLERANCE
 from transport.laws.latency import Latency, LatencyTrace, QuantileTable
 
 if TYPE_CHECKING:

@@ -10,11 +10,12 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from transport.draws import cumulative, uniforms
 from transport.errors import FieldError
 from transport.laws import BoundedTail, SemiMarkovLaw, SettlingHazard, Sojourn
 from transport.laws.age import AgePath, ChainAge
 from transport.laws.sojourn import Geometric, SojournLaw, hazards
-from transport.laws.stochastic_matrix import cumulative, stationary_row, uniforms
+from transport.laws.stochastic_matrix import stationary_row
 
 RESOLUTION = 1e-12
 """Hazards closer than this are the same one: the ratios of survival probabilities are not known any better."""

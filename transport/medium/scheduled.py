@@ -9,9 +9,8 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from transport.draws import LOST, NO_MODE, REPLACED, SUPERSEDED, Draw
+from transport.draws import LOST, NO_MODE, REPLACED, SUPERSEDED, Draw, cumulative
 from transport.errors import FieldError
-from transport.laws.stochastic_matrix import cumulative
 from transport.medium import Delivery
 from transport.medium.independent import Impairment
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.transport.can_analysis.sae import SAE
 from transport.can_analysis import PeriodicMessage, response_times
-from transport.can_analysis.response_ranges import ResponseRanges, TimedMessage, response_ranges
+from transport.can_analysis.response_ranges import ResponseRanges, response_ranges
 from transport.can_bus_model import BitRates, CanFrame, FrameLength, Periodic, Traffic
 from transport.can_bus_model.bits import frame_bounds, frame_length
 from transport.can_bus_model.bus import CanBus, CanNode
@@ -20,16 +20,15 @@ MS = 1_000_000
 RATES = BitRates(125_000)
 
 
-def measured(messages: list[TimedMessage], seconds: float, seed: int) -> dict[tuple[int, int], int]:
+def measured(messages: list[PeriodicMessage], seconds: float, seed: int) -> dict[tuple[int, int], int]:
     """Response in units of every instance that got through, by (message, instance)."""
     bus = CanBus(RATES, [CanNode() for _ in (*messages, "a listener")])
     sources = []
-    for i, each in enumerate(messages):
-        own = each.message
+    for i, own in enumerate(messages):
         frame = CanFrame(identifier=own.identifier, data=bytes(own.length))
         sources.append(
             Periodic(
-                node=i, frame=frame, period_ns=own.period_ns, offset_ns=each.offset_ns, jitter_ns=own.jitter_ns,
+                node=i, frame=frame, period_ns=own.period_ns, offset_ns=own.offset_ns, jitter_ns=own.jitter_ns,
                 random=own.length > 0,
             ).frames(np.random.default_rng([seed, i]))
         )
@@ -38,26 +37,25 @@ def measured(messages: list[TimedMessage], seconds: float, seed: int) -> dict[tu
         at = BitRates.units(due.at_ns)
         ended += bus.advance(at)
         bus.queue(due.node, Waiting(due.frame, at))
-    place = {each.message.identifier: i for i, each in enumerate(messages)}
+    place = {each.identifier: i for i, each in enumerate(messages)}
     count, found = [0] * len(messages), {}
     for each in ended:
         i = place[each.waiting.frame.identifier]
-        due_ns = messages[i].offset_ns + count[i] * messages[i].message.period_ns
+        due_ns = messages[i].offset_ns + count[i] * messages[i].period_ns
         found[i, count[i]] = each.end - BitRates.units(due_ns)
         count[i] += 1
     return found
 
 
-def random_set(rng: np.random.Generator) -> list[TimedMessage]:
+def random_set(rng: np.random.Generator) -> list[PeriodicMessage]:
     count = int(rng.integers(3, 9))
     found = []
     for i in range(count):
         period = int(rng.choice([5, 10, 20, 40])) * MS
-        message = PeriodicMessage(
+        found.append(PeriodicMessage(
             name=f"m{i}", identifier=0x100 + i, length=int(rng.integers(0, 9)), period_ns=period,
-            jitter_ns=int(rng.integers(0, 2)) * int(rng.integers(0, 2 * MS)),
-        )  # fmt: skip
-        found.append(TimedMessage(message=message, offset_ns=int(rng.integers(0, 50)) * MS // 2))
+            jitter_ns=int(rng.integers(0, 2)) * int(rng.integers(0, 2 * MS)), offset_ns=int(rng.integers(0, 50)) * MS // 2,
+        ))  # fmt: skip
     return found
 
 
@@ -70,11 +68,11 @@ def test_every_simulated_frame_lies_between_the_bounds_of_its_instance(seed: int
         return
     for (i, instance), response in measured(messages, 0.4, seed).items():
         low, high = found.of(i, instance)
-        assert low <= response <= high, (messages[i].message.name, instance)
+        assert low <= response <= high, (messages[i].name, instance)
 
 
 def test_bounds_with_known_offsets_are_never_above_those_of_any_offsets() -> None:
-    found = response_ranges([TimedMessage(message=each) for each in SAE], RATES)
+    found = response_ranges(SAE, RATES)
     assert isinstance(found, ResponseRanges)
     assert found.hyperperiod_ns == 1000 * MS
     assert sum(found.count) == 1484 - 40  # of the 17 messages alone: no packets of a rig
@@ -88,10 +86,7 @@ def test_bounds_with_known_offsets_are_never_above_those_of_any_offsets() -> Non
 def test_frames_of_one_length_leave_nothing_open() -> None:
     """Two messages, due together: the first takes 100 bits less intermission, the second waits for all of the first."""
     bits = FrameLength(100)
-    both = [
-        TimedMessage(message=PeriodicMessage(name=n, identifier=i, period_ns=10 * MS, bits=bits), shortest=bits)
-        for i, n in enumerate("AB")
-    ]
+    both = [PeriodicMessage(name=n, identifier=i, period_ns=10 * MS, bits=bits, shortest=bits) for i, n in enumerate("AB")]
     found = response_ranges(both, RATES)
     assert isinstance(found, ResponseRanges)
     assert [found.of(0, 7), found.of(1, 3)] == [(97 * RATES.bit,) * 2, (197 * RATES.bit,) * 2]
@@ -99,12 +94,12 @@ def test_frames_of_one_length_leave_nothing_open() -> None:
 
 def test_who_is_queued_in_the_instant_of_arbitration_takes_part() -> None:
     bits = FrameLength(100)
-    low = TimedMessage(message=PeriodicMessage(name="low", identifier=2, period_ns=10 * MS, bits=bits), shortest=bits)
-    first = TimedMessage(message=PeriodicMessage(name="first", identifier=1, period_ns=10 * MS, bits=bits), shortest=bits)
+    low = PeriodicMessage(name="low", identifier=2, period_ns=10 * MS, bits=bits, shortest=bits)
+    first = PeriodicMessage(name="first", identifier=1, period_ns=10 * MS, bits=bits, shortest=bits)
     end_ns = RATES.ns(100 * RATES.bit)
     for after_ns, waits in ((0, 100), (1, 0)):
-        high = PeriodicMessage(name="high", identifier=0, period_ns=10 * MS, bits=bits)
-        found = response_ranges([first, low, TimedMessage(message=high, offset_ns=end_ns + after_ns, shortest=bits)], RATES)
+        high = replace(first, name="high", identifier=0, offset_ns=end_ns + after_ns)
+        found = response_ranges([first, low, high], RATES)
         assert isinstance(found, ResponseRanges)
         assert found.of(1, 0) == ((197 + waits) * RATES.bit,) * 2
 
@@ -112,14 +107,10 @@ def test_who_is_queued_in_the_instant_of_arbitration_takes_part() -> None:
 def test_a_shorter_frame_may_delay_another_and_the_bounds_know() -> None:
     """The low one starts before the high one is queued if the frame before it is short, and blocks it then."""
     short, long = FrameLength(60), FrameLength(90)
-    first = PeriodicMessage(name="first", identifier=0, period_ns=20 * MS, bits=long)
-    low = PeriodicMessage(name="low", identifier=2, period_ns=20 * MS, bits=FrameLength(130))
-    high = PeriodicMessage(name="high", identifier=1, period_ns=20 * MS, bits=long)
-    at_ns = RATES.ns(80 * RATES.bit)
-    set_of = [
-        TimedMessage(message=first, shortest=short), TimedMessage(message=low, shortest=FrameLength(130)),
-        TimedMessage(message=high, offset_ns=at_ns, shortest=long),
-    ]  # fmt: skip
+    first = PeriodicMessage(name="first", identifier=0, period_ns=20 * MS, bits=long, shortest=short)
+    low = replace(first, name="low", identifier=2, bits=FrameLength(130), shortest=FrameLength(130))
+    high = replace(first, name="high", identifier=1, shortest=long, offset_ns=RATES.ns(80 * RATES.bit))
+    set_of = [first, low, high]
     found = response_ranges(set_of, RATES)
     assert isinstance(found, ResponseRanges)
     low_first, high_first = (79 + 130 - 80 + 90 - 3) * RATES.bit, (90 - 80 + 90 - 3) * RATES.bit
@@ -147,12 +138,12 @@ def test_the_shortest_and_the_longest_frame_hold_every_frame_between_them() -> N
 def test_what_cannot_be_followed_is_said() -> None:
     def of(*periods_ns: int) -> ResponseRanges | str:
         sent = [PeriodicMessage(name=str(i), identifier=i, period_ns=period) for i, period in enumerate(periods_ns)]
-        return response_ranges([TimedMessage(message=each) for each in sent], RATES)
+        return response_ranges(sent, RATES)
 
     said = of(10_000_019, 9_999_991)
     assert isinstance(said, str) and said.endswith("and 20000010 frames, at most 20000 are followed")
     assert of(MS, MS) == "the messages may need more than the whole bus"
     with pytest.raises(FieldError, match="identifier"):
-        response_ranges([TimedMessage(message=SAE[0]), TimedMessage(message=SAE[0])], RATES)
+        response_ranges([SAE[0], SAE[0]], RATES)
     with pytest.raises(FieldError, match="offset_ns"):
-        TimedMessage(message=SAE[0], offset_ns=-1)
+        replace(SAE[0], offset_ns=-1)

@@ -17,12 +17,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from transport.draws import cumulative
 from transport.laws import load_files, slots_served
 from transport.laws.age import ConstantAge, IidAge, MarkovAge
 from transport.laws.delay_states import long_run
 from transport.laws.semi_markov import SemiMarkovAge, augmented_chain, mean_sojourn, remaining_sampler
 from transport.laws.sojourn import DiscreteWeibull, Geometric, SojournLaw, Table, Uniform, hazards
-from transport.laws.stochastic_matrix import closed_classes, cumulative, stationary_row
+from transport.laws.stochastic_matrix import closed_classes, stationary_row
 from transport.laws.trace import TraceAge
 
 LAMBDA = ((0.6, 0.4, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
