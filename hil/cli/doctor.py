@@ -202,7 +202,7 @@ def _certificates_of(link: str) -> Certificates | None:
 def _certificates(shown: Certificates) -> tuple[bool, str, str]:
     """Say until when the certificates of a link are valid, or what is wrong with those that are here."""
     from transport.links import TransportError
-    from transport.links.certificates import check_certificate
+    from transport.links.authentication import check_certificate
 
     found = list[str]()
     for role, name in shown.names.items():

@@ -13,7 +13,7 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.files import File, new_files, read_regular, written_whole
 from transport.links import TransportError
-from transport.links.certificates import FILE, cryptography_needed, revoked_names
+from transport.links.authentication import REVOKED, cryptography_needed, revoked_names
 from transport.links.private_directory import MOST_BYTES, read_secret
 
 with cryptography_needed():
@@ -183,7 +183,7 @@ def issue_certificate(folder: Path, name: str, hosts: Sequence[str] = (), days: 
         raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.', and none of {', '.join(_TAKEN)}")
     root, certificate = authority_key(folder, "certificates are issued")
     if name in _revoked(folder):
-        raise HilError(f"{folder / FILE}: the name {name} is revoked; choose another one")
+        raise HilError(f"{folder / REVOKED}: the name {name} is revoked; choose another one")
     begin = datetime.now(UTC) - BEFORE
     files = end_files(folder, name, root, certificate.subject, hosts, begin, begin + timedelta(days=days))
     try:
@@ -211,10 +211,10 @@ def revoke_names(folder: Path, names: Sequence[str]) -> Path:
     if not os.path.isfile(folder / "ca.pem"):
         raise HilError(f"{folder / 'ca.pem'}: no such file; the list stands beside the certificate of the authority")
     every = sorted(_revoked(folder) | set(names))
-    with written_whole(folder / FILE, replace=True) as part:
+    with written_whole(folder / REVOKED, replace=True) as part:
         part.write_text("".join(f"{name}\n" for name in every))
         part.chmod(0o644)
-    return folder / FILE
+    return folder / REVOKED
 
 
 def _revoked(folder: Path) -> frozenset[str]:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Final
 
 from hil.errors import HilError
 from hil.files import new_files, read_regular, written_whole
-from transport.links.certificates import cryptography_needed
+from transport.links.authentication import cryptography_needed
 from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ ATTACKS: Final[Mapping[str, tuple[str, ...]]] = {
     "floods of the link": ("tests/hostile/test_flood.py", "tests/hil/runtime/real/test_exchange.py"),
     "takeover by answers": ("tests/hostile/test_who_commands.py",),
     "takeover by questions": ("tests/hostile/test_forged_questions.py", "tests/hil/runtime/nodes/test_controller_node.py"),
-    "forged and repeated tags (`auth=`)": ("tests/links/test_authenticated_link.py",),
+    "forged and repeated tags (`auth=`)": ("tests/links/test_authentication.py",),
     "names, passwords, certificates (zenoh)": (
         "tests/links/test_zenoh_access.py", "tests/links/test_zenoh_claims.py", "tests/links/test_revoked_names.py",
     ),

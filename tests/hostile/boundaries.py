@@ -47,7 +47,7 @@ from tests.plants.fmu.test_fmu import CART, LINEAR, REAL, VERSION_2
 from transport import ControlPacket, SensorPacket, dbc_path, decode, encode_control, encode_sensor
 from transport.laws.trace import read_ages
 from transport.links import TransportError, key_file
-from transport.links.authenticated_link import read_key
+from transport.links.authentication import read_key
 from transport.links.traits import traits_of
 from transport.links.zenoh_access import Access
 from transport.links.zenoh_observers import _json_object

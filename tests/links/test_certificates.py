@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.files.keys import make_keys, renew_certificates
 from tests.ports import free_port
 from transport import TransportError, open_link
-from transport.links.certificates import check_certificate
+from transport.links.authentication import check_certificate
 
 
 @pytest.fixture

@@ -76,9 +76,14 @@ def fit_ages(ages: Ages) -> list[AgeFit]:
     return [stays, plain] if stays.score < plain.score - STRONG else [plain, stays]
 
 
-def _gaps(rows: Array, kinds: Ages) -> bool:
+def _spec(kind: str, rows: Array, kinds: Ages, **more: Any) -> dict[str, Any]:
+    """The law as an experiment writes it. Sums of rows are 1 to the last bit that counts: the largest entry takes the rest."""
+    found = rows.copy()
+    for row in found:
+        row[int(row.argmax())] += 1.0 - row.sum()
     i, j = np.nonzero(rows)
-    return bool((kinds[j] > kinds[i] + 1).any())
+    gaps = {"allow_gaps": True} if (kinds[j] > kinds[i] + 1).any() else {}
+    return {"kind": kind, "matrix": found.tolist(), "ages": kinds.tolist(), **more, **gaps}
 
 
 def _markov(inner: NDArray[np.int64], counts: NDArray[np.int64], kinds: Ages) -> AgeFit:
@@ -91,12 +96,9 @@ def _markov(inner: NDArray[np.int64], counts: NDArray[np.int64], kinds: Ages) ->
     intervals = {
         f"matrix[{i}][{j}]": wilson(float(counts[i, j]), float(totals[i])) for i in range(len(kinds)) for j in range(len(kinds))
     }
-    spec = {"kind": "markov", "matrix": _summing(rows), "ages": kinds.tolist()} | (
-        {"allow_gaps": True} if _gaps(rows, kinds) else {}
-    )
     return AgeFit(
-        kind="markov", spec=spec, log_likelihood=float((counts * logarithms).sum()), counts=counts, ages=kinds,
-        parameters=int((counts > 0).sum() - len(kinds)), slots=len(now), low=reached[now, then] - rows[now, then],
+        kind="markov", spec=_spec("markov", rows, kinds), log_likelihood=float((counts * logarithms).sum()), counts=counts,
+        ages=kinds, parameters=int((counts > 0).sum() - len(kinds)), slots=len(now), low=reached[now, then] - rows[now, then],
         high=np.minimum(reached[now, then], 1.0), intervals=intervals,
     )  # fmt: skip
 
@@ -132,20 +134,11 @@ def _semi_markov(inner: NDArray[np.int64], starts: NDArray[np.int64], counts: ND
     chance[np.arange(len(now)), now] = 1.0 - leave
     reached = np.cumsum(chance, axis=1)
     at = np.arange(len(now)), then
-    spec = {"kind": "semi-markov", "matrix": _summing(rows), "ages": kinds.tolist(), "sojourn": sojourns}
     return AgeFit(
-        kind="semi-markov", spec=spec | ({"allow_gaps": True} if _gaps(rows, kinds) else {}), log_likelihood=likelihood,
+        kind="semi-markov", spec=_spec("semi-markov", rows, kinds, sojourn=sojourns), log_likelihood=likelihood,
         parameters=parameters, slots=len(now), low=reached[at] - chance[at], high=np.minimum(reached[at], 1.0),
         intervals=intervals, counts=counts, ages=kinds,
     )  # fmt: skip
-
-
-def _summing(rows: Array) -> list[list[float]]:
-    """Rows whose sums are 1 to the last bit that counts: the largest entry takes the rest."""
-    found = rows.copy()
-    for row in found:
-        row[int(row.argmax())] += 1.0 - row.sum()
-    return [[float(v) for v in row] for row in found]
 
 
 def _sojourn(stays: NDArray[np.int64]) -> tuple[dict[str, Any], Array, float, int]:

@@ -189,7 +189,7 @@ class PacketAges(Protocol):
 
 
 @runtime_checkable
-class PacketDelays(Protocol):
+class PacketDelays(MarkovModes, Protocol):
     """A packet law that says how late each packet comes, for whoever does not send in every slot."""
 
     @property
@@ -201,9 +201,6 @@ class PacketDelays(Protocol):
 
     def channel_losses(self) -> Sequence[float]:
         """Return the probability that a packet is lost, in every mode of the channel."""
-
-    def transition_matrix(self) -> NDArray[np.float64]:
-        """Return Pr(mode in the next slot | mode), (modes, modes)."""
 
     def stationary(self) -> NDArray[np.float64]:
         """Return the law of the mode in slot 0, (modes,)."""

@@ -269,7 +269,9 @@ class Table(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_f
 
     def sampler(self) -> Callable[[float], int]:
         """Return the inverse of the distribution function, by bisection."""
-        return _bisector(self)
+        reached = (1.0 - self.survival(np.arange(1, self.support + 1))).tolist()
+        reached[-1] = 1.0
+        return lambda u: bisect_right(reached, u) + 1
 
 
 SojournLaw = Geometric | DiscreteWeibull | Uniform | Table
@@ -285,12 +287,6 @@ def _root(value: float, power: float) -> float:
 def _refuse_longest(field: str, slots: int) -> None:
     if slots > LONGEST:
         raise FieldError(field, f"sojourns beyond {LONGEST} slots are likelier than {TAIL:g}, expected shorter ones")
-
-
-def _bisector(law: Sojourn) -> Callable[[float], int]:
-    reached = (1.0 - law.survival(np.arange(1, law.support + 1))).tolist()
-    reached[-1] = 1.0
-    return lambda u: bisect_right(reached, u) + 1
 
 
 def hazards(law: Sojourn, longest: int | None = None) -> NDArray[np.float64]:

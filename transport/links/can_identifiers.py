@@ -32,6 +32,7 @@ BASE: Final = 0x100
 FRAGMENTS: Final = 64
 CLASSIC_OFFSET: Final = 0x80
 CONTROL_OFFSET: Final = 0x40
+BASES: Final = range(0, 0x800, 0x100)
 LARGEST: Final = 0x7FF
 """The largest identifier of 11 bits."""
 
@@ -191,6 +192,6 @@ def base_of(uri: str, options: Mapping[str, str]) -> int:
         base = int(options.get("base", str(BASE)), 0)
     except ValueError:
         base = -1
-    if base not in range(0, 0x800, 0x100):
+    if base not in BASES:
         raise TransportError(f"link {uri!r}: base: expected a multiple of 0x100 from 0 to 0x700, as in base=0x200")
     return base

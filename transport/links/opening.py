@@ -12,7 +12,7 @@ from urllib.parse import urlencode
 from transport.errors import nearest
 from transport.installed import Point, points
 from transport.links import FORMS, Link, Role, TransportError, key_file, split_uri
-from transport.links.can_identifiers import BASE
+from transport.links.can_identifiers import BASES, base_of
 
 
 def _for_the_plugin(uri: str) -> str:
@@ -113,16 +113,13 @@ def check_is_link(made: object) -> None:
 
 def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:
     """Return what puts the codes of a key around a link; who has no key pays nothing for it."""
-    from transport.links.authenticated_link import AuthenticatedLink, cmac, read_key
+    from transport.links.authentication import AuthenticatedLink, cmac, read_key
 
     try:
         code = cmac(read_key(key))
     except TransportError as error:
         raise TransportError(f"link {uri!r}: {error}") from error
     return lambda link: AuthenticatedLink(link, role, code)
-
-
-_BASES: Final = range(0, 0x800, 0x100)
 
 
 def worker_channel(uri: str, number: int) -> str:
@@ -148,14 +145,9 @@ def worker_channel(uri: str, number: int) -> str:
     if scheme == "can" and address.startswith("hil:"):
         address += f"-{number}"
     elif scheme == "can":
-        try:
-            first = int(options.get("base", str(BASE)), 0)
-        except ValueError:
-            return uri  # opening it says what is wrong
-        base = (first + 0x100 * number) % 0x800
-        if number >= len(_BASES):
-            raise TransportError(f"link {uri!r}: one bus has identifiers for {len(_BASES)} workers; start fewer")
-        options["base"] = f"{base:#x}"
+        if number >= len(BASES):
+            raise TransportError(f"link {uri!r}: one bus has identifiers for {len(BASES)} workers; start fewer")
+        options["base"] = f"{(base_of(uri, options) + 0x100 * number) % 0x800:#x}"
     elif scheme == "zenoh" and address.startswith(("tcp/", "tls/", "udp/", "ws/")):
         host, _, port = address.rpartition(":")
         if port.isdecimal():

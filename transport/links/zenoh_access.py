@@ -21,7 +21,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
 
 from transport.links import Role, TransportError
-from transport.links.certificates import check_certificate, refuse_revoked, revoked_names
+from transport.links.authentication import check_certificate, refuse_revoked, revoked_names
 from transport.links.private_directory import read_secret
 
 if TYPE_CHECKING:
@@ -73,8 +73,7 @@ class Access:
         if self.users:
             lines = read_secret(self.users, "the file of passwords").decode(errors="replace").split("\n")
             known = dict(line.strip().split(":", 1) for line in lines if ":" in line)
-            own = "controller" if self.role == "rig" else self.role
-            login = self.peer if self.role == "rig" else own
+            login = self.peer if self.role == "rig" else "controller"
             if login not in known:
                 raise TransportError(f"{self.users}: no line {login}:PASSWORD")
             if self.role == "rig":

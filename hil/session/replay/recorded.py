@@ -24,7 +24,7 @@ from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
 from hil.runtime.nodes.wire import Wire, before
 from hil.session.replay.compare import BATCH, in_time
-from transport.links.authenticated_link import cmac, read_key
+from transport.links.authentication import cmac, read_key
 from transport.packets import SensorPacket, decode
 from transport.wire import tag_of
 

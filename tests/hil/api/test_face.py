@@ -53,7 +53,7 @@ UNUSED = {
     "scipy", "rich", "can", "zenoh", "control", "cvxpy", "pandas", "numpy.ma", "mcap.writer", "cryptography", "loky", "pydantic",
     "plants.vtol", "plants.omni", "plants.fmu", "plants.state_space", "plants.semi_markov", "design.controllers.smith",
     "design.controllers.historical", "design.controllers.wall", "design.controllers.virtual_wall", "hil.log.read.run",
-    "hil.api.face", "transport.laws.packet", "transport.links.authenticated_link", "design.tracking.synthesis",
+    "hil.api.face", "transport.laws.packet", "transport.links.authentication", "design.tracking.synthesis",
 }  # fmt: skip
 
 

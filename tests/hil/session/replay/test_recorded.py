@@ -25,7 +25,7 @@ from hil.session.replay.over_link import ask_process
 from hil.session.replay.recorded import RecordedAnswers, Tags, changes_of, recorded_wire, verify_tags
 from hil.session.replay.replay import experiment_of, verify, what_if
 from transport.links import TransportError
-from transport.links.authenticated_link import cmac
+from transport.links.authentication import cmac
 from transport.packets import EMPTY, ControlPacket, SensorPacket, encode_control, encode_sensor
 from transport.wire import with_tag
 

@@ -22,7 +22,7 @@ from transport import (
     memory_pair,
     open_link,
 )
-from transport.links.authenticated_link import HELLO, SILENCE_S, AuthenticatedLink, cmac, read_key
+from transport.links.authentication import HELLO, SILENCE_S, AuthenticatedLink, cmac, read_key
 from transport.packets import EMPTY, packet_size
 from transport.wire import tag_of, with_tag
 
