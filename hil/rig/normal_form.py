@@ -13,7 +13,7 @@ from hil.plugins.user_plugins import user_failure
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of, can_faults
 from hil.rig.receiver import Receiver
 from hil.rig.schedules import beyond_the_end, fault_schedule, fault_schedule_faults
-from hil.rig.sensors import node_faults, ordered_names, sensor_nodes, sensors_of, shared_media
+from hil.rig.sensors import node_faults, sensor_nodes, sensors_of, shared_media
 from hil.rig.spec import Port, RigSpec, port_of
 from transport.links.traits import CanFraming, traits_of
 
@@ -67,7 +67,7 @@ def _rig_of(e: Experiment) -> RigSpec:
     faults, nodes = [] if absent else _size_faults(e) + _port_faults(e, port), node_faults(e)
     if nodes:
         raise ExperimentError(e.name, faults + nodes + fault_schedule_faults(e))
-    names, period_s = ordered_names(e), float(e.period)
+    names, period_s = sorted(network.nodes, key=lambda name: network.nodes[name].id or 0), float(e.period)
     traits = traits_of(links.secured(e.folder))
     framing = traits.can or CanFraming()
     sensors, media = sensors_of(e, names, framing), shared_media(e, names)

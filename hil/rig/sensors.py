@@ -23,12 +23,6 @@ from transport.medium.scheduled import Arbitration
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 
-def ordered_names(e: Experiment) -> list[str]:
-    """Return the names of the nodes by their number."""
-    names = list(e.network.nodes)
-    return sorted(names, key=lambda name: names.index(name) if e.network.nodes[name].id is None else e.network.nodes[name].id)  # type: ignore[arg-type,return-value]
-
-
 def first_identifiers(given: Sequence[int | None], framing: CanFraming) -> list[int]:
     """Return the CAN identifier of each node's first frame, by number.
 
@@ -132,8 +126,8 @@ def node_faults(e: Experiment) -> list[str]:
     taken: dict[int, str] = {}
     if len(nodes) > MOST_NODES:
         faults.append(f"network.nodes: {len(nodes)} of them, at most {MOST_NODES}")
-    for position, (name, node) in enumerate(nodes.items()):
-        own, number = f"network.nodes.{name}", position if node.id is None else node.id
+    for name, node in nodes.items():
+        own, number = f"network.nodes.{name}", node.id or 0
         if not 0 <= number < len(nodes):
             faults.append(f"{own}.id: {number}, expected 0 to {len(nodes) - 1}, a number for each node")
         elif number in taken:

@@ -33,17 +33,13 @@ class Exchange(Protocol):
         ...
 
 
-def nothing_more() -> None:
-    """Close a slot of which no record is kept."""
-
-
 class Slot:
     """One slot of a rig: sense, ask, record, receive, actuate, commit.
 
     Args:
         rig: the emulated hardware and network.
         exchange: the way to the controller and back.
-        commit: called once the slot is complete: its records may leave.
+        commit: called once the slot is complete: its records may leave; by default none is kept.
         stopped: whether the run was ended from outside; a slot that is cut off is not completed.
     """
 
@@ -51,7 +47,7 @@ class Slot:
         self,
         rig: Rig,
         exchange: Exchange,
-        commit: Callable[[], None] = nothing_more,
+        commit: Callable[[], None] = lambda: None,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
         self._rig, self._exchange, self._commit, self._stopped = rig, exchange, commit, stopped

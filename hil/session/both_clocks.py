@@ -106,16 +106,16 @@ def run_in_real_time(
         raise HilError("no free file descriptor to start rig and controller; raise the limit: ulimit -n 64") from error
     sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
-    if real.controller_failed is not None:
-        sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller_failed, severity="error")
+    if real.controller.failed is not None:
+        sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller.failed, severity="error")
     elif real.controller_lost:
         out["controller_lost"] = real.controller_lost
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
-    counts: dict[str, Any] = dict(real.controller_counts)
+    counts: dict[str, Any] = dict(real.controller.counts)
     if counts:
         sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
-    if real.controller_departed is not None:
-        k, by = real.controller_departed
+    if real.controller.departed is not None:
+        k, by = real.controller.departed
         message = f"certificate withdrawn: the controller left its table at slot {k} by {by}"
         sink.event(real.pump.last_ns, WITHDRAWN, message, slot=k, severity="error")
     unwanted = counts.get("refused", 0) + counts.get("contradicted", 0)

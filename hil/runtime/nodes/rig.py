@@ -21,7 +21,7 @@ from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.journal import Journal
 from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
 from hil.runtime.nodes.network import FaultInjector, clock_of, impaired, sensor_medium_of
-from hil.runtime.nodes.plant_watch import Arrived, PlantWatch
+from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
 from hil.runtime.nodes.wire import VIRTUAL, Wire
@@ -72,7 +72,7 @@ class Rig:
         self._seed = seed
         inputs, names = len(e.plant.inputs), [s.name for s in e.plant.states]
         self._period_ns, self._woken = e.period_ns, woken
-        self._plant = e.plant.start(rng_for(seed, "plant"))
+        self._plant, self._moved = e.plant.start(rng_for(seed, "plant")), False  # whether it is in the next slot already
         self._samples = [sensor.buffer for sensor in loop.rig.sensors]
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultInjector(loop, seed, changing)
@@ -144,7 +144,10 @@ class Rig:
         if self._bus is not None:
             self._bus.plan(e)
         if plant and isinstance(e.plant, GoesOn):
-            self._plant = self._changed_plant(e.plant)
+            if self.k >= 0 and not self._moved:  # until the next slot the plant before moves
+                self._plant.advance(self._period_ns, self.actuator.u, self._w)
+                self._moved = True
+            self._plant = e.plant.go_on(self._plant)
             self._past_watch = self._past_watch or self._watch
             self._watch = None
         if network is not None and self._network is not None:
@@ -163,23 +166,12 @@ class Rig:
         self._past_laws += [law for _, law in own]
         self._laws = [law for law in self._laws if law not in own]  # one that takes over does not begin as its chain does
 
-    def _changed_plant(self, plant: GoesOn) -> PlantRun:
-        """Return the plant that takes over at the next slot: until then the one before moves."""
-        run = self._plant
-        if isinstance(run, Arrived):  # the second change of a slot
-            return Arrived(plant.go_on(run.after), self._arrive)
-        if self.k < 0:
-            return plant.go_on(run)
-        run.advance(self._period_ns, self.actuator.u, self._w)
-        return Arrived(plant.go_on(run), self._arrive)
-
-    def _arrive(self, run: PlantRun) -> None:
-        self._plant = run
-
     def sense(self, t_ns: int) -> list[bytes]:
         """Advance the plant to t_k, measure, and return the frames of what the medium lets arrive in this slot."""
         k = self.k = t_ns // self._period_ns
-        if k:
+        if self._moved:
+            self._moved = False
+        elif k:
             self._plant.advance(self._period_ns, self.actuator.u, self._w)
         y = self._y = self._plant.measure()
         self._r = self._reference.at(k)

@@ -8,23 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from operator import itemgetter
-from typing import Protocol
 
 from hil.experiment.nodes import TriggerTable
 from transport.medium import SampleClock
 
-
-class Trigger(Protocol):
-    """Decides whether a sensor node sends."""
-
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """Return whether the node sends in slot k; called in order, in every slot in which its clock and its medium let it.
-
-        Args:
-            k: slot.
-            y: what the node has just measured, in the outputs' units.
-        """
-        ...
+Trigger = Callable[[Sequence[float]], bool]
+"""Whether a node sends what it has just measured; asked in order, in every slot in which its clock and its medium let it."""
 
 
 class SensorNode:
@@ -43,7 +32,7 @@ class SensorNode:
         self, outputs: Sequence[int], buffer: int, trigger: Trigger | None = None, clock: SampleClock | None = None
     ) -> None:  # fmt: skip
         self._own, self._samples = _picker(tuple(outputs)), buffer
-        self._sends = None if trigger is None else trigger.sends
+        self._sends = trigger
         self._due = None if clock is None else clock.due
         self._buffer: tuple[float, ...] = ()
 
@@ -58,7 +47,7 @@ class SensorNode:
         own = self._own(y)
         self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
         due = self._due is None or self._due(k)
-        return self._buffer if due and turn and (self._sends is None or self._sends(k, own)) else None
+        return self._buffer if due and turn and (self._sends is None or self._sends(own)) else None
 
 
 def _picker(outputs: tuple[int, ...]) -> Callable[[tuple[float, ...]], tuple[float, ...]]:
@@ -68,71 +57,47 @@ def _picker(outputs: tuple[int, ...]) -> Callable[[tuple[float, ...]], tuple[flo
     return itemgetter(*outputs)
 
 
-class Magnitude:
-    """The node sends while some |y| is above the threshold: at rest it is silent.
+def above(threshold: float) -> Trigger:
+    """Return the trigger of a node that sends while some |y| is above the threshold: at rest it is silent.
 
     Args:
         threshold: in the outputs' unit.
 
     Reference: thesis Section 8.2.2, [217].
     """
-
-    def __init__(self, threshold: float) -> None:
-        self._threshold = threshold
-
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """See `Trigger.sends`."""
-        return any(abs(v) > self._threshold for v in y)
+    return lambda y: any(abs(v) > threshold for v in y)
 
 
-class Error:
-    """The node sends when some y differs from its measurement of the slot before by more than the threshold.
-
-    Args:
-        threshold: in the outputs' unit.
-
-    Reference: thesis Section 8.2.2, [218], Figure 8.2: the error between adjacent measurements.
-    """
-
-    def __init__(self, threshold: float) -> None:
-        self._threshold = threshold
-        self._before: tuple[float, ...] = ()
-
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """See `Trigger.sends`."""
-        before, self._before = self._before, tuple(y)
-        return not before or any(abs(a - b) > self._threshold for a, b in zip(y, before))
-
-
-class DeadBand:
-    """The node sends when some y differs from what it last offered to send by more than a threshold and a share of |y| together.
+class Band:
+    """The node sends when some y differs from an earlier one by more than a threshold and a share of |y| together.
 
     Args:
         threshold: half the width of the band, in the outputs' unit.
         share: of |y|, below 1: the relative trigger, with a threshold of 0.
+        around_sent: the band is around what the node last offered to send; else around what it measured when it was last asked.
 
-    Reference: thesis Section 8.2.2, [219]; P. Tabuada, Event-triggered real-time scheduling of stabilizing control tasks, IEEE
-    TAC 52(9), 2007.
+    Reference: thesis Section 8.2.2, [218], Figure 8.2: the error between adjacent measurements; [219]; P. Tabuada,
+    Event-triggered real-time scheduling of stabilizing control tasks, IEEE TAC 52(9), 2007.
     """
 
-    def __init__(self, threshold: float, share: float = 0.0) -> None:
-        self._threshold, self._share = threshold, share
-        self._sent: tuple[float, ...] = ()
+    def __init__(self, threshold: float, share: float = 0.0, *, around_sent: bool = True) -> None:
+        self._threshold, self._share, self._around_sent = threshold, share, around_sent
+        self._around: tuple[float, ...] = ()
 
-    def sends(self, k: int, y: Sequence[float]) -> bool:
-        """See `Trigger.sends`."""
-        band, share = self._threshold, self._share
-        if self._sent and all(abs(a - b) <= band + share * abs(a) for a, b in zip(y, self._sent)):
-            return False
-        self._sent = tuple(y)
-        return True
+    def sends(self, y: Sequence[float]) -> bool:
+        """Return whether y is beyond the band; see `Trigger`."""
+        band, share, around = self._threshold, self._share, self._around
+        within = bool(around) and all(abs(a - b) <= band + share * abs(a) for a, b in zip(y, around))
+        if not (within and self._around_sent):
+            self._around = tuple(y)
+        return not within
 
 
 def trigger_of(table: TriggerTable) -> Trigger | None:
     """Return the trigger that an experiment asks for; None: the node sends in every slot."""
     threshold = table.threshold
     made: dict[str, Trigger] = {
-        "magnitude": Magnitude(threshold), "error": Error(threshold), "dead-band": DeadBand(threshold),
-        "relative": DeadBand(0.0, share=threshold),
+        "magnitude": above(threshold), "error": Band(threshold, around_sent=False).sends, "dead-band": Band(threshold).sends,
+        "relative": Band(0.0, share=threshold).sends,
     }  # fmt: skip
     return made.get(table.kind)

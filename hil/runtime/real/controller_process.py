@@ -5,7 +5,6 @@ A `hil.runtime.real.child.Child` runs it.
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -14,7 +13,8 @@ from contextlib import suppress
 from functools import partial
 from types import FrameType
 
-from msgspec import Struct, structs
+from msgspec import Struct, field, structs
+from msgspec.json import encode
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
@@ -41,6 +41,20 @@ class Job(Struct, frozen=True, kw_only=True):
     changes_fd: int = -1  # where another reference, and its own restart, comes from
 
 
+class Ended(Struct, frozen=True, kw_only=True):
+    """What a controller says at its end.
+
+    Args:
+        counts: what it and its link counted.
+        departed: the slot in which its answers left its table, and by how much.
+        failed: what a control law of the user's own raised.
+    """
+
+    counts: dict[str, int] = field(default_factory=dict)
+    departed: tuple[int, str] | None = None
+    failed: str | None = None
+
+
 class Stopped(Exception):
     """Raised by the handler of SIGTERM: unwinds to the end of the process."""
 
@@ -57,16 +71,14 @@ def stop_on_sigterm() -> None:
 
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
-    at_end: Callable[[dict[str, int], tuple[int, str] | None, str | None], object] = lambda counts, departed, failed: None,
-    changes_fd: int = -1,
+    at_end: Callable[[Ended], object] = lambda ended: None, changes_fd: int = -1,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
-        at_end: given what the controller and its link counted, in which slot its answers left its table, by how much, and what
-            a control law of the user's own raised.
+        at_end: told how it went.
         changes_fd: where changes come from, which have their slot in the loop itself.
         before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
 
@@ -100,13 +112,14 @@ def serve(
             failed = said[1]
         finally:
             counters, counts = structs.asdict(link.counters), structs.asdict(node.counts)
-            at_end({name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}, node.departed, failed)
+            both = {name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}
+            at_end(Ended(counts=both, departed=node.departed, failed=failed and failed[:2000]))
 
 
-def _write(fd: int, counts: dict[str, int], departed: tuple[int, str] | None, failed: str | None) -> None:
+def _write(fd: int, ended: Ended) -> None:
     if fd >= 0:
         with suppress(OSError):
-            os.write(fd, json.dumps({"counts": counts, "departed": departed, "failed": failed and failed[:2000]}).encode())
+            os.write(fd, encode(ended))
 
 
 def main(job: Job) -> None:

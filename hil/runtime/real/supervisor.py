@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import pickle
 import sys
@@ -14,6 +13,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
+
+from msgspec import DecodeError
+from msgspec.json import decode
 
 from hil.errors import HilError
 from hil.experiment.rig_tables import RESTART
@@ -27,6 +29,7 @@ from hil.runtime.changes import Ahead, Changes, Dump, Lines
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
+from hil.runtime.real.controller_process import Ended
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
 from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
 from transport.links.private_directory import bus_directory, clear_dead_channels
@@ -121,9 +124,7 @@ class RealOutcome:
     rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
-    controller_failed: str | None = None  # what it says that it raised, where that was the control law
-    controller_departed: tuple[int, str] | None = None  # the slot in which its answers left its table, and by how much
-    controller_counts: dict[str, int] = field(default_factory=dict)  # what it and its link counted, once it has ended in order
+    controller: Ended = field(default_factory=Ended)  # what it says itself, once it has ended in order
 
 
 def run_real(
@@ -230,7 +231,7 @@ def run_real(
             end_all(children)
             lines.close()
             os.close(counted_fd)
-            outcome.controller_counts, outcome.controller_departed, outcome.controller_failed = _counts(counts_fd)
+            outcome.controller = _said(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -242,7 +243,7 @@ def run_real(
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == NO_CONTROLLER:
             raise HilError(f"no controller answered on {link.uri} within {job.hello_timeout_s:g} s")
-        why = outcome.rig_silent or outcome.controller_failed or outcome.controller_lost or children[0].how()
+        why = outcome.rig_silent or outcome.controller.failed or outcome.controller_lost or children[0].how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome
 
@@ -270,13 +271,10 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
 
 
-def _counts(fd: int) -> tuple[dict[str, int], tuple[int, str] | None, str | None]:
-    """Return what a controller has written at its end: what it counted, where its answers left its table, and what it raised."""
+def _said(fd: int) -> Ended:
+    """Return what a controller has written at its end."""
     with open(fd, "rb") as file:
         try:
-            said = json.loads(file.read())
-        except ValueError:  # killed, or stopped and then killed
-            return {}, None, None
-    departed = said["departed"]
-    counts = {str(name): int(number) for name, number in said["counts"].items()}
-    return counts, None if departed is None else (int(departed[0]), str(departed[1])), said["failed"]
+            return decode(file.read(), type=Ended)
+        except DecodeError:  # killed, or stopped and then killed
+            return Ended()

@@ -20,6 +20,7 @@ from hil.compose.loop import compose
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
+from hil.experiment.nodes import TriggerTable
 from hil.measure.cost import Cost
 from hil.measure.network_paths import loads
 from hil.measure.summary import summarise
@@ -28,7 +29,7 @@ from hil.rig.loop import Loop
 from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.sensor_node import DeadBand, Error, Magnitude
+from hil.runtime.nodes.sensor_node import trigger_of
 from hil.runtime.virtual import simulate
 from plants.delayed_states import START_5_4
 from tests.hil.runtime.nodes.many_runs import StateMoments, state_moments, states_of_many
@@ -331,16 +332,17 @@ def test_a_missing_sample_is_held_and_one_before_slot_0_is_zero() -> None:
     assert running.rows(0, Known((Sample(0, 0, (9.0,)),), ())) == ((0.0,),)
 
 
-def test_triggers_of_section_8_2_2() -> None:
-    y = [(0.0,), (0.3,), (0.5,), (0.6,), (-2.0,), (-1.9,)]
-
-    def sent(trigger: Any) -> list[int]:
-        return [k for k, each in enumerate(y) if trigger.sends(k, each)]
-
-    assert sent(Magnitude(0.4)) == [2, 3, 4, 5]
-    assert sent(Error(0.25)) == [0, 1, 4]
-    assert sent(DeadBand(0.4)) == [0, 2, 4]
-    assert sent(DeadBand(0.0, share=0.5)) == [0, 1, 4] and sent(DeadBand(0.0, share=0.3)) == [0, 1, 2, 4]
+@pytest.mark.parametrize(
+    ("kind", "threshold", "slots"),
+    [
+        ("magnitude", 0.4, [2, 3, 4, 5]), ("error", 0.25, [0, 1, 4]), ("dead-band", 0.4, [0, 2, 4]), ("relative", 0.5, [0, 1, 4]),
+        ("relative", 0.3, [0, 1, 2, 4]),
+    ],
+)  # fmt: skip
+def test_triggers_of_section_8_2_2(kind: Any, threshold: float, slots: list[int]) -> None:
+    sends = trigger_of(TriggerTable(kind=kind, threshold=threshold))
+    assert sends is not None and trigger_of(TriggerTable()) is None
+    assert [k for k, y in enumerate(((0.0,), (0.3,), (0.5,), (0.6,), (-2.0,), (-1.9,))) if sends(y)] == slots
 
 
 def test_the_controller_counts_frames_of_another_rig() -> None:
