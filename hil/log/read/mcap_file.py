@@ -1,6 +1,8 @@
 """An MCAP file that is open for reading: what it is, how long it is, and what it holds, without a copy of each message.
 
-It serves the reading of a run and the recovery of one.
+It serves the reading of a run and the recovery of one. The records of a topic are gathered as columns, chunk by chunk: what is
+kept is numbers, not a Python object for each record. Those of a long log grow in files without a name (`hil.log.append_column`),
+so that memory does not grow with the log.
 """
 
 from __future__ import annotations
@@ -12,14 +14,29 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
+import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from hil.errors import HilError
 from hil.files import refuse_irregular
-from hil.log.read.mcap_walk import MAGIC, Budget, Record, framed, parse, parse_attachment, unpack_chunk
+from hil.log.append_column import ROWS, AppendColumn, pieces, release
+from hil.log.read.mcap_walk import (
+    MAGIC,
+    MESSAGE_PAYLOAD_AT,
+    MESSAGE_TIME_AT,
+    Budget,
+    Record,
+    framed,
+    parse,
+    parse_attachment,
+    unpack_chunk,
+)
+from hil.log.records import TIME_FIELD
+from hil.log.records import Schema as Layout
+from hil.log.run import StructuredArray, assemble, run_dtype
 
 
 @contextmanager
@@ -115,3 +132,92 @@ class Content:
                 self.take(Record(record.offset, opcode, memoryview(content)[at + 9 : after]))
         for channel, found in messages.items():
             self.messages[channel] += found
+
+
+TOGETHER: Final = 4096
+"""Messages that are turned into numbers together."""
+
+
+class Columns:
+    """One topic's records, in the order of the log.
+
+    Args:
+        topic: its name, for messages.
+        schema: of its records.
+        folder: where those of a long log are kept.
+        start_ns: log time of session time 0, ns.
+    """
+
+    def __init__(self, topic: str, schema: Layout, folder: str | os.PathLike[str] | None = None, start_ns: int = 0) -> None:
+        self._topic, self.schema = topic, schema
+        self._start_ns = start_ns
+        self._messages: list[bytes] = []
+        self._dtype = run_dtype(schema)
+        self._raw = schema.fields[-1].name if schema.raw else None
+        self._numbers = AppendColumn([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
+        self._lengths, self._bytes = AppendColumn(np.int64, folder), AppendColumn(np.uint8, folder)
+
+    def add(self, messages: list[bytes]) -> None:
+        """Take messages, framing included.
+
+        Raises:
+            HilError: if one is not as the schema says.
+        """
+        self._messages += messages
+        if len(self._messages) >= TOGETHER:
+            self.finish()
+
+    def finish(self) -> None:
+        """Turn what was taken into numbers.
+
+        Raises:
+            HilError: if a message is not as the schema says.
+        """
+        if not self._messages:
+            return
+        try:
+            found = assemble(self.schema, self._messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT)
+        except HilError as error:
+            raise HilError(f"topic {self._topic}: {error}") from error
+        self._messages = []
+        found[TIME_FIELD] -= self._start_ns
+        if self._raw is None:
+            self._numbers.extend(found)
+            return
+        data = found[self._raw].tolist()
+        self._numbers.extend(found[[*(self._numbers.dtype.names or ())]].astype(self._numbers.dtype))
+        self._lengths.extend(np.array([len(each) for each in data], np.int64))
+        self._bytes.extend(np.frombuffer(b"".join(data), np.uint8))
+
+    def numbers(self) -> StructuredArray:
+        """Return all records without what is raw."""
+        return self._numbers.array()
+
+    def pieces(self, rows: int = ROWS) -> Iterator[StructuredArray]:
+        """Give the records piece by piece, raw frames as bytes objects."""
+        numbers = self.numbers()
+        if self._raw is None:
+            yield from pieces(numbers, rows)
+            return
+        lengths, data, at = self._lengths.array(), self._bytes.array(), 0
+        for start in range(0, len(numbers), rows):
+            part, sizes = numbers[start : start + rows], lengths[start : start + rows]
+            out = np.empty(len(part), self._dtype)
+            for name in part.dtype.names or ():
+                out[name] = part[name]
+            ends = at + np.cumsum(sizes)
+            content = data[at : int(ends[-1])].tobytes()
+            frames = out[self._raw]
+            for i, (end, size) in enumerate(zip((ends - at).tolist(), sizes.tolist())):
+                frames[i] = content[end - size : end]
+            at = int(ends[-1])
+            yield out
+            for column in (numbers, lengths, data):
+                release(column)
+
+    def array(self) -> StructuredArray:
+        """Return all records as one array."""
+        if self._raw is None:
+            return self.numbers()
+        parts = [*self.pieces()]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0, self._dtype)

@@ -17,8 +17,7 @@ from mcap.records import Channel
 
 from hil.errors import HilError
 from hil.log.events import decode_events
-from hil.log.read.columns import Columns
-from hil.log.read.mcap_file import Content, open_mcap, start_said
+from hil.log.read.mcap_file import Columns, Content, open_mcap, start_said
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.run import Arrays
@@ -122,9 +121,7 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
         raise HilError(f"read_run: path: {path!r:.40}; expected the path of a log, text or a path")
     path = Path(path)
     with open_mcap(path, descriptor) as (file, size):
-        reading = _Reading(Content(budget=Budget(size)), path.parent)
-        checksums = Checksums()
-        closed = False
+        reading, checksums, closed = _Reading(Content(budget=Budget(size)), path.parent), Checksums(), False
         try:
             for record in walk(file, size):
                 try:
@@ -171,33 +168,54 @@ class _Reading:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
                 self._events += decode_events(payloads, len(self._events))
                 continue
-            columns = self._columns_of(number, channel)
-            try:
-                columns.add(messages)
-            except HilError as error:
-                raise HilError(f"topic {channel.topic}: {error}") from error
+            self._columns_of(number, channel).add(messages)
 
     def _columns_of(self, number: int, channel: Channel) -> Columns:
         if number not in self._columns:
-            self._columns[number] = Columns(_schema(self.content, channel), self._folder, start_of(self.content))
+            schema = _schema(self.content, channel)
+            self._columns[number] = Columns(channel.topic, schema, self._folder, start_of(self.content))
         return self._columns[number]
 
     def run(self) -> Run:
         """Return what was read."""
-        found: dict[str, Columns] = {}
-        content = self.content
-        _check_head(content)
+        content, columns = self.content, dict[str, Columns]()
+        head = content.metadata.get("hilrig")
+        if head is None:
+            raise HilError("is an MCAP file, but not a log of hilrig: it has no metadata record 'hilrig'")
+        if head.get("format") != FORMAT:
+            raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT}")
         for number, channel in content.channels.items():
             if channel.topic == EVENTS_TOPIC:
                 continue
-            if channel.topic in found:
+            if channel.topic in columns:
                 raise HilError(f"topic {channel.topic}: occurs twice in the file")
-            columns = found[channel.topic] = self._columns_of(number, channel)
-            try:
-                columns.finish()
-            except HilError as error:
-                raise HilError(f"topic {channel.topic}: {error}") from error
-        return _run(content, found, self._events)
+            columns[channel.topic] = self._columns_of(number, channel)
+            columns[channel.topic].finish()
+        schemas = {topic: each.schema for topic, each in columns.items()}
+        if not columns:
+            raise HilError("holds no records: the session ended before the first of them was written")
+        resolved = _attached_json(content, "resolved.json")
+        summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
+        if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
+            summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
+        check_topics(schemas)
+        check_events(self._events)
+        check_words(head, resolved, summary)
+        text = content.attachments.get("experiment.toml")
+        return Run(
+            arrays=Arrays(columns),
+            schemas=schemas,
+            events=self._events,
+            metadata=head,
+            versions=content.metadata.get("versions", {}),
+            session=content.metadata.get("session", {}),
+            codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
+            experiment_text=text.data.decode(errors="replace") if text is not None else "",
+            resolved=resolved,
+            certificate=_attached_json(content, "certificate.json"),
+            summary=summary,
+            start_ns=start_of(content),
+        )
 
 
 def start_of(content: Content) -> int:
@@ -222,42 +240,6 @@ def _schema(content: Content, channel: Channel) -> Schema:
         return Schema.from_text(found.name, found.data.decode())
     except ValueError as error:
         raise HilError(f"topic {channel.topic}: unknown schema: {error}") from error
-
-
-def _check_head(content: Content) -> None:
-    head = content.metadata.get("hilrig")
-    if head is None:
-        raise HilError("is an MCAP file, but not a log of hilrig: it has no metadata record 'hilrig'")
-    if head.get("format") != FORMAT:
-        raise HilError(f"log format {head.get('format')!r} is unknown, this version reads {FORMAT}")
-
-
-def _run(content: Content, columns: dict[str, Columns], events: list[dict[str, Any]]) -> Run:
-    schemas = {topic: each.schema for topic, each in columns.items()}
-    if not columns:
-        raise HilError("holds no records: the session ended before the first of them was written")
-    resolved = _attached_json(content, "resolved.json")
-    summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
-    if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
-        summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
-    check_topics(schemas)
-    check_events(events)
-    check_words(content.metadata["hilrig"], resolved, summary)
-    text = content.attachments.get("experiment.toml")
-    return Run(
-        arrays=Arrays(columns),
-        schemas=schemas,
-        events=events,
-        metadata=content.metadata["hilrig"],
-        versions=content.metadata.get("versions", {}),
-        session=content.metadata.get("session", {}),
-        codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
-        experiment_text=text.data.decode(errors="replace") if text is not None else "",
-        resolved=resolved,
-        certificate=_attached_json(content, "certificate.json"),
-        summary=summary,
-        start_ns=start_of(content),
-    )
 
 
 def _attached_json(content: Content, name: str) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from hil.log import append_column
 from hil.log.append_column import IN_MEMORY, ROWS, AppendColumn, pieces, release, whole
-from hil.log.read.columns import Columns
+from hil.log.read.mcap_file import Columns
 from hil.log.read.run import read_run
 from hil.log.records import Field, Schema
 from hil.log.write import mcap_sink, mcap_writer
@@ -195,7 +195,7 @@ RAW = Schema(name="hil/msg/Demo", fields=(Field(type="int64", name="number"), Fi
 
 @pytest.mark.parametrize("count", [0, 1, ROWS, ROWS + 1])
 def test_all_records_stand_in_one_array_however_many_pieces_they_fill(count: int) -> None:
-    columns = Columns(RAW, start_ns=5)
+    columns = Columns("/raw", RAW, start_ns=5)
     columns.add([bytes(15) + pack("<q", n) + bytes(8) + RAW.pack(n, b"ab"[: n % 3]) for n in range(count)])
     columns.finish()
     found = columns.array()

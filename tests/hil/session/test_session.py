@@ -275,18 +275,6 @@ def test_a_live_view_sees_a_run_in_virtual_time_and_leaves_the_log_as_it_is(tmp_
     assert one.summary["log"]["sha256"] == two.summary["log"]["sha256"]
 
 
-def test_a_log_that_is_not_whole_is_said_in_the_status(tmp_path: Path) -> None:
-    """The system lets no file of the process grow beyond 100 kB: the run goes on, the log stops, the status is 1."""
-    code = (
-        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
-        "from hil.cli import main; main(['run', 'dc-motor-hinf', '--json', '-o', 'x.mcap'])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 1, done.stderr
-    assert "File too large" in json.loads(done.stdout)["problems"]["log_error"]
-
-
 def test_the_first_disturbance_ends_the_window_of_the_step(tmp_path: Path) -> None:
     """Kicks at 6 s and at 9 s: neither may count as overshoot of the step at 1 s, as the first ends its window."""
     kick = "{at=%g, value=[30.0], samples=4}"

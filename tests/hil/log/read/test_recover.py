@@ -38,12 +38,6 @@ def offsets(data: bytes, opcode: int) -> list[int]:
     return [r.offset for r in walk(BytesIO(data), len(data)) if r.opcode == opcode]
 
 
-def unsealed(data: bytes) -> bytes:
-    """The log without the checksums of its data and of its summary, as other writers leave it."""
-    (at,) = offsets(data, Opcode.DATA_END)
-    return data[: at + 9] + bytes(4) + data[at + 13 : -12] + bytes(4) + data[-8:]
-
-
 def written(path: Path, data: bytes) -> Path:
     path.write_bytes(data)
     return path
@@ -198,22 +192,6 @@ def test_a_file_that_cannot_be_opened_is_named(tmp_path: Path) -> None:
                        (tmp_path / "pipe", "is no regular file")):  # fmt: skip
         with pytest.raises(HilError, match=f"{path}: {says}"):
             read_run(path)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        (b"\x06\x00\x00\x00hilrig", b"\x06\x00\x00\x00hilrix", "not a log of hilrig"),
-        (b"format\x01\x00\x00\x003", b"format\x01\x00\x00\x009", r"log format '9' is unknown, this version reads 3"),
-    ],
-)
-def test_logs_of_others_and_of_other_versions_are_named(
-    log: bytes, tmp_path: Path, old: bytes, new: bytes, message: str
-) -> None:
-    data = unsealed(log).replace(old, new)
-    assert data != unsealed(log)
-    with pytest.raises(HilError, match=message):
-        read_run(written(tmp_path / "a.mcap", data))
 
 
 def test_recovery_never_overwrites(log: bytes, tmp_path: Path) -> None:

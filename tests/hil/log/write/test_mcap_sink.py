@@ -1,9 +1,10 @@
-"""The MCAP file: readable by others, the same for the same records, and no danger to the session."""
+"""The MCAP file: readable by others, the same for the same records, where it comes from, and no danger to the session."""
 
 from __future__ import annotations
 
 import os
 import stat
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,15 +13,17 @@ import pytest
 import zstandard
 from mcap.reader import make_reader
 
+import hil
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
+from hil.log.write import pipe_sink
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Compressor
-from hil.log.write.provenance import commit, loop_form
+from hil.log.write.provenance import Provenance, commit, loop_form
 from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
 from tests.bench.plain_log import PlainSink
@@ -256,3 +259,43 @@ def test_a_frame_is_what_one_context_makes_of_it() -> None:
     ours, plain = Compressor(ROOM), zstandard.ZstdCompressor()
     for length in (0, 1, 700, 1024, 1025, ROOM, 12, 5 * ROOM):
         assert ours.compress(data(length)) == plain.compress(data(length))
+
+
+def git(folder: Path, *words: str) -> str:
+    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
+    done = subprocess.run(["git", "-C", str(folder), *identity, *words], capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+def test_a_checkout_is_named_by_its_commit_and_by_what_differs_from_it(tmp_path: Path) -> None:
+    assert commit(tmp_path) == "", "no checkout"
+    git(tmp_path, "init", "-q")
+    (tmp_path / "a").write_text("1")
+    git(tmp_path, "add", "a")
+    git(tmp_path, "commit", "-qm", "one")
+    commit.cache_clear()
+    clean = commit(tmp_path)
+    assert len(clean) == 12 and git(tmp_path, "rev-parse", "HEAD").startswith(clean)
+    (tmp_path / "a").write_text("2")
+    commit.cache_clear()
+    assert commit(tmp_path) == f"{clean}-dirty"
+    commit.cache_clear()
+
+
+def test_without_a_commit_there_is_no_key() -> None:
+    about = Provenance(experiment="x", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:", commit="")
+    assert "commit" not in about.metadata()["hilrig"]
+
+
+def test_a_run_logs_its_commit_and_stays_the_same_file() -> None:
+    first, second = (hil.run("dc-motor-hinf", duration=1) for _ in range(2))
+    assert first.run.metadata.get("commit", "") == commit()
+    assert first.summary["log"]["sha256"] == second.summary["log"]["sha256"]
+
+
+@pytest.mark.parametrize(("file", "form"), [("pipe_sink.py", "interpreted"), ("pipe_sink.cpython-311.so", "compiled")])
+def test_a_log_says_whether_its_loop_was_compiled(file: str, form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert hil.run("dc-motor-hinf", duration=0.1).run.metadata["loop"] == loop_form()
+    monkeypatch.setattr(pipe_sink, "__file__", f"/somewhere/{file}")
+    about = Provenance(experiment="x", experiment_text="", resolved={}, seed=0, clock="virtual", link="memory:")
+    assert loop_form() == about.metadata()["hilrig"]["loop"] == form
