@@ -57,9 +57,11 @@ def faults() -> FaultDetection:
     return chapter4_process(failure_restarts_detection_clock=False)
 
 
-def simulate(gain: ScheduledGain, runs: int = RUNS, noise_s: float = NOISE_S) -> NoisyRuns:
-    """Return runs of 3 s from the printed initial state, with the same faults and noise for every gain."""
-    return fault_runs(chapter4_system(), gain, faults(), start=CHAPTER4_START, runs=runs, duration_s=3.0, noise_s=noise_s, seed=4)
+def simulate(gain: ScheduledGain, runs: int | None = None, noise_s: float = NOISE_S) -> NoisyRuns:
+    """Return runs of 3 s (`RUNS` by default) from the printed initial state, with the same faults and noise for every gain."""
+    return fault_runs(
+        chapter4_system(), gain, faults(), start=CHAPTER4_START, runs=runs or RUNS, duration_s=3.0, noise_s=noise_s, seed=4
+    )
 
 
 def lifetimes() -> Plot:
@@ -96,22 +98,8 @@ def detection_fault(process: FaultDetection) -> Plot:
     return Plot(title="Figure 4.3", panels=(panel,))
 
 
-def single_runs(ensembles: dict[str, NoisyRuns]) -> Plot:
-    """Figures 4.4 and 4.5: one run of each controller, same jumps and noise."""
-    return Plot(
-        title="Figures 4.4 and 4.5",
-        panels=_states(ensembles, 0),
-        intro="One run of 3 s, same faults, detections and noise.",
-    )
-
-
-def averages(ensembles: dict[str, NoisyRuns]) -> Plot:
-    """Figures 4.6 and 4.7: average trajectories."""
-    count = min(e.x.shape[0] for e in ensembles.values())
-    return Plot(title="Figures 4.6 and 4.7", panels=_states(ensembles, None), intro=f"Averages of {count} runs.")
-
-
 def _states(ensembles: dict[str, NoisyRuns], run: int | None) -> tuple[Figure, ...]:
+    """Figures 4.4 to 4.7: a run of each controller, with the same jumps and noise, or without a number the average."""
     panels = []
     for n, (title, name, unit) in enumerate(STATES):
         series = tuple(
@@ -169,7 +157,11 @@ def simulations(report_progress: ReportProgress) -> dict[str, Any]:
     error = float(less.std()) / RUNS**0.5
     over = [float(np.abs(r.x[:, :, 1]).max(axis=1).mean()) - 1.0 for r in (single, parts)]
     return {
-        "figures": (single_runs(runs), averages(runs), ratios(runs)),
+        "figures": (
+            Plot(title="Figures 4.4 and 4.5", panels=_states(runs, 0), intro="One run of 3 s, same faults, detections, noise."),
+            Plot(title="Figures 4.6 and 4.7", panels=_states(runs, None), intro=f"Averages of {RUNS} runs."),
+            ratios(runs),
+        ),
         "ratio": [[single.ratio, other[0]], [parts.ratio, other[1]]],
         "largest": [np.maximum(r.ratio, late).max() for r, late in zip((single, parts), other)],
         "less": less.mean(), "error": error, "surely": float(less.mean()) + 4.0 * error,

@@ -15,20 +15,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.parallel_runs import Workers, spread
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchView
 from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
 from hil.thesis.chapter import ReportProgress
-from hil.thesis.chapter7_runs import BATCH_RUNS, numbers_of
+from hil.thesis.chapter7_runs import BATCH_RUNS, numbers_of, on_all_cores
 from hil.thesis.statements import ERRORS, Statement, above, below, run, says
 
 Array = npt.NDArray[np.float64]
@@ -94,11 +92,10 @@ def _errors(view: BatchView) -> tuple[Array, Array, Array]:
     return found["sse"], found["sse_after_5s"], steady
 
 
-def errors_of_all(motor: Imperfections, seeds: Sequence[int], jobs: int = -1) -> dict[str, Array]:
-    """Errors of every controller for every seed, (seeds, 3) each; the same for every number of jobs."""
+def errors_of_all(motor: Imperfections, seeds: Sequence[int]) -> dict[str, Array]:
+    """Errors of every controller for every seed, (seeds, 3) each; the same for every number of cores."""
     names = sorted(EXPERIMENT, key="local".__ne__)  # it slips and sticks most: the longest first
-    workers = Workers() if jobs == 1 else Workers(backend="loky", jobs=jobs)
-    found = spread(partial(errors_of, seeds=seeds), [loop_of(name, motor) for name in names], workers)
+    found = on_all_cores(errors_of, [(loop_of(name, motor), seeds) for name in names], lambda *_: None, names)
     return dict(zip(names, found, strict=True))
 
 
@@ -150,13 +147,11 @@ def imperfections(logs: Array) -> Imperfections:
     return Imperfections(**sizes)
 
 
-def experiment(
-    motor: Imperfections, value: float, report_progress: ReportProgress, *, seeds: int = CHECK_SEEDS
-) -> dict[str, Any]:
+def experiment(motor: Imperfections, value: float, report_progress: ReportProgress) -> dict[str, Any]:
     """The numbers of the experiment column and of Remark 7.7 with the fitted motor, on seeds that the fit has not seen."""
-    report_progress(f"experiment column with the fitted motor, {seeds} runs")
-    found = errors_of_all(motor, range(FIRST_CHECK, FIRST_CHECK + seeds))
-    return {"motor": motor, "misfit": value, "seeds": seeds} | {
+    report_progress(f"experiment column with the fitted motor, {CHECK_SEEDS} runs")
+    found = errors_of_all(motor, range(FIRST_CHECK, FIRST_CHECK + CHECK_SEEDS))
+    return {"motor": motor, "misfit": value, "seeds": CHECK_SEEDS} | {
         name: {
             "runs": errors.T, "mean": errors.mean(axis=0), "sd": errors.std(axis=0),
             "ends": np.percentile(errors[:, 2], (2.5, 97.5)),

@@ -15,7 +15,7 @@ from design.as_printed.chapters_2_to_4 import delayed_section
 from design.as_printed.examples import chapter3_gain, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain
 from design.semi_markov_loop.certificate import JumpCertificate
-from hil.pages.html.figures import Bars, Figure
+from hil.pages.html.figures import Bars
 from hil.thesis import chapter3 as numbers
 from hil.thesis.noisy_runs import NoisyRuns
 from hil.thesis.statements import judge
@@ -123,19 +123,7 @@ def test_a_case_that_its_runs_leave_undecided_has_others_in_their_place(monkeypa
     assert [done for _, done, _ in steps] == [0, 1, 2, 2, 3, 4, 5, 6] and {total for *_, total in steps} == {7}
 
 
-def test_the_figures_show_one_run_of_each_gain_with_the_same_seed_and_every_level(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs = Runs()
-    monkeypatch.setattr(numbers, "_runs", runs)
-    plot = numbers._trajectories(chapter3_gain(), chapter3_gain())
-    assert runs.asked == [(1, 20.0, 0.1, 1)] * 2
-    assert [(panel.y_label, panel.y_unit) for panel in plot.panels] == [*zip(numbers.STATES, numbers.UNITS)]
-    for n, panel in enumerate(plot.panels):
-        assert isinstance(panel, Figure)
-        assert [each.label for each in panel.series] == ["printed gains", "ours, |K| <= 5"] and f"x{n + 1}" in panel.title
-        for each in panel.series:
-            assert [*each.y[:2]] == [[60.0] * 2, [50.0] * 2, [0.0] * 2, [0.0] * 2][n] and each.x[-1] == 20.0
-    assert [len(panel.series) for panel in numbers._trajectories(chapter3_gain(), None).panels] == [1] * 4
-
+def test_a_gain_that_certifies_no_level_has_a_bar_of_no_height() -> None:
     def certificate(gamma: float | None) -> JumpCertificate:
         return JumpCertificate(method="pwc", verdict="certified", reason="", gamma=gamma)
 

@@ -13,9 +13,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import Figure
-from hil.thesis import chapter4_simulations as chapter4
-from hil.thesis.statements import judge
+from design.as_printed.chapters_2_to_4 import PrintedRequest
+from design.as_printed.examples import chapter3_gain
+from design.monte_carlo.parallel_runs import Workers
+from design.semi_markov_loop.certificate import JumpCertificate
+from design.semi_markov_loop.robust_feedback import Synthesis
+from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+from design.tracking.synthesis import TrackingProblem
+from hil.pages.html.figures import Bars, Figure, Histogram
+from hil.thesis.chapter7_models import H2
+from hil.thesis.noisy_runs import delayed_runs
+from hil.thesis.statements import judge, named
 from tests.hil.thesis.judging import assert_every_number_decides
 
 SMALL = 0.0
@@ -40,6 +48,16 @@ ROWS: dict[tuple[str, str], Found] = {
         ("claim false", [0.2, 9.2, 0.2, 9.2]),
         ("reproduced", [0.99499, 0.99005]),
         ("not reproduced", [1.1732, 0.83255]),
+    ],
+    ("chapter2", "settling times"): [
+        ("undecided", [3.1513, 0.97918]),
+        ("undecided", [9.2028, 2.1149]),
+        ("reproduced", [0.47541]),
+        ("reproduced", [0.25]),
+        ("reproduced", [4.9414]),
+        ("undecided", [1.0013, 0.84749]),
+        ("undecided", [1.8895, 1.5783]),
+        ("undecided", [2.3325, 2.4563]),
     ],
     ("chapter4", "conditions"): [
         ("reproduced", ["certified", level(0.0623)]),
@@ -112,6 +130,13 @@ ROWS: dict[tuple[str, str], Found] = {
         ("claim false", [0.31972, 0.31972, 0.5621]),
         ("reproduced", [0.122, 0.33903]),
     ],
+    ("chapter7", "fit of the motor, Table 7.2, experiment"): [
+        ("undecided", [0.5, 0.5]),
+        ("undecided", [0.25, 0.5]),
+        ("not reproduced", [0.75, 0.0]),
+        ("undecided", [0.25]),
+        ("undecided", [0.75]),
+    ],
     ("chapter7", "models and statements"): [
         ("claim false", [1.00023, 1.8844e-5, 0.34868, 0.38408, 1.00023]),
         ("reproduced", [4.9757e-5]),
@@ -129,6 +154,48 @@ ROWS: dict[tuple[str, str], Found] = {
 """Of a stage: each row's verdict, and the values of its checks, of its witness and beside them."""
 
 DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
+    ("chapter2", "settling times"): [
+        ("Figure 2.2", "2.2a: x1(t), same switching instants", "(2.27)", 1001, 3.1333),
+        ("Figure 2.2", "2.2a: x1(t), same switching instants", "[1, 2]", 1001, 4.5475),
+        ("Figure 2.2", "2.2a: x2(t), same switching instants", "(2.27)", 1001, 7.6358),
+        ("Figure 2.2", "2.2a: x2(t), same switching instants", "[1, 2]", 1001, 13.192),
+        ("Figure 2.2", "2.2b: x1(t), 20 runs of (2.27)", "single runs", 1001, 3.7785),
+        ("Figure 2.2", "2.2b: x2(t), 20 runs of (2.27)", "single runs", 1001, 8.6969),
+        ("Figure 2.3", "2.3a: mean of x1, 60 runs", "(2.27)", 1001, 4.6118),
+        ("Figure 2.3", "2.3a: mean of x1, 60 runs", "[1, 2]", 1001, 4.2272),
+        ("Figure 2.3", "2.3a: mean of x2, 60 runs", "(2.27)", 1001, 9.2035),
+        ("Figure 2.3", "2.3a: mean of x2, 60 runs", "[1, 2]", 1001, 12.432),
+        ("Figure 2.3", "2.3b: settling time of (2.27)", "counts", 60, 191.15),
+        ("Figure 2.3", "2.3b: settling time of [1, 2]", "counts", 60, 557.1),
+        ("Figure 2.4", "2.4a: mean of the settling time", "(2.27)", 51, 10.09),
+        ("Figure 2.4", "2.4a: mean of the settling time", "[1, 2]", 51, 83.016),
+        ("Figure 2.4", "2.4b: standard deviation of the settling time", "(2.27)", 51, 0.78973),
+        ("Figure 2.4", "2.4b: standard deviation of the settling time", "[1, 2]", 51, 4.2721),
+    ],
+    ("chapter2", "certified scales"): [
+        ("What partitioning buys", "largest certified scale of the uncertainty", "linear in h (ours)", 4, 5.7125),
+        ("What partitioning buys", "largest certified scale of the uncertainty", "constant per section (sound)", 4, 1.9625),
+        ("What partitioning buys", "largest certified scale of the uncertainty", "printed (unsound)", 4, 11.463),
+    ],
+    ("chapter3", "sound levels"): [
+        ("Figure 3.2", "3.2: x1", "printed gains", 1001, 6.8605),
+        ("Figure 3.2", "3.2: x2", "printed gains", 1001, 3.815),
+        ("Figure 3.2", "3.2: x3", "printed gains", 1001, 14.196),
+        ("Figure 3.2", "3.2: x4", "printed gains", 1001, 3.5916),
+        ("Levels", "certified gamma", "gamma", 4, 1.9219),
+    ],
+    ("chapter7", "what the actuator knows"): [
+        ("What the actuator knows",
+         "Best norm by what the gain may depend on, relative to one constant gain", "motor h2", 7, 0.86906),
+    ],
+    ("chapter7", "gain bounds"): [
+        ("Norm against gain bound", "Smallest H-infinity norm of the VTOL", "z stacked", 1, 79.669),
+        ("Norm against gain bound", "Smallest H-infinity norm of the VTOL", "z sum", 1, 79.669),
+    ],
+    ("chapter4", "gains that see r only"): [
+        ("Gains that see r only", "(4.30) as K_kk", "single runs", 301, 8144700.0),
+        ("Gains that see r only", "(4.31) as K_kk,m", "single runs", 301, 0.29932),
+    ],
     ("chapter4", "lifetimes"): [
         ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one component", 400, 0.101),
         ("Figures 4.1 and 4.2", "4.1: density of the lifetime", "one of two", 400, 0.066482),
@@ -160,6 +227,8 @@ DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
         ("Figures 4.6 and 4.7", "x4", "(4.31), fault known", 301, 0.051308),
         ("Figure 4.8", "4.8: ||y|| / ||w|| per run", "(4.30), fault known", 40, 0.016972),
         ("Figure 4.8", "4.8: ||y|| / ||w|| per run", "(4.31), fault known", 40, 0.00696),
+        ("Figure 4.8", "(4.30), fault known", "counts", 30, 5.2963),
+        ("Figure 4.8", "(4.31), fault known", "counts", 30, 3.4162),
     ],
     ("chapter6", "slide"): [
         ("Figures 6.9 and 6.10", "6.9: depth of the avatar", "avatar", 397, 2.8595),
@@ -175,6 +244,20 @@ DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
         ("Figure 7.3: H-infinity controller of the VTOL", "Root mean square error", "published gains", 500, 0.005033),
         ("Figure 7.3: H-infinity controller of the VTOL", "Root mean square error", "local gain: diverges", 60, 6949.0),
     ],
+    ("chapter7", "fit of the motor, Table 7.2, experiment"): [
+        ("Figure 7.6: H-infinity controller", "Motor angle", "simulation, T = 0.05 s", 1000, 8.8921),
+        ("Figure 7.6: H-infinity controller", "Motor angle", "fitted motor, T = 0.05 s", 1000, 8.6348),
+        ("Figure 7.6: H-infinity controller", "Motor angle", "simulation, T = 0.025 s", 2000, 8.8245),
+        ("Figure 7.6: H-infinity controller", "Motor angle", "predicted mean ± 2 sd, T = 0.05 s", 1000, 0.047325),
+        ("Figure 7.7: H2 controller", "Motor angle", "simulation, T = 0.05 s", 1000, 8.89),
+        ("Figure 7.7: H2 controller", "Motor angle", "fitted motor, T = 0.05 s", 1000, 8.712),
+        ("Figure 7.7: H2 controller", "Motor angle", "simulation, T = 0.025 s", 2000, 8.8327),
+        ("Figure 7.7: H2 controller", "Motor angle", "predicted mean ± 2 sd, T = 0.05 s", 1000, 0.055866),
+        ("Figure 7.8: local controller", "Motor angle", "simulation, T = 0.05 s", 136, 29.033),
+        ("Figure 7.8: local controller", "Motor angle", "fitted motor, T = 0.05 s", 1000, 8.6256),
+        ("Figure 7.8: local controller", "Motor angle", "simulation, T = 0.025 s", 2000, 8.8894),
+        ("Figure 7.8: local controller", "Motor angle", "predicted mean ± 2 sd, T = 0.025 s", 2000, 0.056734),
+    ],
     ("chapter7", "Smith predictor"): [
         ("Figure 7.4: Smith predictor", "Motor angle", "H-infinity (7.36)", 1000, 8.8921),
         ("Figure 7.4: Smith predictor", "Motor angle", "H2 (7.37)", 1000, 8.89),
@@ -183,33 +266,91 @@ DRAWN: dict[tuple[str, str], list[tuple[str, str, str, int, float]]] = {
     ],
 }
 """Of a stage: plot, panel, line or band, its points, and the mean square of the line or of the width of the band."""
+
+VALUES: dict[tuple[str, str], dict[str, Any]] = {
+    ("chapter2", "a Markov approximation"): {
+        "markov[0]": 0.66457, "semi[0]": 0.8979, "stay": 1.2472,
+    },
+    ("chapter2", "certified scales"): {
+        "least[printed]": 0.032258, "least[pwc]": 0.090909, "least[pwl]": 0.047619, "line[printed]": "3.10, 3.20, 3.40, 3.80",
+        "line[pwc]": "1.10, 1.20, 1.40, 1.80", "line[pwl]": "2.10, 2.20, 2.40, 2.80",
+    },
+    ("chapter2", "partition strategies"): {
+        "pwc[scales][0]": 2.1519, "pwc[scales][1]": 2.55, "pwc[scales][2]": 2.625, "pwc[role]": 1.2198,
+        "pwl[scales][0]": 3.1519, "pwl[scales][1]": 3.55, "pwl[scales][2]": 3.625, "pwl[role]": 1.1501, "sections[0]": 4,
+        "sections[1]": 4, "sections[2]": 4,
+    },
+    ("chapter3", "sound levels"): {
+        "unforced": 0.977, "published.gamma": 0.1, "ramp": 0.5, "norm": 5.0776, "whole[0]": 5.0, "whole[1]": 1.5,
+        "halves[0]": 2.5, "halves[1]": 0.75, "gain[0]": 2.0, "gain[1]": 2.0, "frozen": 0.42322,
+        "made": "gain norm <= 5: gamma 2.5000; gain norm <= 1.5: gamma 0.7500",
+    },
+    ("chapter7", "designs"): {
+        "motor_h2_sum[norm]": 3.7055, "motor_h2_sum[gains][0][0][0][0]": -0.2324, "motor_h2_sum[gains][0][1][0][0]": -0.18706,
+        "motor_h2_sum[largest]": 0.2324, "motor_h2_sum[off]": 0.091442, "motor_h2_sum[each][0][0]": 0.034397,
+        "motor_h2_sum[each][0][1]": 0.022357, "motor_h2_stacked[norm]": 3.7109, "motor_h2[norm]": 3.7368,
+        "motor_h2[rounding]": 8.0343e-05, "motor_h2[size]": 0.198, "motor_h2[least]": 0.99161, "wrong": 8.105,
+    },
+    ("chapter7", "what the actuator knows"): {
+        "motor_h2[constant]": 3.8912, "motor_h2[tau]": 3.7432, "motor_h2[previous]": 3.7386, "motor_h2[generated]": 3.7109,
+        "motor_h2[total]": 3.5123, "motor_h2[applied]": 3.4696, "motor_h2[both]": 3.2916, "motor_h2[gained]": 0.065024,
+        "motor_h2[before]": -0.0073959, "motor_h2[one]": -0.046326,
+    },
+    ("chapter7", "gain bounds"): {},
+}
+"""Of a stage of which so much is left out that its rows cannot be judged: numbers by name."""
 # fmt: on
 
 
-@pytest.fixture
-def fewer_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """40 runs of the example of Chapter 4."""
-    simulate = chapter4.simulate
-    monkeypatch.setattr(chapter4, "RUNS", 40)
-    monkeypatch.setattr(chapter4, "simulate", lambda gain, runs=40, **more: simulate(gain, runs, **more))
+def scale(system: JumpSystem, request: Synthesis, *, tolerance: float) -> tuple[float, None]:
+    """A largest scale of no search: by the form, the number of sections and where the second of given ones begins."""
+    form = 3.0 if isinstance(request, PrintedRequest) else {"pwc": 1.0, "pwl": 2.0}[request.method]
+    cut = request.sections
+    return form + (0.1 * cut if isinstance(cut, int) else 0.1 * len(cut[0]) + cut[0][1]), None
 
 
-@pytest.mark.usefixtures("fewer_runs")
-@pytest.mark.parametrize(("chapter", "title"), sorted({*ROWS, *DRAWN}))
-def test_a_stage_computes_what_it_did(chapter: str, title: str) -> None:
+def certificate(system: DelayedJumpSystem, *given: Any, **more: Any) -> JumpCertificate:
+    """A level of no search: by the bound and the sections, or by the nodes."""
+    gamma = more["gain_bound"] / len(more["sections"][0]) if "sections" in more else 0.1 * len(more.get("nodes", [[0.0]])[0])
+    return JumpCertificate(method="pwc", verdict="certified", reason="", gamma=gamma, gain=chapter3_gain())
+
+
+SMALLER: dict[str, Any] = {
+    "chapter2_runs.RUNS": 60, "chapter2_feasibility.BOUNDS": (5.0,), "chapter2.largest_uncertainty": scale,
+    "chapter3.delayed_hinf": certificate, "chapter3.analyse_delayed": certificate,
+    "chapter3.delayed_runs": partial(delayed_runs, step_s=0.02), "chapter4_simulations.RUNS": 40,
+    "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 7, "chapter7_friction.CHECK_SEEDS": 3,
+    "chapter7_runs.Workers": lambda **_: Workers(), "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
+    "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
+    "chapter7_designs.GAINS": {("motor", "h2"): H2}, "chapter7_designs.BOUNDS": (0.5,),
+}  # fmt: skip
+"""What takes minutes with the numbers of `hil reproduce`: few runs and problems, one start of a descent, in this process."""
+
+FEW = {("chapter2", "settling times"), ("chapter7", "fit of the motor, Table 7.2, experiment")}
+"""By so few runs that many a check is undecided."""
+
+
+@pytest.mark.parametrize(("chapter", "title"), sorted({*ROWS, *DRAWN, *VALUES}))
+def test_a_stage_computes_what_it_did(chapter: str, title: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in SMALLER.items():
+        monkeypatch.setattr(f"hil.thesis.{name}", value)
     stages = importlib.import_module(f"hil.thesis.{chapter}").CHAPTER.stages
     (stage,) = (stage for stage in stages if stage.title == title)
     steps: list[tuple[int, int]] = []
     values = stage.compute(lambda text, done=0, total=0, /: steps.append((done, total)))
-    rows = judge(stage.statements, values)
+    rows = () if (chapter, title) in VALUES else judge(stage.statements, values)
+    for name, number in VALUES.get((chapter, title), {}).items():
+        assert named(values, name) == (pytest.approx(number, rel=1e-3) if isinstance(number, float) else number), name
     found = [(row.verdict, [check.value for check in (*row.checks, *row.witness, *row.beside)]) for row in rows]
     assert [verdict for verdict, _ in found] == [verdict for verdict, _ in ROWS.get((chapter, title), [])]
     for (_, values_of), (_, expected) in zip(found, ROWS.get((chapter, title), [])):
         for value, is_to_be in zip(values_of, expected, strict=True):
             if is_to_be is not JUDGED:
                 assert value == (pytest.approx(is_to_be, rel=1e-3, abs=3e-8) if isinstance(is_to_be, float) else is_to_be)
-    assert_every_number_decides(rows)
-    assert steps == sorted(steps) and all(done <= total for done, total in steps if total)
+    if (chapter, title) not in FEW:
+        assert_every_number_decides(rows)
+    counted = [step for step in steps if step[1]]
+    assert counted == sorted(counted) and all(done <= total for done, total in counted)
     if (chapter, title) in DRAWN:
         shown = drawn(values)
         assert [tuple(line[:4]) for line in shown] == [line[:4] for line in DRAWN[chapter, title]]
@@ -217,12 +358,19 @@ def test_a_stage_computes_what_it_did(chapter: str, title: str) -> None:
 
 
 def drawn(values: dict[str, Any]) -> list[tuple[str, str, str, int, float]]:
-    """Return what a stage draws of known gains; those that it designs itself are left out."""
-    found = []
+    """Return what a stage draws of known gains; those that it designs itself are left out. Lines of one name are one."""
+    found: dict[tuple[str, str, str, int], list[float]] = {}
     for plot in values["figures"]:
         for panel in plot.panels:
-            if isinstance(panel, Figure):
+            lines = []
+            if isinstance(panel, Bars):
+                lines = [(group.label, np.asarray(group.values)) for group in panel.groups]
+            elif isinstance(panel, Histogram):
+                found[plot.title, panel.title, "counts", len(panel.counts)] = [float(np.dot(panel.counts, panel.edges[1:]))]
+            elif isinstance(panel, Figure):
                 lines = [(line.label, np.asarray(line.y)) for line in panel.series]
                 lines += [(band.label, np.asarray(band.upper) - np.asarray(band.lower)) for band in panel.bands]
-                found += [(plot.title, panel.title, label, len(y), float(np.square(y).mean())) for label, y in lines]
-    return [line for line in found if not line[2].startswith("ours")]
+            for label, y in lines:
+                found.setdefault((plot.title, panel.title, label, len(y)), []).append(float(np.square(y).mean()))
+    known = {line: size for line, size in found.items() if not any(words.startswith("ours") for words in line[1:3])}
+    return [(*line, float(np.mean(size))) for line, size in known.items()]
