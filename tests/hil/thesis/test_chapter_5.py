@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
-from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue, tangent_scheme
+from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue
 from design.historical_data.guaranteed_cost import cost, start_at, stationary_cost
 from design.historical_data.least_cost import OrderCost, PeakMatch, cyclic_orders
 from design.historical_data.lifted_loop import DelayedPlant, close
@@ -18,19 +17,14 @@ from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
-from hil.thesis import Statement, chapters
+from hil.thesis import Statement
 from hil.thesis import chapter5_equations as equations
 from hil.thesis.chapter5 import (
-    FIGURES,
-    FURTHER,
     GAINS,
     THEOREM,
-    any_order,
     delay,
-    figures,
     further,
     gains_numbers,
-    proof_numbers,
     published_plant,
     theorem_numbers,
     variant_plant,
@@ -50,18 +44,6 @@ def verdicts(statements: Sequence[Statement], values: Mapping[str, Any]) -> dict
     return {row.item: row.verdict for row in rows}
 
 
-def changed(before: dict[str, str], after: dict[str, str]) -> dict[str, str]:
-    return {item: verdict for item, verdict in after.items() if before[item] != verdict}
-
-
-def test_the_printed_numbers_and_claims() -> None:
-    assert "ch5" in chapters()
-    found = verdicts(GAINS, gains_numbers(PLANT, historical_gains(), newest_gains()))
-    assert found.pop(BETTER) == "claim false" and set(found.values()) == {"reproduced"}
-    theorem = verdicts(THEOREM, theorem_numbers(PLANT))
-    assert theorem[BOUND] == theorem["(5.15): J < V(x(0)) with any history"] == "claim false"
-
-
 def test_verdicts_turn_with_their_numbers() -> None:
     """Gains 2 % larger cost another J; (5.16) is better than nothing; with A(3,3) = 0.6 the theorem is not refuted."""
     turned = verdicts(GAINS, gains_numbers(PLANT, historical_gains() * 1.02, newest_gains()))
@@ -72,32 +54,17 @@ def test_verdicts_turn_with_their_numbers() -> None:
     assert verdicts(THEOREM, theorem_numbers(stable))[BOUND] == "reproduced"
 
 
-def test_the_figures_are_runs_on_the_rig() -> None:
-    values = figures()
-    assert [panel.title[:3] for panel in values["figures"][0].panels] == ["5.3", "5.4"]
-    assert set(verdicts(FIGURES, values).values()) == {"reproduced"}
-
-
-def test_every_equation_has_a_row_and_every_row_turns_with_its_number() -> None:
-    """Each row is judged as it is, and once more with one thing wrong: a node, a gain, a weight, an entry, a path."""
-    values = equations.equations(PLANT)
-    said = verdicts(equations.EQUATIONS, values)
-    claims = {item for item in said if item.startswith(("the controller has 24", "Remark 5.3"))}
-    assert {item for item, verdict in said.items() if verdict != "reproduced"} == claims and len(said) == 11
-    assert {said[item] for item in claims} == {"claim false"}
+def test_what_is_wrong_in_a_loop_or_a_mask_is_counted() -> None:
+    """A node out of turn, gains of another phase, the mask of another node, or of packets with fewer samples or more."""
     mask = mask_of(round_robin(4, buffer=3))
     assert equations.wrong_turns([0, 1, 2, 3, 0]) == 0 and equations.wrong_turns([0, 1, 3, 3, 0]) > 0
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
     x = np.column_stack([simulate(loop, 0).arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
-    wrong_loop = equations.loop_difference(PLANT, np.roll(historical_gains(), 1, axis=0), x)
-    unstable = equations.equations(replace(PLANT, weight=np.eye(4)))
-    for change, start in (
-        ({"loop": wrong_loop}, "(5.1), (5.4)"), (equations.mask_numbers(mask[1], 3), "(5.8)"),
-        (equations.mask_numbers(mask_of(round_robin(4, buffer=2), 5)[2], 2), "(5.8)"),
-        (equations.mask_numbers(mask_of(round_robin(4, buffer=5))[2][:6], 5), "Remark 5.1"), ({"xi": unstable["xi"]}, "5.4"),
-    ):  # fmt: skip
-        turned = changed(said, verdicts(equations.EQUATIONS, values | change))
-        assert any(item.startswith(start) for item in turned) and set(turned.values()) == {"not reproduced"}, start
+    assert equations.loop_difference(PLANT, np.roll(historical_gains(), 1, axis=0), x) > 1e-5
+    assert equations.mask_numbers(mask[2], 3) == {"differ": 0, "free": 15, "known": 3, "late": 0}
+    assert equations.mask_numbers(mask[1], 3)["differ"] > 0
+    assert equations.mask_numbers(mask_of(round_robin(4, buffer=2), 5)[2], 2)["free"] < 15
+    assert equations.mask_numbers(mask_of(round_robin(4, buffer=5))[2][:6], 5)["late"] > 0
 
 
 def test_remark_5_2_uses_what_a_delay_has_not_brought_and_the_shifted_mask_does_not() -> None:
@@ -144,20 +111,3 @@ def test_rows_beyond_the_chapter_say_what_was_found_of_each(monkeypatch: pytest.
     numbers = {"first": 40.0, "bound": 25.0, "steps": 2, "saved": 15.0, "worst": worst / 25.0}
     assert found["tangent"] == pytest.approx(numbers | {"eigenvalue": largest_eigenvalue(variant, zero, P, proof.Q)})
     assert (found["cone"]["first"], found["cone"]["bound"], found["cone"]["steps"]) == (14.8, 14.8, 0)
-
-
-@pytest.mark.slow
-def test_every_row_beyond_the_chapter_is_as_said() -> None:
-    """A bound of J for any order of the sensors, least J at the published peak inputs, the tangent scheme's bound."""
-    values = further(PLANT, lambda text, done=0, total=0, /: None)
-    said = verdicts(FURTHER, values)
-    assert sorted(said.values()) == ["claim false"] + ["reproduced"] * 7
-    prompt = mask_of(round_robin(4, buffer=3), 6)
-    slow = prompt.copy()
-    slow[:, 0] = False
-    variant = variant_plant(PLANT)
-    none = proof_numbers(variant, tangent_scheme(variant, mask_of(round_robin(4, buffer=3)), X0, iterations=0), X0)
-    bound, worst = any_order(PLANT, newest_gains(), X0)
-    assert bound > worst and delay(prompt, slow)["missing"] == 0
-    for change, verdict in ((delay(prompt, slow), "reproduced"), ({"tangent": none}, "not reproduced")):
-        assert set(changed(said, verdicts(FURTHER, values | change)).values()) == {verdict}, change

@@ -17,40 +17,12 @@ from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity.loop import HeldDevice, push_response
 from design.passivity.transparency import distortion
-from hil.thesis import chapters, reproduce
 from hil.thesis.chapter6 import PASSIVITY, PUSH, passivity, push
-from hil.thesis.chapter6_equations import STATEMENTS, loop_of, statements
-from hil.thesis.chapter6_wall import LATER, OWN, materials, wall
-from hil.thesis.pages import chapter_page
+from hil.thesis.chapter6_equations import loop_of
+from hil.thesis.chapter6_wall import wall
 from hil.thesis.statements import judge
-from tests.hil.thesis.judging import assert_every_number_decides
 
 DEVICE = HeldDevice(mass_kg=0.7943, damping_n_s_per_m=1.9857)
-
-
-@pytest.mark.slow
-def test_the_chapter_with_its_page():
-    assert "ch6" in chapters()
-    result = reproduce("ch6")
-    found = {r.item: r for r in result.rows}
-    verdicts = {item.partition(":")[0]: r.verdict for item, r in found.items()}
-    assert found["6.5: Lambda from a pattern of patches"].verdict == "reproduced"
-    assert verdicts["Theorem 6.1"] == verdicts["(6.11)"] == verdicts["(6.3)"] == "claim false"
-    assert "radius at one sample 1.083" in found["Theorem 6.1: (6.9) makes the networked system oscillation free"].computed
-    assert found["Figure 6.8: materials 2 and 3 end at one depth"].verdict == "reproduced"
-    assert found["Figure 6.10: the modes {2, 3, 2, 3, 2, 1}"].verdict == "reproduced"
-    assert len(result.rows) >= 37
-    reported = {"Remark 6.1", "6.2.2", "6.3", "6.6", "(6.15), (6.16)", "6.5.2"}
-    assert reported <= set(verdicts)
-    reported = {"(6.1)", "(6.8)", "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "Remark 6.2", "Figures 6.5, 6.6"}
-    assert {verdicts[item] for item in reported} == {"reproduced"} and verdicts["(6.17)"] == "claim false"
-    assert "certifies" in found["(6.17): a level gamma that it certifies bounds the distortion"].computed
-    assert found["(6.2): m and b from a square wave of 0.4545 Hz and 0.02"].verdict == "reproduced"
-    assert verdicts["(6.14), the subject of (6.17)"] == "claim false"
-    assert found["Figure 6.9: the avatar's displacement along x is very small"].verdict == "reproduced"
-    assert_every_number_decides(result.rows)
-    page = chapter_page(result)
-    assert "Figure 6.8" in page and "Figures 6.9 and 6.10" in page and page.startswith("<!doctype html>")
 
 
 def test_a_verdict_turns_with_its_number():
@@ -60,28 +32,6 @@ def test_a_verdict_turns_with_its_number():
     printed = {r.item: r.verdict for r in judge(PASSIVITY, passivity(DEVICE))}
     condition = "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed"
     assert printed[condition] == "reproduced" and turned[condition] == "not reproduced"
-
-
-def test_statements_with_the_number_that_decides_each():
-    found = judge(STATEMENTS, statements(DEVICE))
-    assert_every_number_decides(found)
-    rows = {r.item.partition(":")[0]: r for r in found}
-    verdicts = {item: r.verdict for item, r in rows.items()}
-    assert verdicts["(6.7)"] == verdicts["6.4"] == "claim false"
-    assert {v for item, v in verdicts.items() if item not in ("(6.7)", "6.4")} == {"reproduced"}
-    assert rows["(6.7)"].witness[0].value == pytest.approx(0.478, abs=0.01)
-    assert 0.5 < rows["(6.15), (6.16)"].checks[0].value < 1.0  # not by far: the bound is a close one
-
-
-def test_couplers_per_material_with_the_number_that_decides_each(monkeypatch):
-    """Over shorter stays at each speed, so 21 modes instead of 120; the verdict on `omni-paces` is of its own stays."""
-    monkeypatch.setattr("hil.thesis.chapter6_wall.STAYS", ((1, 2), (2, 3), (1, 2)))
-    found = judge((*OWN, *LATER), materials(DEVICE))
-    assert_every_number_decides(found)
-    verdicts = {r.item: r.verdict for r in found}
-    false = {item for item, verdict in verdicts.items() if verdict == "claim false"}
-    assert {item.partition(":")[0] for item in false} == {"6.4", "(6.15)"} and len(false) == 2
-    assert {v for item, v in verdicts.items() if item not in false} == {"reproduced"}
 
 
 def test_the_printed_statements_and_their_counterexamples():
