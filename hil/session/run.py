@@ -30,20 +30,9 @@ from hil.rig.session_link import link_of, no_link, refuse_undisturbed
 from hil.runtime.clock import monotonic_ns, wall_clock
 from hil.runtime.real.machine import machine
 from hil.runtime.virtual import rehearsal, simulate_as_logged
+from hil.session import finished
 from hil.session.both_clocks import Onlooker, run_in_real_time, run_in_virtual_time
-from hil.session.finished import (
-    LEFT,
-    Session,
-    gains_in,
-    kept_run,
-    kinds_of,
-    messages_of,
-    read_back,
-    status_of,
-    summary_needs,
-    summary_of,
-    unreached,
-)
+from hil.session.finished import Session
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
 
@@ -65,11 +54,11 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     begun = monotonic_ns()
     experiment = loop.experiment
     run = simulate_as_logged(loop, seed)
-    summary = summarise(view_of(run, experiment, loop.rig)) | gains_in(loop)
+    summary = summarise(view_of(run, experiment, loop.rig)) | finished.gains_in(loop)
     summary["wall_s"] = round((monotonic_ns() - begun) / 1e9, 3)
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, run.arrays.values())) + len(run.events), "dropped": 0}
-    summary["problems"] = messages_of(run, {WITHDRAWN, DEPARTED}) | unreached(loop)
-    status = LEFT if kinds_of(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
+    summary["problems"] = finished.messages_of(run, {WITHDRAWN, DEPARTED}) | finished.unreached(loop)
+    status = finished.LEFT if finished.kinds_of(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
     return Session(log=lambda: run, summary=summary, status=status, experiment=experiment)
 
 
@@ -132,7 +121,7 @@ def run_session(
     # 3. Run, with the log open. Real time is watched from here; virtual time runs here.
     begun = monotonic_ns()
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
-    keep = summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
+    keep = finished.summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
     table = channels_of(loop, on_can=on.on_can)
     if onlooker is not None:
         taps = together(taps or {}, onlooker.begin(loop, table))
@@ -147,7 +136,7 @@ def run_session(
             changes = None if onlooker is None else onlooker.changes
             outcome = run_in_real_time(loop, on, sink, external, wait_s, observers, changes)
         sink.commit()
-        outcome |= unreached(loop)
+        outcome |= finished.unreached(loop)
         problems = {name: text for name, text in outcome.items() if text}
         if problems:
             sink.summary({"problems": problems})
@@ -168,16 +157,16 @@ def run_session(
         outcome["log_lost"] = f"{path} {gone}"
     try:
         if keep is not None:
-            run = kept_run(sink, provenance)
+            run = finished.kept_run(sink, provenance)
         else:
-            run = read_back(path, whole=sink.error is None, descriptor=log)
-        summary = summary_of(run, loop, sink, outcome, wall_s)
-        summary |= {"accepted_from": on.traits.commanders} | gains_in(loop)
+            run = finished.read_back(path, whole=sink.error is None, descriptor=log)
+        summary = finished.summary_of(run, loop, sink, outcome, wall_s)
+        summary |= {"accepted_from": on.traits.commanders} | finished.gains_in(loop)
         summary["log"]["sha256"] = _sha256(log)
     finally:
         os.close(log)
-    status = status_of(run, sink, outcome)
-    read = cache(partial(read_back, path)) if keep is not None else lambda: run
+    status = finished.status_of(run, sink, outcome)
+    read = cache(partial(finished.read_back, path)) if keep is not None else lambda: run
     return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
 
 

@@ -23,17 +23,8 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from hil.errors import HilError
 from hil.files import refuse_irregular
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
-from hil.log.read.mcap_walk import (
-    MAGIC,
-    MESSAGE_PAYLOAD_AT,
-    MESSAGE_TIME_AT,
-    Budget,
-    Record,
-    framed,
-    parse,
-    parse_attachment,
-    unpack_chunk,
-)
+from hil.log.read import mcap_walk
+from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT, Record
 from hil.log.records import TIME_FIELD
 from hil.log.records import Schema as Layout
 from hil.log.run import StructuredArray, assemble, run_dtype
@@ -59,11 +50,11 @@ def open_mcap(path: Path, descriptor: int | None = None) -> Iterator[tuple[Binar
         refuse_irregular(path, status.st_mode, "an MCAP log")
         with open(own, "rb", buffering=1 << 18, closefd=False) as file:
             file.seek(0)
-            head = file.read(len(MAGIC))
+            head = file.read(len(mcap_walk.MAGIC))
             if not head:
                 raise HilError(f"{path}: is empty, expected an MCAP log")
-            if head != MAGIC:
-                raise HilError(f"{path}: is no MCAP file: byte 0 begins {head!r}, expected {MAGIC!r}")
+            if head != mcap_walk.MAGIC:
+                raise HilError(f"{path}: is no MCAP file: byte 0 begins {head!r}, expected {mcap_walk.MAGIC!r}")
             yield file, status.st_size
     except OSError as error:
         raise HilError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -97,7 +88,7 @@ class Content:
     messages: defaultdict[int, list[bytes]] = field(default_factory=lambda: defaultdict(list))
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, Attachment] = field(default_factory=dict)
-    budget: Budget
+    budget: mcap_walk.Budget
 
     def take(self, record: Record) -> None:
         """Take one record of the file; indexes and statistics are passed over.
@@ -106,18 +97,18 @@ class Content:
             DamagedRecord: if the record cannot be read; no message of it was taken then.
         """
         if record.opcode == Opcode.CHUNK:
-            self._take_chunk(unpack_chunk(record, self.budget), record)
+            self._take_chunk(mcap_walk.unpack_chunk(record, self.budget), record)
         elif record.opcode == Opcode.SCHEMA:
-            schema = parse(Schema.read, record)
+            schema = mcap_walk.parse(Schema.read, record)
             self.schemas.setdefault(schema.id, schema)
         elif record.opcode == Opcode.CHANNEL:
-            channel = parse(Channel.read, record)
+            channel = mcap_walk.parse(Channel.read, record)
             self.channels.setdefault(channel.id, channel)
         elif record.opcode == Opcode.METADATA:
-            metadata = parse(Metadata.read, record)
+            metadata = mcap_walk.parse(Metadata.read, record)
             self.metadata[metadata.name] = metadata.metadata
         elif record.opcode == Opcode.ATTACHMENT:
-            attachment = parse_attachment(record)
+            attachment = mcap_walk.parse_attachment(record)
             self.attachments[attachment.name] = attachment
         elif record.opcode == Opcode.MESSAGE:
             whole = struct.pack("<BQ", record.opcode, len(record.body)) + record.body
@@ -125,7 +116,7 @@ class Content:
 
     def _take_chunk(self, content: bytes, record: Record) -> None:
         messages: defaultdict[int, list[bytes]] = defaultdict(list)
-        for opcode, channel, at, after in framed(content, record):
+        for opcode, channel, at, after in mcap_walk.framed(content, record):
             if opcode == Opcode.MESSAGE:
                 messages[channel].append(content[at:after])
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):

@@ -15,20 +15,9 @@ from mcap.records import Header, MessageIndex, Metadata
 
 from hil.errors import HilError
 from hil.files import written_whole
+from hil.log.read import mcap_walk
 from hil.log.read.mcap_file import Content, open_mcap, start_said
-from hil.log.read.mcap_walk import (
-    MESSAGE_TIME_AT,
-    Budget,
-    Checksums,
-    DamagedRecord,
-    Record,
-    TornFile,
-    framed,
-    parse,
-    parse_attachment,
-    unpack_chunk,
-    walk,
-)
+from hil.log.read.mcap_walk import DamagedRecord, Record
 from hil.log.write.mcap_sink import FLUSH_BYTES
 from hil.log.write.mcap_writer import McapWriter
 
@@ -111,10 +100,10 @@ class _Plan:
     def __init__(self, file: BinaryIO, size: int, report: Recovery) -> None:
         self.records = 0
         self.header: Header | None = None
-        self.content = Content(budget=Budget(size))
-        checksums = Checksums()
+        self.content = Content(budget=mcap_walk.Budget(size))
+        checksums = mcap_walk.Checksums()
         try:
-            for record in walk(file, size):
+            for record in mcap_walk.walk(file, size):
                 self.records += 1
                 report.closed = record.opcode == Opcode.FOOTER
                 if record.opcode == Opcode.HEADER and self.header is None:
@@ -126,16 +115,16 @@ class _Plan:
                     checksums.take(record)
                 except DamagedRecord as error:
                     report.checksums.append(str(error))
-        except TornFile as error:
+        except mcap_walk.TornFile as error:
             report.closed = False
             report.lost_bytes = size - error.offset
             report.losses.append(f"{report.lost_bytes} bytes, {error}")
 
 
 def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: McapWriter, report: Recovery) -> None:
-    copy = _Copy(writer, report, plan, Budget(size))
+    copy = _Copy(writer, report, plan, mcap_walk.Budget(size))
     damaged = False
-    for record in islice(walk(file, size), plan.records):
+    for record in islice(mcap_walk.walk(file, size), plan.records):
         if record.opcode == Opcode.MESSAGE_INDEX and damaged:
             index = _or_none(MessageIndex.read, record)
             report.lost_messages += len(index.records) if index else 0
@@ -162,7 +151,7 @@ def _rebuild(file: BinaryIO, size: int, plan: _Plan, writer: McapWriter, report:
 class _Copy:
     """Copies record by record, renumbering schemas and channels as mcap's writer wants them."""
 
-    def __init__(self, writer: McapWriter, report: Recovery, plan: _Plan, budget: Budget) -> None:
+    def __init__(self, writer: McapWriter, report: Recovery, plan: _Plan, budget: mcap_walk.Budget) -> None:
         self._writer = writer
         self._report = report
         self._budget = budget
@@ -179,8 +168,8 @@ class _Copy:
     def take(self, record: Record) -> None:
         writer, report = self._writer, self._report
         if record.opcode == Opcode.CHUNK:
-            content = unpack_chunk(record, self._budget)
-            for opcode, channel, at, after in [*framed(content, record)]:  # all of a chunk, or nothing
+            content = mcap_walk.unpack_chunk(record, self._budget)
+            for opcode, channel, at, after in [*mcap_walk.framed(content, record)]:  # all of a chunk, or nothing
                 if opcode == Opcode.MESSAGE:
                     self._message(channel, content[at:after])
             report.chunks += 1
@@ -188,17 +177,17 @@ class _Copy:
                 writer.flush()
         elif record.opcode == Opcode.MESSAGE:
             message = struct.pack("<BQ", record.opcode, len(record.body)) + record.body
-            for _, channel, _, _ in [*framed(message, record)]:
+            for _, channel, _, _ in [*mcap_walk.framed(message, record)]:
                 self._message(channel, message)
         elif record.opcode == Opcode.METADATA:
-            metadata = parse(Metadata.read, record)
+            metadata = mcap_walk.parse(Metadata.read, record)
             writer.add_metadata(metadata.name, metadata.metadata)
             report.metadata += 1
             if metadata.name == "clock":
                 report.start_ns = start_said(metadata.metadata) or 0
             self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
-            found = parse_attachment(record)
+            found = mcap_walk.parse_attachment(record)
             writer.add_attachment(
                 found.name, found.media_type, found.data, create_time=found.create_time, log_time=found.log_time
             )
@@ -211,12 +200,12 @@ class _Copy:
             return
         self._writer.add_framed(number, message)
         self._report.messages += 1
-        log_time = int.from_bytes(message[MESSAGE_TIME_AT : MESSAGE_TIME_AT + 8], "little")
+        log_time = int.from_bytes(message[mcap_walk.MESSAGE_TIME_AT : mcap_walk.MESSAGE_TIME_AT + 8], "little")
         self._report.last_ns = max(self._report.last_ns, log_time)
 
 
 def _or_none(read: Any, record: Record) -> Any:
     try:
-        return parse(read, record)
+        return mcap_walk.parse(read, record)
     except DamagedRecord:
         return None

@@ -15,18 +15,7 @@ import numpy as np
 
 from hil.log.append_column import AppendColumn
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Channel
-from hil.log.write.mcap_records import (
-    BEGIN,
-    BEHIND,
-    HEAD,
-    MESSAGE_OVERHEAD,
-    TIMES_AT,
-    WITHIN,
-    Integers,
-    Layout,
-    Made,
-    places,
-)
+from hil.log.write import mcap_records as mcap
 from hil.log.write.pipe_sink import ByFrameLength
 
 _MAX_ALIKE = 1024  # the lengths of messages may come from the link
@@ -40,8 +29,8 @@ class Placed(NamedTuple):
         begins: where in the chunk the head of each begins.
     """
 
-    times: Integers
-    begins: Integers
+    times: mcap.Integers
+    begins: mcap.Integers
 
 
 Messages = dict[int, Placed]
@@ -59,8 +48,8 @@ class OpenChunk:
 
     def __init__(self) -> None:
         self._rows: list[bytes] = []
-        self._layouts: list[Layout] = []  # of every row
-        self._alike: dict[tuple[int, int], Layout] = {}
+        self._layouts: list[mcap.Layout] = []  # of every row
+        self._alike: dict[tuple[int, int], mcap.Layout] = {}
         self.size = self.refused = 0
         self.closed = False
 
@@ -78,12 +67,12 @@ class OpenChunk:
         if layout is None:
             if len(self._alike) >= _MAX_ALIKE:
                 self._alike.clear()
-            layout = self._alike[channel_id, size] = Layout(places((channel_id,), (0,)), size, size, TIMES_AT)
+            layout = self._alike[channel_id, size] = mcap.Layout(mcap.places((channel_id,), (0,)), size, size, mcap.TIMES_AT)
         self._rows.append(message)
         self._layouts.append(layout)
         self.size += size
 
-    def adds(self, rows: ByFrameLength[Made]) -> Callable[[int, Sequence[Any]], None]:
+    def adds(self, rows: ByFrameLength[mcap.Made]) -> Callable[[int, Sequence[Any]], None]:
         """Return the function that takes a row: its time in ns, 0 where it is less, and its values.
 
         They are the numbers of the first record, of the second, and so on; the bytes of a frame stand behind its numbers.
@@ -139,10 +128,10 @@ class OpenChunk:
         return data.tobytes(), _by_channel(np.concatenate(where), when), int(when.min()), int(when.max())
 
 
-def _by_channel(where: Integers, times: Integers) -> Messages:
+def _by_channel(where: mcap.Integers, times: mcap.Integers) -> Messages:
     order = where.argsort()
     where, times = where[order], times[order]
-    channels, begins = where >> BEGIN, where & WITHIN
+    channels, begins = where >> mcap.BEGIN, where & mcap.WITHIN
     edges = [0, *((channels[1:] != channels[:-1]).nonzero()[0] + 1).tolist(), len(channels)]
     found = [(int(channels[a]), Placed(times[a:b], begins[a:b])) for a, b in pairwise(edges)]
     found.sort(key=lambda of_channel: int(of_channel[1].begins[0]))
@@ -176,7 +165,7 @@ class ColumnBuffer:
         self.schemas = {topic: channels[topic].schema for topic in keep}
         self._messages: dict[str, np.dtype[np.void]] = {}  # the fields that are kept, where they stand in a message
         self._columns: dict[str, AppendColumn] = {}
-        payload = MESSAGE_OVERHEAD + len(CDR_HEADER)  # begins behind the head of a message and the CDR header
+        payload = mcap.MESSAGE_OVERHEAD + len(CDR_HEADER)  # begins behind the head of a message and the CDR header
         for topic, fields in keep.items():
             dtype = self.schemas[topic].dtype
             numbers: Mapping[str, Any] = dtype.fields or {}
@@ -210,8 +199,8 @@ class ColumnBuffer:
             column.extend(part)
         events = messages.get(self._ids[EVENTS_TOPIC])
         for at in () if events is None else events.begins.tolist():
-            length = HEAD.unpack_from(data, at)[1]
-            payload = data[at + MESSAGE_OVERHEAD : at + MESSAGE_OVERHEAD - BEHIND + length]
+            length = mcap.HEAD.unpack_from(data, at)[1]
+            payload = data[at + mcap.MESSAGE_OVERHEAD : at + mcap.MESSAGE_OVERHEAD - mcap.BEHIND + length]
             self._events.extend(np.frombuffer(payload, np.uint8))
             self._lengths.extend(np.array([len(payload)], np.int64))
 

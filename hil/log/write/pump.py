@@ -17,18 +17,9 @@ from typing import Final
 
 from hil.errors import HilError
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel
+from hil.log.write import pipe_sink as pipe
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
-from hil.log.write.pipe_sink import (
-    BEGIN_ID,
-    BLOCK_ID,
-    COUNT,
-    DROPPED_ID,
-    END_ID,
-    EVENTS_ID,
-    FIRST_BLOCK_ID,
-    HEAD,
-    PipeSink,
-)
+from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import Dated, PayloadWriter, Sink, record_to
 
@@ -124,7 +115,7 @@ class _Takers:
     ) -> None:
         self._channels = {channel.id: channel for channel in channels.values()}
         self._puts: dict[int, PayloadWriter] = {}
-        for topic, number in [(EVENTS_TOPIC, EVENTS_ID), *((channel.topic, channel.id) for channel in channels.values())]:
+        for topic, number in [(EVENTS_TOPIC, pipe.EVENTS_ID), *((channel.topic, channel.id) for channel in channels.values())]:
             put = sink.channel(topic) or _ignore
             self._puts[number] = _tapped(topic, put, taps[topic], report) if topic in taps else put
         self._taken: dict[int, _Taker] = {number: self._single(number) for number in self._puts}
@@ -148,7 +139,7 @@ class _Takers:
         if len(payload) < 4 or len(payload) % 2:
             return False
         number, *ids = (each for (each,) in iter_unpack("<H", payload))
-        if not FIRST_BLOCK_ID <= number < BLOCK_ID or any(each not in self._channels for each in ids):
+        if not pipe.FIRST_BLOCK_ID <= number < pipe.BLOCK_ID or any(each not in self._channels for each in ids):
             return False
         schemas = [self._channels[each].schema for each in ids]
         if sum(schema.raw for schema in schemas) > 1:
@@ -175,18 +166,18 @@ class _Takers:
 
 def _take(data: bytes, takers: _Takers, sink: Sink, report: PumpReport) -> bytes | None:
     """Hand over every whole frame of ``data`` and return the rest, or None where the framing is lost."""
-    at, end, head = 0, len(data), HEAD.unpack_from
+    at, end, head = 0, len(data), pipe.HEAD.unpack_from
     dated = sink if isinstance(sink, Dated) else None
     before = None
-    while end - at >= HEAD.size:
+    while end - at >= pipe.HEAD.size:
         size, number, t_ns, behind = head(data, at)
-        after = at + HEAD.size + size
+        after = at + pipe.HEAD.size + size
         if after > end:
             if size > _MAX_PAYLOAD:  # not ours; nothing behind it can be trusted
                 report.malformed += 1
                 return None
             break
-        payload = data[at + HEAD.size : after]
+        payload = data[at + pipe.HEAD.size : after]
         at = after
         taker = takers.of(number)
         if taker is not None:
@@ -199,17 +190,17 @@ def _take(data: bytes, takers: _Takers, sink: Sink, report: PumpReport) -> bytes
                 report.last_ns = t_ns
             else:
                 report.malformed += 1
-        elif number == DROPPED_ID and size == COUNT.size:
-            lost = COUNT.unpack(payload)[0]
+        elif number == pipe.DROPPED_ID and size == pipe.COUNT.size:
+            lost = pipe.COUNT.unpack(payload)[0]
             report.dropped += lost
             sink.event(t_ns, "log-dropped", f"{lost} records were dropped: the log's pipe was full",
                        severity="warning", records=lost)
-        elif number == END_ID and not size:
+        elif number == pipe.END_ID and not size:
             report.complete = True
-        elif number == BEGIN_ID and size == COUNT.size:
+        elif number == pipe.BEGIN_ID and size == pipe.COUNT.size:
             if dated is not None:
-                dated.begin(COUNT.unpack(payload)[0])
-        elif number != BLOCK_ID or not takers.declare(payload):
+                dated.begin(pipe.COUNT.unpack(payload)[0])
+        elif number != pipe.BLOCK_ID or not takers.declare(payload):
             report.malformed += 1
     if dated is not None:
         dated.behind(0)  # of what this process says itself
