@@ -1,8 +1,8 @@
 """Rates of redundant and ageing components, from which Chapter 4 starts (Figures 4.1, 4.2), and of a user's function.
 
 A component with a constant failure rate c has an exponential lifetime; a system of several such components has not.
-Every class here is a ``design.processes.rates.Rate``; ``reliability(h)`` is the probability that the system still works, and the
-density of Figure 4.1 is reliability times rate.
+Every class here is a ``design.processes.rates.Rate``; e^(-integral) is the probability that the system still works, and the
+density of Figure 4.1 is this times the rate.
 
 Reference: thesis Section 4.1.
 """
@@ -20,11 +20,11 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.processes import elementary
-from design.processes.rates import FloatArray, check_positive
+from design.processes.rates import FloatArray, Rate, check_positive
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BathtubRate:
+class BathtubRate(Rate):
     """Infant mortality, useful life, wear: infant e^(-h/infant_time_s) + useful + wear clip(h - start, 0, span).
 
     Args:
@@ -81,7 +81,7 @@ class BathtubRate:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class KOutOfNRate:
+class KOutOfNRate(Rate):
     """Hazard of n active components of which k must work, each failing at a constant rate (Figures 4.1, 4.2).
 
     With p = e^(-rate h): R = sum_{j>=k} C(n,j) p^j (1-p)^(n-j), f = k C(n,k) rate p^k (1-p)^(n-k), lambda = f/R, which
@@ -98,23 +98,12 @@ class KOutOfNRate:
             raise FieldError("needed", f"{self.needed} of {self.installed} components is not between 1 and all")
 
     @property
-    def breaks(self) -> tuple[float, ...]:
-        return ()
-
-    @property
     def settled(self) -> float:
         return 0.0 if self.needed == self.installed else math.inf
 
     @property
     def limit(self) -> float:
         return self.needed * self.rate
-
-    def reliability(self, h: npt.ArrayLike) -> FloatArray:
-        """R(h): probability that the system still works."""
-        from scipy import special  # a loop needs no more than the rate
-
-        p = elementary.exp(-self.rate * np.asarray(h, dtype=float))
-        return np.asarray(special.betainc(self.needed, self.installed - self.needed + 1, p))
 
     def _ratio(self, p: FloatArray) -> FloatArray:
         # R / p^k, so that numerator and denominator of the hazard keep their digits when p underflows.
@@ -133,12 +122,9 @@ class KOutOfNRate:
         p = elementary.exp(-self.rate * h)
         return np.asarray(self.needed * self.rate * h - elementary.log(self._ratio(p)))
 
-    def bounds(self, start: float, stop: float) -> tuple[float, float]:
-        return float(self(start)), float(self(stop))
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ColdStandbyRate:
+class ColdStandbyRate(Rate):
     """Hazard of a component with n - 1 cold spares, an Erlang lifetime (Figures 4.1, 4.2).
 
     With a = rate h: lambda = rate (a^(n-1)/(n-1)!) / sum_{j<n} a^j/j!, which grows from 0 (n > 1) to rate.
@@ -153,22 +139,12 @@ class ColdStandbyRate:
             raise FieldError("installed", f"{self.installed} components, expected at least 1")
 
     @property
-    def breaks(self) -> tuple[float, ...]:
-        return ()
-
-    @property
     def settled(self) -> float:
         return 0.0 if self.installed == 1 else math.inf
 
     @property
     def limit(self) -> float:
         return self.rate
-
-    def reliability(self, h: npt.ArrayLike) -> FloatArray:
-        """R(h): probability that the system still works."""
-        from scipy import special
-
-        return np.asarray(special.gammaincc(self.installed, self.rate * np.asarray(h, dtype=float)))
 
     def _terms(self, h: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
         # Each term relative to the largest power: stable for long times.
@@ -188,9 +164,6 @@ class ColdStandbyRate:
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         return np.asarray(self.rate * np.asarray(h, dtype=float) - self._terms(h)[0])
-
-    def bounds(self, start: float, stop: float) -> tuple[float, float]:
-        return float(self(start)), float(self(stop))
 
 
 _GAUSS_8: Final = (

@@ -34,10 +34,11 @@ FloatArray = npt.NDArray[np.float64]
 
 @runtime_checkable
 class Rate(Protocol):
-    """What a transition rate must offer; see the module's docstring."""
+    """What a transition rate must offer; see the module's docstring. Who derives from it is smooth and monotone, or says more."""
 
     @property
-    def breaks(self) -> tuple[float, ...]: ...
+    def breaks(self) -> tuple[float, ...]:
+        return ()
 
     @property
     def settled(self) -> float: ...
@@ -46,7 +47,9 @@ class Rate(Protocol):
 
     def integral(self, h: npt.ArrayLike) -> FloatArray: ...
 
-    def bounds(self, start: float, stop: float) -> tuple[float, float]: ...
+    def bounds(self, start: float, stop: float) -> tuple[float, float]:
+        low, high = sorted((float(self(start)), float(self(stop))))
+        return low, high
 
 
 @runtime_checkable
@@ -192,7 +195,7 @@ def clip_rate(lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class WeibullRate:
+class WeibullRate(Rate):
     """Weibull hazard lambda(h) = (shape/scale) (h/scale)^(shape-1), H(h) = (h/scale)^shape.
 
     Scale 1 and shape 2 give 2h, not h as the text above (2.26) says.
@@ -209,10 +212,6 @@ class WeibullRate:
         check_positive("shape", self.shape)
 
     @property
-    def breaks(self) -> tuple[float, ...]:
-        return ()
-
-    @property
     def settled(self) -> float:
         return 0.0 if self.shape == 1.0 else math.inf
 
@@ -227,11 +226,6 @@ class WeibullRate:
 
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         return elementary.power(np.asarray(h, dtype=float) / self.scale_s, self.shape)
-
-    def bounds(self, start: float, stop: float) -> tuple[float, float]:
-        ends = sorted((float(self(start)), float(self(stop))))
-        return ends[0], ends[1]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaledRate:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -28,22 +28,34 @@ if TYPE_CHECKING:  # nothing of a solver
 FloatArray = npt.NDArray[np.float64]
 
 
-def _array(path: str, value: npt.ArrayLike, ndim: int, shape: Mapping[int, int]) -> FloatArray:
-    """A read-only float copy with its shape and entries checked; ``shape`` says which axes are already known."""
-    try:
-        array = np.array(value, dtype=float)
-    except (TypeError, ValueError):
-        raise FieldError(path, "is not an array of numbers (do all modes have the same shape?)") from None
-    if array.ndim != ndim:
-        raise FieldError(path, f"{array.ndim} axes, expected {ndim}; got shape {array.shape}")
-    for axis, size in shape.items():
-        if array.shape[axis] != size:
-            raise FieldError(path, f"shape {array.shape}, expected {size} along axis {axis}")
-    if not np.isfinite(array).all():
-        where = tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])
-        raise FieldError(f"{path}{list(where)}", f"{array[where]} is not finite")
-    array.setflags(write=False)
-    return array
+def _check(owner: object, shapes: Mapping[str, str], known: Mapping[str, int] | None = None, path: str = "") -> dict[str, int]:
+    """Make fields read-only float arrays, and return the sizes of their axes: a letter of a shape has one size in all of them.
+
+    Args:
+        owner: whose fields; one that is None stays so.
+        shapes: a letter for every axis of each.
+        known: sizes that are known before.
+        path: before the field's name in an error.
+    """
+    sizes = {**(known or {})}
+    for name, shape in shapes.items():
+        if (value := getattr(owner, name)) is None:
+            continue
+        try:
+            array = np.array(value, dtype=float)
+        except (TypeError, ValueError):
+            raise FieldError(path + name, "is not an array of numbers (do all modes have the same shape?)") from None
+        if array.ndim != len(shape):
+            raise FieldError(path + name, f"{array.ndim} axes, expected {len(shape)}; got shape {array.shape}")
+        for axis, letter in enumerate(shape):
+            if array.shape[axis] != (size := sizes.setdefault(letter, array.shape[axis])):
+                raise FieldError(path + name, f"shape {array.shape}, expected {size} along axis {axis}")
+        if not np.isfinite(array).all():
+            where = tuple(int(k) for k in np.argwhere(~np.isfinite(array))[0])
+            raise FieldError(f"{path}{name}{list(where)}", f"{array[where]} is not finite")
+        array.setflags(write=False)
+        object.__setattr__(owner, name, array)
+    return sizes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,13 +71,10 @@ class NormBounded:
     e: FloatArray
     fa: FloatArray
     fb: FloatArray
+    shapes: ClassVar = {"e": "Nnq", "fa": "Npn", "fb": "Npm"}
 
     def __post_init__(self) -> None:
-        e = _array("e", self.e, 3, {})
-        fa = _array("fa", self.fa, 3, {0: e.shape[0], 2: e.shape[1]})
-        object.__setattr__(self, "e", e)
-        object.__setattr__(self, "fa", fa)
-        object.__setattr__(self, "fb", _array("fb", self.fb, 3, {0: e.shape[0], 1: fa.shape[1]}))
+        _check(self, self.shapes)
 
     def scaled(self, scale: float) -> NormBounded:
         """The same uncertainty, ``scale`` times as large."""
@@ -83,11 +92,10 @@ class VertexUncertainty:
 
     da: FloatArray
     db: FloatArray
+    shapes: ClassVar = {"da": "VNnn", "db": "VNnm"}
 
     def __post_init__(self) -> None:
-        da = _array("da", self.da, 4, {})
-        object.__setattr__(self, "da", _array("da", da, 4, {3: da.shape[2]}))
-        object.__setattr__(self, "db", _array("db", self.db, 4, {0: da.shape[0], 1: da.shape[1], 2: da.shape[2]}))
+        _check(self, self.shapes)
 
     def scaled(self, scale: float) -> VertexUncertainty:
         """The same uncertainty, ``scale`` times as large."""
@@ -160,23 +168,9 @@ class JumpSystem(_Sized):
     sensors: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        a = _array("a", self.a, 3, {})
-        modes, n = a.shape[:2]
-        object.__setattr__(self, "a", _array("a", a, 3, {2: n}))
-        object.__setattr__(self, "b", _array("b", self.b, 3, {0: modes, 1: n}))
-        if self.c is not None:
-            object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
-        if self.e is not None:
-            object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
-        if self.sensors is not None:
-            object.__setattr__(self, "sensors", _array("sensors", self.sensors, 3, {0: modes, 1: n, 2: n}))
-        uncertainty = self.uncertainty
-        if isinstance(uncertainty, NormBounded):
-            _array("uncertainty.e", uncertainty.e, 3, {0: modes, 1: n})
-            _array("uncertainty.fb", uncertainty.fb, 3, {2: self.b.shape[2]})
-        elif isinstance(uncertainty, VertexUncertainty):
-            _array("uncertainty.da", uncertainty.da, 4, {1: modes, 2: n})
-            _array("uncertainty.db", uncertainty.db, 4, {3: self.b.shape[2]})
+        sizes = _check(self, {"a": "Nnn", "b": "Nnm", "c": "Npn", "e": "Nnq", "sensors": "Nnn"})
+        if self.uncertainty is not None:
+            _check(self.uncertainty, self.uncertainty.shapes, {size: sizes[size] for size in "Nnm"}, "uncertainty.")
 
     def shown(self, mode: int) -> FloatArray:
         """What the controller gets of x in a mode, S_i, (n, n)."""
@@ -229,17 +223,10 @@ class DelayedJumpSystem(_Sized):
     delay_slopes: FloatArray
 
     def __post_init__(self) -> None:
-        a = _array("a", self.a, 3, {})
-        modes, n = a.shape[:2]
-        object.__setattr__(self, "a", _array("a", a, 3, {2: n}))
-        object.__setattr__(self, "ad", _array("ad", self.ad, 3, {0: modes, 1: n, 2: n}))
-        object.__setattr__(self, "b", _array("b", self.b, 3, {0: modes, 1: n}))
-        object.__setattr__(self, "e", _array("e", self.e, 3, {0: modes, 1: n}))
-        object.__setattr__(self, "c", _array("c", self.c, 3, {0: modes, 2: n}))
-        slopes = _array("delay_slopes", self.delay_slopes, 1, {0: modes})
+        _check(self, {"a": "Nnn", "ad": "Nnn", "b": "Nnm", "e": "Nnq", "c": "Npn", "delay_slopes": "N"})
+        slopes = self.delay_slopes
         if (slopes >= 1).any():
             worst = int(np.argmax(slopes))
             raise FieldError(f"delay_slopes[{worst}]", f"{slopes[worst]:g} is not below 1, as (3.2) demands")
         if not np.isfinite(self.delay_max_s) or self.delay_max_s < 0:
             raise FieldError("delay_max_s", f"{self.delay_max_s!r} is not a finite non-negative time")
-        object.__setattr__(self, "delay_slopes", slopes)

@@ -24,6 +24,7 @@ from design.as_printed.examples import (
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.further_rates import ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition
+from design.processes.rates import Rate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
@@ -67,14 +68,14 @@ def simulate(gain: ScheduledGain, runs: int | None = None, noise_s: float = NOIS
 def lifetimes() -> Plot:
     """Figures 4.1 and 4.2: density and rate of redundant components, each with failure rate 1/s."""
     h = np.linspace(0.0, 5.0, 400)
-    laws: dict[str, KOutOfNRate | ColdStandbyRate] = {
+    laws: dict[str, Rate] = {
         "one component": KOutOfNRate(needed=1, installed=1, rate=1.0),
         "one of two": KOutOfNRate(needed=1, installed=2, rate=1.0),
         "one of three": KOutOfNRate(needed=1, installed=3, rate=1.0),
         "one and a cold spare": ColdStandbyRate(installed=2, rate=1.0),
     }
     rates = tuple(Series(label=name, x=h, y=law(h)) for name, law in laws.items())
-    densities = tuple(Series(label=name, x=h, y=law(h) * law.reliability(h)) for name, law in laws.items())
+    densities = tuple(Series(label=name, x=h, y=law(h) * np.exp(-law.integral(h))) for name, law in laws.items())
     return Plot(
         title="Figures 4.1 and 4.2",
         intro="Only a single component has a constant rate. The failure rate of 1/s is an assumption; the axes are not printed.",
