@@ -36,6 +36,7 @@ from design.jump_linear.long_computations import gmres, spectral_radius
 from design.jump_linear.second_moment import (
     EIG_DENSE_AFTER,
     EIG_DENSE_LIMIT,
+    Array,
     largest_by_arpack,
     mean_square_radius,
     restarts_for,
@@ -43,8 +44,6 @@ from design.jump_linear.second_moment import (
     to_vector,
 )
 from design.jump_linear.stability_proof import side_of_one
-
-Array = npt.NDArray[np.float64]
 
 
 def cyclic_classes(transition: Array) -> list[npt.NDArray[np.intp]]:
@@ -239,10 +238,9 @@ def _of_solver(A: Array, follows: npt.NDArray[np.bool_], growth: float) -> Array
     """P with A_i' P_j A_i < growth P_i wherever j may follow i, as a solver finds them; None where it finds none."""
     from design.lmi.program import LmiProgram
 
-    program, identity = LmiProgram(), np.eye(A.shape[-1])
+    program = LmiProgram()
     for i in range(len(A)):
-        program.symmetric(f"P{i}", A.shape[-1])
-        program.require(f"P{i} > I", lambda P: identity - P, f"P{i}", strict=False)
+        program.symmetric(f"P{i}", A.shape[-1], least=1.0)
     for i, j in np.argwhere(follows).tolist():
         if i == j:
             program.require(f"{i} to {j}", lambda P, own=A[i]: own.T @ P @ own - growth * P, f"P{i}")

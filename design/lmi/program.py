@@ -213,12 +213,16 @@ class LmiProgram:
         self.variables[name] = Variable(basis=basis, offset=self.size)
         self.size += basis.shape[0]
 
-    def symmetric(self, name: str, n: int) -> None:
-        """Add a symmetric n x n unknown."""
+    def symmetric(self, name: str, n: int, *, least: float | None = None, most: float | None = None) -> None:
+        """Add a symmetric n x n unknown, at least and at most so many times the unit matrix where that is given."""
         rows, cols = np.tril_indices(n)
         basis = np.zeros((rows.size, n, n))
         basis[np.arange(rows.size), rows, cols] = basis[np.arange(rows.size), cols, rows] = 1.0
         self.add(name, basis)
+        if least is not None:
+            self.require(f"{name} >= {least:g} I", lambda v: least * np.eye(n) - v, name, strict=False)
+        if most is not None:
+            self.require(f"{name} bounded", lambda v: v - most * np.eye(n), name, strict=False)
 
     def matrix(self, name: str, rows: int, columns: int) -> None:
         """Add a full rows x columns unknown."""

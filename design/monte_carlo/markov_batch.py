@@ -20,10 +20,9 @@ import numpy.typing as npt
 
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
-from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, Workers, in_chunks, inside_chunk
+from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, FloatArray, Workers, in_chunks, inside_chunk
 from design.processes.elementary import normal_quantile
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 
 CHUNK = 512

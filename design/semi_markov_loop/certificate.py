@@ -13,7 +13,6 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
@@ -21,9 +20,8 @@ from design.lmi.decision import Attenuation
 from design.lmi.exact import Lift, as_float
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 
-FloatArray = npt.NDArray[np.float64]
 Method = Literal["exact", "pwl", "pwc", "printed"]
 Verdict = Literal["certified", "refused", "undecided"]
 

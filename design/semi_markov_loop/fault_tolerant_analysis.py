@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import block_diag, eigh
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -33,9 +32,7 @@ from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.period_moments import gain_mode, moment_operators
 from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
-from design.semi_markov_loop.system import JumpSystem
-
-FloatArray = npt.NDArray[np.float64]
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

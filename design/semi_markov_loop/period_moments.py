@@ -21,14 +21,11 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
 from design.errors import FieldError
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
-
-FloatArray = npt.NDArray[np.float64]
+from design.semi_markov_loop.system import FloatArray, JumpSystem, NormBounded, VertexUncertainty
 
 
 class TooLarge(ValueError):

@@ -71,16 +71,11 @@ def feedback_program(
     for i, row in enumerate(nodes):
         for r in range(len(row)):
             x, y = f"X[{i},{r}]", f"Y[{i},{r}]"
-            program.symmetric(x, n)
+            program.symmetric(x, n, least=1.0, most=condition)
             program.matrix(y, m, n)
-            program.require(f"{x} >= I", lambda v: np.eye(n) - v, x, strict=False)
-            program.require(f"{x} bounded", lambda v: v - condition * np.eye(n), x, strict=False)
-            limit = partial(gain_limit, bound=gain_bound)
-            program.require(f"gain bound at {x}", limit, x, y, strict=False)
+            program.require(f"gain bound at {x}", partial(gain_limit, bound=gain_bound), x, y, strict=False)
             for scale in scales:
-                program.matrix(f"{scale}[{i},{r}]", 1, 1)
-                program.require(f"{scale} >= 0", lambda e: -e, f"{scale}[{i},{r}]", strict=False)
-                program.require(f"{scale} bounded", lambda e: e - condition, f"{scale}[{i},{r}]", strict=False)
+                program.symmetric(f"{scale}[{i},{r}]", 1, least=0.0, most=condition)
     blocks = [partial(_block, system=system, vertex=vertex, decay=decay) for vertex in system.vertices]
     require_inverse(program, blocks, process, nodes, method, at_nodes=("Y", *scales), sound=sound)
     return program

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm, solve_discrete_lyapunov
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -34,9 +33,8 @@ from design.semi_markov_loop.period_moments import (
     svec_size,
 )
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, check_size, rates_by_age
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 
-FloatArray = npt.NDArray[np.float64]
 CONDITION = 1e5
 """Largest condition number of P that is searched."""
 
@@ -146,9 +144,7 @@ def lyapunov_decrease(loop: DetectionLoop) -> LmiSolution:
         starts = pairs.gain.starts_s[pair]
         for b, stop in enumerate([*starts[1:].tolist(), math.inf]):
             name = f"P[{pair},{b}]"
-            program.symmetric(name, size)
-            program.require(f"{name} >= I", lambda p: np.eye(size) - p, name, strict=False)
-            program.require(f"{name} bounded", lambda p: p - CONDITION * np.eye(size), name, strict=False)
+            program.symmetric(name, size, least=1.0, most=CONDITION)
             box = loop.box(pair, stop + 2 * T)
             _require_decrease(program, loop, maps, pair, b, box, delta[pair])
             if b + 1 < starts.size:

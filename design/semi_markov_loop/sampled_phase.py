@@ -57,15 +57,13 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 
 from design.lmi.exact import as_float
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
 from design.semi_markov_loop.period_moments import TooLarge, factors, held_flow, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, rates_by_age
-from design.semi_markov_loop.system import DelayedJumpSystem, NormBounded
+from design.semi_markov_loop.system import DelayedJumpSystem, FloatArray, NormBounded
 
-FloatArray = npt.NDArray[np.float64]
 CONDITION = 1e4
 """Largest eigenvalue of P that is searched."""
 UNKNOWNS, UNKNOWNS_DELAYED = 2500, 300

@@ -23,7 +23,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
@@ -41,10 +40,9 @@ from design.semi_markov_loop.period_moments import (
     svec,
     svec_size,
 )
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+from design.semi_markov_loop.system import DelayedJumpSystem, FloatArray, JumpSystem
 from design.verdict import State, Verdict
 
-FloatArray = npt.NDArray[np.float64]
 LARGEST = 2000
 """Most unknowns of R."""
 RESTARTS = 60

@@ -23,16 +23,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import DesignError, FieldError
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.period_moments import congruence, moment_operators, svec_size
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 
-FloatArray = npt.NDArray[np.float64]
 ORDER = 12
 
 

@@ -33,9 +33,8 @@ from design.semi_markov_loop.period_moments import (
     period_moments,
     svec_size,
 )
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]
 BINS = 64
 CELLS = 100_000

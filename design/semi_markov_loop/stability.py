@@ -80,13 +80,7 @@ def lyapunov_program(inequalities: list[Inequality], states: int, condition: flo
     """The program over the P and eps of the inequalities, all bounded by ``condition``."""
     program = LmiProgram(reach=condition)
     for name in dict.fromkeys(name for item in inequalities for name in item.on):
-        if name.startswith("eps"):
-            program.matrix(name, 1, 1)
-            program.require(f"{name} bounded", lambda e: e - condition, name, strict=False)
-        else:
-            program.symmetric(name, states)
-            bound = condition * np.eye(states)
-            program.require(f"{name} bounded", lambda p, top=bound: p - top, name, strict=False)
+        program.symmetric(name, 1 if name.startswith("eps") else states, most=condition)
     program.inequalities += inequalities
     return program
 
