@@ -31,7 +31,6 @@ from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material, Wall
@@ -57,31 +56,26 @@ def certify_wall(
     wall: Wall,
     coupler: Coupler,
     period_s: float,
-    sc: DelayChain | int | None,
-    ca: DelayChain | int | None,
+    sc: DelayChain | int,
+    ca: DelayChain | int,
     equalised: bool = False,
-    material_chain: npt.ArrayLike | None = None,
     saturates_n: float = math.inf,
 ) -> Verdict:
     """Say what is proved of a wall that is felt through a network.
 
     Args:
         device: device and the hand that the claim may count on: its damping is the least that any hand has.
-        wall: materials and the rule for their change.
+        wall: materials and the rule for their change; by its chain, if it has one, the second moment of the loop in contact.
         coupler: C.
         period_s: T in s.
-        sc, ca: delays of position and force: a chain, a constant in samples, or None where no chain describes the law.
+        sc, ca: delays of position and force: a chain, or a constant in samples.
         equalised: whether both ends wait until the largest delay has passed, so that the loop has that one delay.
-        material_chain: Lambda over the materials that are touched, for the second moment of the loop in contact; None leaves
-            that number out.
         saturates_n: largest force of the motor in N.
 
     Returns:
         A verdict of kind ``passivity``, without a digest; every number is in its details.
     """
     beta = device.total_damping_n_s_per_m
-    if sc is None or ca is None:
-        return _verdict("undecided", "no delay chain describes this kind of network law", beta)
     sides = [[d] if isinstance(d, int) else sorted({int(x) for x in d.delay}) for d in (sc, ca)]
     if equalised:
         sides = [side[-1:] for side in sides]
@@ -101,9 +95,8 @@ def certify_wall(
     details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
     stays = [1.0 if wall.chain is None else wall.chain[i][i] for i in wall.met]  # probability, per slot; a hand may rest
     linear, moment = wall.switching == "plain" or wall.alike, 0.0  # else the energy rule moves the surface
-    if material_chain is not None:
-        inside = np.ix_(wall.met, wall.met)
-        moment = loop.jump_system(wall.touched, np.asarray(material_chain, dtype=np.float64)[inside], sc, ca).radius()
+    if wall.chain is not None:
+        moment = loop.jump_system(wall.touched, np.array(wall.chain)[np.ix_(wall.met, wall.met)], sc, ca).radius()
         details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies and linear else radius < 1.0}
         if varies and not linear:  # of the paths alone on which a material stays
             alone = [loop.jump_system((m,), [[1.0]], sc, ca).radius() for m in wall.touched]
@@ -120,40 +113,35 @@ def certify_wall(
     holds = moves if varies else all(held)
     number = min(needed.damping_n_s_per_m, beta) if holds else needed.damping_n_s_per_m  # the exact answer decides
     details |= {"damping_needed_n_s_per_m": number, "worst_delay": needed.delay}
-    decided = (number, QUANTITY, beta, details)
+    spared = next(((i, m) for i, m in enumerate(wall.touched) if m.spared_m_per_n > m.most_spared_m_per_n(period_s)), None)
     if not all(held):
         failed = [d for d, met in zip(delays, held) if not met]
-        reason = (
+        why = (
             f"the coupler misses the condition at {_samples(failed)} of delay: it needs {number:.6g} N s/m, "
             f"device and hand have {beta:.6g} N s/m"
         )
-        return _verdict("undecided", reason, beta, *decided)
-    if varies and not moves:
-        reason = (
+    elif varies and not moves:
+        why = (
             f"the delay varies over {_samples(delays)}; the condition is proved for each of them held, not for their change, "
-            f"which takes {number:.6g} N s/m" + ("" if keeps_order(sc) else " and samples that come in their order")
+            f"which takes {number:.6g} N s/m{'' if keeps_order(sc) else ' and samples that come in their order'}; "
+            "coupler.equalise = true makes it one delay"
         )
-        return _verdict("undecided", f"{reason}; coupler.equalise = true makes it one delay", beta, *decided)
-    for i, m in enumerate(wall.touched):
-        if m.spared_m_per_n > m.most_spared_m_per_n(period_s):
-            reason = (
-                f"wall.materials[{i}].spared_m_per_n: {m.spared_m_per_n:.6g} m/N; its own give makes up for 1/(K + 2 B/T) = "
-                f"{m.most_spared_m_per_n(period_s):.6g} m/N of a coupler at most"
-            )
-            return _verdict("undecided", reason, beta, *decided)
-    if not wall.passive:
+    elif spared is not None:
+        i, m = spared
+        why = (
+            f"wall.materials[{i}].spared_m_per_n: {m.spared_m_per_n:.6g} m/N; its own give makes up for 1/(K + 2 B/T) = "
+            f"{m.most_spared_m_per_n(period_s):.6g} m/N of a coupler at most"
+        )
+    elif not wall.passive:
         what = "stiffness or coupler" if wall.spares else "stiffness"
-        reason = f'the wall gives energy away where its {what} changes under pressure; switching = "energy" makes it passive'
-        return _verdict("undecided", reason, beta, *decided)
-    cut = cut_off(wall, coupler, saturates_n)
-    if cut:
-        return _verdict("undecided", cut, beta, *decided)
-    reason = (
+        why = f'the wall gives energy away where its {what} changes under pressure; switching = "energy" makes it passive'
+    else:
+        why = cut_off(wall, coupler, saturates_n)
+    passive = (
         f"passive for every passive hand and wall at {_samples(delays)} of delay{', in any order' if varies else ''}: needs "
-        f"{number:.6g} N s/m, "
-        f"device and hand have {beta:.6g} N s/m"
+        f"{number:.6g} N s/m, device and hand have {beta:.6g} N s/m"
     )
-    return _verdict("certified", reason, beta, *decided)
+    return _verdict("undecided" if why else "certified", why or passive, beta, number, QUANTITY, beta, details)
 
 
 def lags(sc: Iterable[int], ca: Iterable[int]) -> tuple[int, ...]:
@@ -219,13 +207,10 @@ def _samples(delays: Sequence[int]) -> str:
 
 
 def _verdict(
-    state: State, reason: str, beta: float, number: float | None = None, quantity: str = "", limit: float | None = None,
-    details: dict[str, object] | None = None,
+    state: State, reason: str, beta: float, number: float, quantity: str, limit: float, details: dict[str, object]
 ) -> Verdict:  # fmt: skip
-    if number is not None and not np.isfinite(number):
-        number = None
-    assumptions = (*ASSUMPTIONS, f"device and hand damp at least {beta:.6g} N s/m")
     return Verdict(
-        kind="passivity", state=state, reason=reason, number=number, quantity=quantity, limit=limit, assumptions=assumptions,
-        method=METHOD, details=details or {},
+        kind="passivity", state=state, reason=reason, number=number if math.isfinite(number) else None, quantity=quantity,
+        limit=limit, method=METHOD, details=details,
+        assumptions=(*ASSUMPTIONS, f"device and hand damp at least {beta:.6g} N s/m"),
     )  # fmt: skip

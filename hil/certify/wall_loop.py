@@ -55,7 +55,7 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
             return undecided(loop, "passivity", f"{short}; it has {has}")
     verdict = certify_wall(
         device=device, wall=controller.wall, coupler=controller.coupler, period_s=loop.model.period_s, sc=sc, ca=ca,
-        equalised=controller.equalise, material_chain=controller.wall.chain,
+        equalised=controller.equalise,
         saturates_n=min((e.largest for e in elements if e.largest is not None), default=math.inf),
     )  # fmt: skip
     if not verdict.certified:

@@ -17,7 +17,7 @@ from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
 from hil.certify.certifier import Said
 from hil.certify.certify import judge
-from hil.certify.jump_loop import process_of, system_of
+from hil.certify.jump_loop import jump_step, process_of, system_of
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import Seconds, load_experiment
@@ -226,3 +226,32 @@ def test_checks_say_what_a_plug_in_is_and_what_that_earns() -> None:
 class _Blind(Scheduled):
     def start(self, model: LoopModel) -> Any:
         return Constant(value=(0.0,)).start(model)
+
+
+def test_what_a_record_fulfils_is_the_flow_of_a_mode_within_what_is_uncertain_and_the_jumps_that_a_slot_hides() -> None:
+    """x' = a x + b u with a in [0.2, 0.3] or [1, 1.4] and b in [0.9, 1.1] or [0.8, 0.8]; 0.5 jumps per s."""
+    tank = TwoSpeedTank()
+    model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.2, tau_max=0, d_max=0)
+    growth, away, effect = np.array([0.2, 1.0]), np.array([0.1, 0.4]), np.array([1.0, 0.8])
+
+    class Uncertain(TwoSpeedTank):
+        hidden = ()
+
+        def jump_system(self) -> JumpModel:
+            changes = (((((0.1,),), ((0.4,),)), (((0.1,),), ((0.0,),))), ((((0.0,),), ((-0.2,),)), (((-0.1,),), ((0.0,),))))
+            return dataclasses.replace(tank.jump_system(), changes=changes)
+
+        def jump_process(self) -> JumpRates:
+            return dataclasses.replace(tank.jump_process(), detection=self.hidden)
+
+    step, wide = jump_step(tank, model), jump_step(Uncertain(), model)
+    assert step is not None and wide is not None and step.seen and step.unseen == pytest.approx(0.1**2)
+    held = np.expm1(0.2 * growth) / growth
+    assert np.allclose(step.flows[:, 0], np.column_stack([np.exp(0.2 * growth), held * effect])) and not step.bands.any()
+    farther = np.exp(0.2 * (growth + away)) - np.exp(0.2 * growth)
+    assert np.array_equal(wide.flows, step.flows) and np.allclose(wide.bands[:, 0, 0], farther)
+    pushed = np.expm1(0.2 * (growth + away)) / (growth + away) * (effect + [0.1, 0.0]) - held * effect
+    assert np.allclose(wide.bands[:, 0, 1], pushed)
+    Uncertain.hidden = (tank.jump_process().rates,) * 2
+    unseen = jump_step(Uncertain(), model)
+    assert unseen is not None and not unseen.seen and unseen.unseen == pytest.approx(0.1)
