@@ -118,7 +118,7 @@ def certify_cost(
         assumptions=(
             "the history before slot 0 is the plant's, not received" if past else "the history before slot 0 is zero",
             *(["sensor noise is white, drawn anew for every sample; the cost is without it"] if noisy else []),
-            "the phases follow the cycle" if transition is None else "the phases follow the chain", "no packet is lost",
+            "the phases follow the cycle" if transition is None else "the phases follow the chain",
         ),
         method="Lyapunov equation on the stacked state, exact", details=details,
     )  # fmt: skip

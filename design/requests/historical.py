@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -64,7 +65,6 @@ class HistoricalDesigned:
         """
         from design.historical_data.guaranteed_cost import Start, average_start
         from design.historical_data.least_cost import match_peak, synthesise
-        from design.historical_data.lifted_loop import DelayedPlant
         from design.historical_data.sensor_schedule import (
             lossy,
             mask_of,
@@ -79,7 +79,7 @@ class HistoricalDesigned:
             raise FieldError("kind", "needs a plant in slots whose state is measured, with a cost (state_delays, cost_weights)")
         m = plant.B.shape[1]
         weight = self.input_weight * np.eye(m) + (0.0 if plant.input_weight is None else plant.input_weight)
-        problem = DelayedPlant(A=plant.A, delayed=plant.delayed, B=plant.B, weight=plant.weight, input_weight=weight)
+        problem = dataclasses.replace(plant, input_weight=weight)
         if self.uses == "last-packets":
             return self._of_last_packets(problem, nodes, task.initial_state)
         uses: Literal["history", "current-packet"] = "history" if self.uses == "history" else "current-packet"

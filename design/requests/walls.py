@@ -155,12 +155,11 @@ def damping_of(task: DesignTask) -> float:
         task: a plant of state (position, speed) under one force.
 
     Raises:
-        FieldError: another kind of plant, or one whose damping cannot be said.
+        FieldError: its damping cannot be said.
     """
     from design.passivity.loop import continuous
 
     model = task.model
-    check_device(task)
     rates = continuous(model.A, model.B, model.period_s)
     # an ulp less than it may be: taps made for less damping hold for more
     return float(-rates[1, 1] / rates[1, 2]) * (1.0 - 1e-9)

@@ -103,13 +103,11 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     noise = loop.plant.sensor_noise() if isinstance(loop.plant, HasSensorNoise) else None
     start = Start(moment=np.outer(x0, x0), phases=each.start)
     verdict = certify_cost(plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed)
-    lossless = nodes.turns is None or not nodes.turns.loss
-    assumptions = tuple(
-        said if lossless or said != "no packet is lost" else "packets are lost on the medium as it states, and nowhere else"
-        for said in verdict.assumptions
-    )
+    lossy = nodes.turns is not None and nodes.turns.loss
+    lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
     known = msgspec.structs.replace(
-        verdict, assumptions=(*assumptions, "no limit trips"), digest=loop.digest, details={**verdict.details, **least}
+        verdict, digest=loop.digest, details={**verdict.details, **least},
+        assumptions=(*verdict.assumptions, lost, "no limit trips"),
     )
     return limited_to_model(loop.plant, known, knows_state_delays=True)
 

@@ -24,8 +24,13 @@ def bears(design: Design, size: float = 1.0) -> float:
 
 def test_gains_that_bear_the_uncertainty_are_found_where_the_nominal_ones_do_not(nominal: Design) -> None:
     assert bears(nominal, 0.9) < 1.0
-    found = robust(nominal, M, N1, 0.9 * N2)
+    seen: list[tuple[str, int, int, float]] = []
+    found = robust(nominal, M, N1, 0.9 * N2, progress=lambda *said: seen.append(said))
     assert bears(found, 0.9) > 1.0 and found.certificate.stable
+    structure = found.problem.structure()
+    least = min(value for stage, _, _, value in seen if stage == "guaranteed h2")
+    assert seen[0] == ("margin", 1, 1, pytest.approx(bears(nominal, 0.9)))
+    assert 1.0 <= robust_norms(structure, found.gains, M, N1, 0.9 * N2).h2 / least < 1.02  # of one multiplier on a grid
     assert (found.certificate.h2_norm or 0.0) > (nominal.certificate.h2_norm or 0.0)
 
 

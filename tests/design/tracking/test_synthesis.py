@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.errors import DesignError, Infeasible, NotStable
-from design.networked_loop.certify import certify_loop
+from design.networked_loop.certify import certify_loop, certify_structure
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.loop_parts import check_held, steady_state
 from design.processes.delay_chain import DelayChain
@@ -70,6 +70,20 @@ def test_mixed_design_keeps_its_bound():
     )
     assert design.certificate.hinf_norm <= 17.5
     assert design.certificate.h2_norm <= 3.805
+
+
+def test_no_gains_nearby_meet_a_mixed_bound_with_a_smaller_h2_norm():
+    """The bound lies between the H-infinity norms of the pure designs, and the design is at it."""
+    plant = {"A": [[1.2]], "B": [[1.0]], "C": [[1.0]], "sc": [[0.7, 0.3], [0.6, 0.4]], "ca": [[1.0]], "R": 0.5, "starts": 1}
+    low, high = (solve(TrackingProblem(**plant, objective=each)).certificate.hinf_norm for each in ("hinf", "h2"))
+    bound = (low * high) ** 0.5
+    design = solve(TrackingProblem(**plant, objective="mixed", hinf_bound=bound))
+    assert 0.9999 * bound <= design.certificate.hinf_norm <= bound
+    structure, rng = design.problem.structure(), np.random.default_rng(1)
+    steps = [size * rng.normal(size=design.gains.shape) for size in np.repeat([1e-3, 1e-2, 1e-1], 20)]
+    around = [certify_structure(structure, design.gains + step, output="stacked", hinf=True) for step in steps]
+    within = [c.h2_norm for c in around if c.stable and c.hinf_norm <= bound]
+    assert len(within) > 10 and min(within) >= (1.0 - 1e-5) * design.certificate.h2_norm
 
 
 @pytest.mark.slow
