@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -94,14 +93,9 @@ def _orders(plant: DelayedPlant, nodes: SensorNodes, K: Gains, name: str) -> lis
     from design.historical_data.least_cost import orders_by_cost
 
     turns = nodes.turns
-    if not _fixed_order(nodes) or turns is None or Counter(turns.order) != Counter(range(len(nodes.names))):
+    alike = len(set(nodes.buffers)) == len(set(nodes.delays)) == 1 and None not in nodes.delays and not nodes.silent
+    if not alike or turns is None or turns.loss or sorted(turns.order) != list(range(len(nodes.names))):
         raise HilError(f"{name}: --orders: needs turns in a fixed order, one for every node, no loss, and one buffer and delay")
     memory = max(K.shape[1] - 1, nodes.buffers[0] - 1 + (nodes.delays[0] or 0))
     tried = orders_by_cost(plant, nodes, average_start(len(plant.A), len(turns.order)), memory)
     return [{"nodes": [nodes.names[n] for n in each.order], "mean_cost": each.cost} for each in tried]
-
-
-def _fixed_order(nodes: SensorNodes) -> bool:
-    turns = nodes.turns
-    alike = len(set(nodes.buffers)) == len(set(nodes.delays)) == 1 and None not in nodes.delays
-    return turns is not None and bool(turns.order) and not turns.loss and alike and not nodes.silent

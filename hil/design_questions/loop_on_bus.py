@@ -13,6 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from design.processes.delay_chain import DelayChain
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
@@ -92,15 +93,16 @@ def to_estimate_from(experiment: Experiment) -> Experiment:
 def _bounds(loop: Loop, delays: BusDelays | str, way: str) -> tuple[float | None, int | None]:
     if isinstance(delays, str):
         return None, None
-    at = ("sc", "ca").index(way)
-    receiver = (loop.rig.at_controller, loop.rig.at_actuator)[at]
-    chain = chain_of_ages((delays.sensor, delays.control)[at], receiver._replace(max_age=1 << 20))
-    return delays.worst_ns[at] / 1e6, chain.max_delay
+    return delays.worst_ns[("sc", "ca").index(way)] / 1e6, _chain(loop, delays, way).max_delay
+
+
+def _chain(loop: Loop, delays: BusDelays, way: str) -> DelayChain:
+    ages, receiver = (delays.sensor, loop.rig.at_controller) if way == "sc" else (delays.control, loop.rig.at_actuator)
+    return chain_of_ages(ages, receiver._replace(max_age=1 << 20))
 
 
 def _exact(loop: Loop, delays: BusDelays, way: str) -> BusLaw:
-    receiver = loop.rig.at_controller if way == "sc" else loop.rig.at_actuator
-    chain = chain_of_ages(delays.sensor if way == "sc" else delays.control, receiver._replace(max_age=1 << 20))
+    chain = _chain(loop, delays, way)
     at, ages = int(np.flatnonzero(np.asarray(chain.begins))[0]), []
     for _ in range(chain.modes):
         ages.append(int(chain.delay[at]))

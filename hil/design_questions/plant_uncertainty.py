@@ -13,7 +13,6 @@ Reference: thesis Remark 7.6; `design.networked_loop.uncertainty`, `design.netwo
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Sequence
 from itertools import product
 from typing import NamedTuple
@@ -68,18 +67,17 @@ def interval(plant: Plant, said: str) -> Interval:
         HilError: no such parameter, or no width above 0.
     """
     name, _, width = (part.strip() for part in said.partition("="))
-    match = re.fullmatch(r"([0-9.eE+-]+)(\s*%)?", width)
     try:
-        number = float(match[1]) if match else np.nan
+        number = float(width.removesuffix("%"))
     except ValueError:
         number = np.nan
-    if match is None or not (np.isfinite(number) and number > 0):
+    if not (np.isfinite(number) and number > 0):
         raise HilError(f"--uncertainty {said}: expected NAME=PERCENT% or NAME=WIDTH, above 0, as in gain=10%")
     known = parameters(plant)
     if name not in known:
         raise HilError(f"--uncertainty: {name}: the plant has no such number (there are: {', '.join(sorted(known)) or 'none'})")
     nominal = known[name]
-    half = abs(nominal) * number / 100.0 if match[2] else number
+    half = abs(nominal) * number / 100.0 if width.endswith("%") else number
     if half == 0.0:
         raise HilError(f"--uncertainty: {name}: is 0, so every percentage of it is 0; give a width, as in {name}=0.1")
     return Interval(name, nominal, nominal - half, nominal + half)
