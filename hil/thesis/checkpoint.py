@@ -13,6 +13,7 @@ import hashlib
 import json
 import os
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -171,6 +172,7 @@ class KeptStages:
         self._file.close()
 
 
+@cache
 def digest_of_code() -> str:
     """SHA-256 of every module of the four packages."""
     found = hashlib.sha256()

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import count
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,8 +18,7 @@ from design.semi_markov_loop.certificate import JumpCertificate
 from hil.pages.html.figures import Bars
 from hil.thesis import chapter3 as numbers
 from hil.thesis import chapter3_partitions as section
-from hil.thesis.chapter3_partitions import FURTHER, PARTITIONS, further, interval_matrices, partitions, rates_inside
-from hil.thesis.noisy_runs import NoisyRuns
+from hil.thesis.chapter3_partitions import FURTHER, further, interval_matrices, rates_inside
 from hil.thesis.statements import judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
@@ -81,53 +77,6 @@ def test_the_largest_frozen_norm_is_over_modes_sections_and_delays() -> None:
             assert numbers._frozen_norm(system, with_gain(mode, part, 4.5)) == pytest.approx(peak(0.5), rel=1e-3)
 
 
-class Runs:
-    """Runs whose numbers say what was asked: case (length, noise) and seed."""
-
-    def __init__(self) -> None:
-        self.asked: list[tuple[int, float, float, int]] = []
-
-    def __call__(
-        self, gain: ScheduledGain, runs: int, duration_s: float, noise_s: float, *, seed: int = 0, noise: bool = True,
-        start: tuple[float, ...] = (1.0,) * 4,
-    ) -> NoisyRuns:  # fmt: skip
-        self.asked.append((runs, duration_s, noise_s, seed))
-        time_s = np.linspace(0.0, duration_s, 11)
-        ratio = np.full(runs, 10.0 * duration_s + noise_s + 0.001 * seed if any(start) else 7.0)
-        x = np.zeros((runs, 11, 4))
-        x[:, time_s > 5.0, 1] = -3.0 * noise_s
-        x[:, time_s <= 5.0, 1], x[:, :, 0] = 50.0, 60.0
-        x[:, -1, 1] = 4.0 * noise_s
-        return NoisyRuns(time_s, x, ratio, np.full(runs, 5.0 if noise else 6.0))
-
-
-def test_a_case_that_its_runs_leave_undecided_has_others_in_their_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    runs, steps = Runs(), []
-    undecided: Iterator[int] = count()
-
-    class Found:
-        def __init__(self, what: str, ratio: Any, printed: float) -> None:
-            assert printed == 0.232
-            self.undecided = next(undecided) == 2
-
-    monkeypatch.setattr(numbers, "_runs", runs)
-    monkeypatch.setattr(numbers, "rank", Found)
-    values = numbers._simulations(lambda text, done=0, total=0, /: steps.append((text, done, total)))
-    plain, more = numbers.RUNS, numbers.MORE // 3
-    assert runs.asked[:7] == [
-        (plain, 20.0, 1.0, 0), (plain, 10.0, 0.5, 0), (plain, 10.0, 0.01, 0),
-        (more, 10.0, 0.01, 1), (more, 10.0, 0.01, 2), (more, 10.0, 0.01, 3), (plain, 20.0, 0.01, 0),
-    ]  # fmt: skip
-    assert values["runs"] == [plain, plain, numbers.MORE, plain]
-    means = [float(ratio.mean()) for ratio in values["ratios"]]
-    assert means == pytest.approx([201.0, 100.5, 100.012, 200.01])
-    assert values["largest"] == 201.0 and values["rest"] == 7.0 and values["quiet"] == 6.0
-    assert values["words"].startswith("201.000 +- 0.000 per run of 20 s, noise held 1 s; 100.500")
-    assert values["rms"] == pytest.approx([held * np.sqrt((4 * 9 + 16) / 5) for held in numbers.HELD])
-    assert values["peak"] == pytest.approx([4.0 * held for held in numbers.HELD])
-    assert [done for _, done, _ in steps] == [0, 1, 2, 2, 3, 4, 5, 6] and {total for *_, total in steps} == {7}
-
-
 def test_a_gain_that_certifies_no_level_has_a_bar_of_no_height() -> None:
     def certificate(gamma: float | None) -> JumpCertificate:
         return JumpCertificate(method="pwc", verdict="certified", reason="", gamma=gamma)
@@ -159,33 +108,6 @@ def test_the_inequality_is_largest_at_a_corner_of_the_rates_of_a_mode() -> None:
             largest.append(float(np.linalg.eigvalsh(inequality_at(system, found, i, rates, eta))[-1]))
     assert at_corners == pytest.approx(max(largest)) and len({*np.round(largest, 6)}) > 12
     assert 0.7 * (at_corners - min(largest)) < inside - min(largest) < at_corners - min(largest)
-
-
-def test_numbers_of_section_3_3_are_of_what_was_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With levels and eigenvalues in the place of minutes of search; decay, runs and boxes are computed."""
-    asked, said = [], []
-
-    def delayed_section(*given: Any, **more: Any) -> SimpleNamespace:
-        asked.append((given[2:], more))
-        return SimpleNamespace(gamma={section.WHOLE: 2.0, section.SECTIONS: (1.0, 1.6)[given[3]]}[given[2]])
-
-    for name, answer in (
-        ("delayed_section", delayed_section), ("rates_inside", lambda found: (-0.5, -0.7 * found.gamma)), ("BOXES", 20),
-        ("RUNS", 10),
-    ):  # fmt: skip
-        monkeypatch.setattr(section, name, answer)
-    values = partitions(lambda text, done=0, total=0, /: said.append((done, total)))
-    assert said == [(0, 4), (1, 4), (2, 4), (3, 4)]
-    parts = ((section.WHOLE, 0), (section.SECTIONS, 0), (section.SECTIONS, 1))
-    bounded = [(part, bound) for bound in section.BOUNDS for part in parts]
-    assert [(given[:2], more["gain_bound"]) for given, more in asked] == bounded
-    assert all(given[2] is None and more["reading"] == "consistent" for given, more in asked)
-    assert values["levels"] == {"one": [2.0, 2.0], "two": [1.6, 1.6]} and values["less"] == [1.25, 1.25]
-    assert (values["corners"], values["inside"]) == (-0.5, -1.4) and {*values["boxes"]} == {"all", "two"}
-    assert values["rate"] > 0.0 and values["sigma"] > 1.0 and values["over"] < 1.0 <= values["peak"] < values["sigma"]
-    rows = judge(PARTITIONS, values)
-    assert [row.verdict for row in rows] == ["reproduced"] * 4
-    assert_every_number_decides(rows)
 
 
 def test_longer_delays_are_judged_one_after_the_other_and_gains_beside_the_printed_ones(monkeypatch: pytest.MonkeyPatch) -> None:

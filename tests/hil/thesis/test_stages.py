@@ -11,6 +11,7 @@ import importlib
 from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ import pytest
 from design.as_printed.chapters_2_to_4 import PrintedRequest
 from design.as_printed.examples import chapter3_gain
 from design.monte_carlo.parallel_runs import Workers
+from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import Synthesis
 from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
@@ -46,10 +48,21 @@ def certificate(system: DelayedJumpSystem, *given: Any, **more: Any) -> JumpCert
     return JumpCertificate(method="pwc", verdict="certified", reason="", gamma=gamma, gain=chapter3_gain())
 
 
+def printed_section(system: object, process: object, sections: Partition, m: int, gain: None, **more: Any) -> JumpCertificate:
+    """A level of no search: by the bound, the sections and which of them."""
+    gamma = more["gain_bound"] / len(sections[0]) + 0.1 * m
+    return JumpCertificate(method=more["reading"], verdict="certified", reason="", gamma=gamma)
+
+
 SMALLER: dict[str, Any] = {
     "chapter2_runs.RUNS": 30, "chapter2_feasibility.BOUNDS": (5.0,), "chapter2.largest_uncertainty": scale,
     "chapter3.delayed_hinf": certificate, "chapter3.analyse_delayed": certificate,
-    "chapter3.delayed_runs": partial(delayed_runs, step_s=0.02), "chapter4_simulations.RUNS": 20,
+    "chapter3.delayed_runs": partial(delayed_runs, step_s=0.05), "chapter3.RUNS": 4, "chapter3.MORE": 9,
+    "chapter3_partitions.delayed_runs": partial(delayed_runs, step_s=0.02), "chapter3_partitions.RUNS": 10,
+    "chapter3_partitions.BOXES": 20, "chapter3_partitions.delayed_section": printed_section,
+    "chapter3_partitions.analyse_delayed": certificate,
+    "chapter3_partitions.decay_of": lambda *given: SimpleNamespace(rate=0.05, coefficient=40.0),
+    "chapter3_partitions.rates_inside": lambda found: (-found.gamma, -2.0 * found.gamma), "chapter4_simulations.RUNS": 20,
     "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3, "chapter7_friction.CHECK_SEEDS": 3,
     "chapter7_runs.Workers": lambda **_: Workers(), "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
@@ -70,7 +83,7 @@ NAMES = {
 }
 """Stages of which so much is left out that their rows cannot be judged: numbers by name."""
 
-FEW = {"chapter2: settling times", "chapter7: fit of the motor, Table 7.2, experiment", *NAMES}
+FEW = {"chapter2: settling times", "chapter3: simulations", "chapter7: fit of the motor, Table 7.2, experiment", *NAMES}
 """By so few runs that many a check is undecided."""
 
 SOLVED = {"chapter4: conditions"}
