@@ -125,7 +125,7 @@ def can_topics(run: Run, topics: Sequence[str]) -> list[str]:
         raise HilError(f"no frames to write; a CAN log needs the records of {' and '.join(FRAME_TOPICS)}, or of {BUS.name}")
     if topics and BUS.name in there[:-1]:
         raise HilError(f"--topic {BUS.name}: is another bus than the link's; export one file of each")
-    return there[:1] if there[0] == BUS.name else there
+    return there
 
 
 def beyond_classic(run: Run, topics: Sequence[str]) -> str:

@@ -120,8 +120,7 @@ def floats(signals: Sequence[Signal]) -> tuple[Field, ...]:
     """Return a float64 field for each signal, with its unit."""
     # A comma would end the unit in the schema's text, a line break the line.
     return tuple(
-        Field(type="float64", name=field_name(s.name), unit=" ".join(s.unit.replace(",", " ").split()) or "1")
-        for s in signals
+        Field(type="float64", name=field_name(s.name), unit=" ".join(s.unit.replace(",", " ").split()) or "1") for s in signals
     )
 
 

@@ -228,6 +228,9 @@ def test_a_measure_of_a_file_is_checked_before_the_run(tmp_path: Path, name: str
     assert not (tmp_path / "a.mcap").exists()
     with pytest.raises(HilError, match=reported):
         run_sweep(experiment, [0], workers=Workers())
+    if name in ("NoUnits", "Asks"):  # of a log that names it nothing runs
+        with pytest.raises(HilError, match=f"report.measures: 'mine:{name}'(: .*TypeError| is no measure: it lacks title, note)"):
+            measures_of(experiment)
 
 
 def test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numbers(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from hil.measure import signals
 from hil.measure.cost import Cost
 from hil.measure.signals import Followed, target_of
 from hil.measure.tracking import tracking_metrics
-from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, view_of
+from hil.measure.view import APPLIED, DISTURBANCE, MEASUREMENT, REFERENCE, REFERENCE_STEP, matrix, view_of
 from plants.dc_motor import DCMotor
 
 T = 0.05
@@ -244,6 +244,22 @@ def test_without_a_stated_period_it_is_that_of_the_records(slots: tuple[int, ...
     measured["t_ns"] = np.array(slots, dtype=np.int64) * 20 * 10**6
     schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="angle"),))
     assert view_of(Run(arrays={MEASUREMENT: measured}, schemas={MEASUREMENT: schema})).period_s == period_s
+
+
+def test_what_belongs_together_has_one_slot_and_a_long_matrix_is_that_of_its_columns() -> None:
+    y, r = (np.zeros(len(slots), [("t_ns", "<i8"), ("angle", "<f8"), ("slot", "<i8")]) for slots in ([0, 1, 2, 4], [0, 1, 3, 4]))
+    y["slot"], r["slot"] = [0, 1, 2, 4], [0, 1, 3, 4]
+    for each, scale in ((y, 1.0), (r, 10.0)):
+        each["t_ns"], each["angle"] = each["slot"] * 10**9, scale * each["slot"]
+    schema = Schema(name="hil/msg/Any", fields=(Field(type="float64", name="angle"),))
+    view = view_of(Run(arrays={MEASUREMENT: y, REFERENCE: r}, schemas=dict.fromkeys((MEASUREMENT, REFERENCE), schema)))
+    times, outputs, reference = view.tracking()
+    assert times.tolist() == [0.0, 1.0, 4.0] and outputs.tolist() == [[0.0], [1.0], [4.0]]
+    assert reference.tolist() == [[0.0], [10.0], [40.0]] and view.period_s == 1.0
+    long = np.zeros(2 * ROWS + 5, y.dtype)
+    long["angle"], long["slot"] = np.arange(len(long)) / 7.0, np.arange(len(long))
+    assert np.array_equal(matrix(long, ["slot", "angle"]), np.column_stack((long["slot"], long["angle"])))
+    assert matrix(long, []).shape == (len(long), 0)
 
 
 def test_a_cost_in_pieces_is_that_of_whole_arrays_and_never_holds_them() -> None:

@@ -245,9 +245,7 @@ while True:
 def test_a_killed_session_loses_its_last_100_ms_at_most(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     environment = {**os.environ, "PYTHONPATH": os.getcwd()}
-    session = subprocess.Popen(
-        [sys.executable, "-c", _SESSION, str(path)], stdout=subprocess.PIPE, text=True, env=environment
-    )
+    session = subprocess.Popen([sys.executable, "-c", _SESSION, str(path)], stdout=subprocess.PIPE, text=True, env=environment)
     assert session.stdout is not None
     reported = 0
     while reported < 400_000_000:
