@@ -36,7 +36,7 @@ MODULES = (
 
 def hil_command(
     *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil",
-    terminal: str = "", errors_too: bool = False, absent: Iterable[str] = (),
+    terminal: str = "", errors_too: bool = False, absent: Iterable[str] = (), reader_left: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 
@@ -48,6 +48,7 @@ def hil_command(
         program: "pytest" for pytest in its place.
         terminal: device that takes standard output in place of a file; it is the controlling one of its process.
         errors_too: standard error goes there, too.
+        reader_left: standard output is a pipe that nobody reads any more.
         absent: packages of which it can import nothing, as if they were not installed.
 
     Raises:
@@ -56,8 +57,8 @@ def hil_command(
     with tempfile.NamedTemporaryFile() as out, tempfile.NamedTemporaryFile() as err:
         given = dict(os.environ if env is None else env)
         asked = {"program": program, "words": words, "cwd": str(cwd), "env": given, "timeout": timeout}
-        asked |= {"out": terminal or out.name, "err": (errors_too and terminal) or err.name, "own_session": bool(terminal)}
-        asked |= {"absent": [*absent]}
+        asked |= {"out": terminal or ("" if reader_left else out.name), "err": (errors_too and terminal) or err.name}
+        asked |= {"own_session": bool(terminal), "absent": [*absent]}
         server = _server()
         assert server.stdin is not None and server.stdout is not None
         print(json.dumps(asked), file=server.stdin, flush=True)
@@ -120,7 +121,11 @@ def _become(asked: dict[str, Any]) -> None:
         os.environ.clear()
         os.environ.update(asked["env"])
         for number, name in enumerate((os.devnull, asked["out"], asked["err"])):
-            opened = os.open(name, os.O_RDWR if number else os.O_RDONLY)  # a terminal that may not be read is nobody's own
+            if name:
+                opened = os.open(name, os.O_RDWR if number else os.O_RDONLY)  # a terminal that may not be read is nobody's own
+            else:
+                read, opened = os.pipe()
+                os.close(read)
             os.dup2(opened, number)
             os.close(opened)
         sys.stdin, sys.stdout, sys.stderr = (open(number, mode) for number, mode in enumerate("rww"))  # noqa: SIM115

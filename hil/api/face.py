@@ -134,14 +134,24 @@ def report(
     Raises:
         HilError: the log cannot be read, or the page or the figures cannot be written.
     """
+    from hil.pages.many_runs import compare_page, parameter_page
     from hil.pages.paper import write_figures
     from hil.pages.run_page import render_report, report_runs
     from hil.pages.sections import sections_of
 
+    many = isinstance(source, Comparison | ParameterSweep)
+    in_folder = isinstance(source, str | Path) and Path(source).is_dir()
+    for name, value in (("figures", figures), ("folder", folder)):
+        if value is not None and (many or in_folder):
+            what = "many runs" if many else "a folder"
+            raise HilError(f"report: {name}: belongs to the page of a run, {what} has output='page.html' alone")
     if isinstance(source, Comparison | ParameterSweep):
-        return (_report_of_many(source, output, force, {"figures": figures, "folder": folder}),)
-    if not isinstance(source, Session) and Path(source).is_dir():
-        _page_alone({"figures": figures, "folder": folder}, "a folder")
+        if output is None:
+            raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
+        target = check_page(Path(output), force=force, remedy="choose another output=..., or add force=True")
+        write_output(target, compare_page(source) if isinstance(source, Comparison) else parameter_page(source))
+        return (target,)
+    if isinstance(source, str | Path) and in_folder:
         return report_runs(Path(source), None if output is None else Path(output), force=force)
     log = source.summary["log"]["path"] if isinstance(source, Session) else source
     if log is None and output is None:
@@ -157,26 +167,6 @@ def report(
     check_page(target, force=force, remedy="choose another -o (in Python output=...), or add --force (force=True)")
     write_output(target, render_report(view))
     return (target, *([] if figures is None else write_figures(view.once(sections_of), Path(figures))))
-
-
-def _page_alone(others: Mapping[str, object], what: str) -> None:
-    for name, value in others.items():
-        if value is not None:
-            raise HilError(f"report: {name}: belongs to the page of a run, {what} has output='page.html' alone")
-
-
-def _report_of_many(
-    source: Comparison | ParameterSweep, output: str | Path | None, force: bool, others: Mapping[str, object]
-) -> Path:
-    from hil.pages.many_runs import compare_page, parameter_page
-
-    _page_alone(others, "many runs")
-    if output is None:
-        raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
-    target = check_page(Path(output), force=force, remedy="choose another output=..., or add force=True")
-    page = compare_page(source) if isinstance(source, Comparison) else parameter_page(source)
-    write_output(target, page)
-    return target
 
 
 @checked_arguments

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -76,39 +77,26 @@ def compare(
         for name, values in comparison.values.items()
     }
     said = {"runs": runs, "against": first, "experiments": out, "page": str(output) if output else None}
-    answer(said, _show_comparison, comparison, out, output)
+    answer(said, _show_comparison, comparison, output)
 
 
-def _show_comparison(comparison: Comparison, out: dict[str, Any], output: Path | None) -> None:
-    from hil.measure.signals import with_unit
+def _show_comparison(comparison: Comparison, output: Path | None) -> None:
     from hil.pages.html.figures import Table
     from hil.sweeps.shown import SHORTER
 
-    first, *others = out
-    for name in others:
+    for name in list(comparison.values)[1:]:
         print_folded(comparison.verdict(name))
     for name, caution in comparison.cautions.items():
         print_folded(f"{name}: {caution}")
-    rows: list[tuple[str, ...]] = []
-    quantities, none = comparison.measured()
-    for quantity in quantities:
-        rows.append((with_unit(quantity.title, quantity.unit), "", "", "", ""))
-        rows += [(f"  {name}", *_numbers(out[name], quantity.name, name == first)) for name in out]
-    heads = ("metric, experiment", "n", "mean", "difference", "95 % interval")
-    said = (none, SHORTER if comparison.stopped else "")
-    note = "; ".join([f"differences are against {first}, run by run on the same delays", *filter(None, said)])
+    rows: list[Sequence[Any]] = []
+    for title, of in groupby(comparison.rows(), key=lambda row: row[0]):
+        rows += [(title, "", "", "", ""), *((f"  {name}", *cells) for _, name, *cells in of)]
+    heads = ("metric, experiment", "runs", "mean", "difference", "95 % interval")
+    said = (comparison.measured()[1], SHORTER if comparison.stopped else "")
+    note = "; ".join([f"differences are against {comparison.first}, run by run on the same delays", *filter(None, said)])
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
     if output is not None:
         print(f"page: {visible(output)}")
-
-
-def _numbers(found: dict[str, Any], metric: str, first: bool) -> tuple[str, ...]:
-    """Return n, mean, difference and its interval of one metric of one experiment."""
-    own, gap = found["metrics"][metric], found["difference"][metric]
-    mean = "-" if own["mean"] is None else f"{own['mean']:.5g}"
-    if first or gap["low"] is None:
-        return str(own["n"]), mean, "", ""
-    return str(own["n"]), mean, f"{gap['mean']:+.4g}", f"{gap['low']:+.4g} to {gap['high']:+.4g}"
 
 
 def _as_json(gap: Interval) -> dict[str, float | None]:

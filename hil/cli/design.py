@@ -105,11 +105,9 @@ def command(
     """
     import numpy as np
 
-    from design.errors import DesignError
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
-    from hil.cli.design_answers import experiment_over_history, measured_ways, network_document, show_historical
-    from hil.cli.design_pages import SHAPES, show_can_id, show_trade_off, show_trigger
+    from hil.cli import design_answers as answers
     from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
     from hil.files import check_output, check_page, write_output
@@ -119,24 +117,24 @@ def command(
         check_page(path, force=force)  # now, and not after the work
     if can_id:
         _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
-        show_can_id(subject, path)
+        answers.show_can_id(subject, path)
         return
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if trigger:
         mean = {"subject", "trigger", "gain_bound", "input_weight", "starts", "seed", "path", "force", "as_json"}
         _refuse_others(mean, "with --trigger, whose gains are H2 gains that use no ages: a silent node sends none")
-        show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path)
+        answers.show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path)
         return
-    experiment = experiment_over_history(subject)
+    experiment = answers.experiment_over_history(subject)
     if experiment is not None:
         _refuse_others({"subject", "orders", "spread", "as_json"}, "with gains over historical data, which [controller] asks for")
-        show_historical(experiment, orders, spread)
+        answers.show_historical(experiment, orders, spread)
         return
     if orders or spread:
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
     if trade_off:
-        _refuse_others(set(SHAPES), "with --trade-off, which solves designs of all three objectives")
+        _refuse_others(set(answers.SHAPES), "with --trade-off, which solves designs of all three objectives")
     elif path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     _check_row_sojourns(row_sojourns, information)
@@ -146,12 +144,12 @@ def command(
         "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
     }  # fmt: skip
     if trade_off:
-        show_trade_off(target, shape, path)
+        answers.show_trade_off(target, shape, path)
         return
     ways = None
     if network is not None:
         with Working(f"network of {network}"):
-            sc, ca, *_ = ways = measured_ways(network, target.period_s)
+            sc, ca, *_ = ways = answers.measured_ways(network, target.period_s)
         target = target._replace(sc=sc.chain(), ca=ca.chain())
     if local is not None:
         _local(target, local, input_weight, noise)
@@ -174,12 +172,10 @@ def command(
             )
             document["verdict"] = verdict_on(target, design).to_json()
             if ways is not None:
-                document["network"] = network_document(target, design, *ways)
+                document["network"] = answers.network_document(target, design, *ways)
             if intervals:
                 document["uncertainty"] = judge_uncertain(target, design, intervals).to_json()
                 document["robust"] = robust
-    except DesignError as error:
-        raise HilError(f"design: {error}") from error
     except KeyboardInterrupt as interrupt:
         print("hil: design interrupted; nothing was written", file=sys.stderr)
         sys.exit(getattr(interrupt, "status", 130))

@@ -50,7 +50,7 @@ def command(
 
     Exit status 2 where the stiffness cannot be reached; the message has the number that decides it.
     """
-    from design.errors import DesignError, FieldError
+    from design.errors import FieldError
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
     from hil.files import check_output, write_output
@@ -74,8 +74,6 @@ def command(
             )
     except FieldError as error:
         raise HilError(f"--weight: {error}") from error
-    except DesignError as error:
-        raise HilError(f"design: {error}") from error
     document = {
         "kind": "coupler",
         "period_s": period,

@@ -183,10 +183,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
             made.append(Record(u=record.u, y=record.y, period_s=record.period_s))
         except DesignError as error:
             raise HilError(f"{record.path}: {error}") from error
-    try:
-        fit = identify_axis(made)
-    except DesignError as error:
-        raise HilError(f"identify: {error}") from error
+    fit = identify_axis(made)
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
     answer(said, _print, said)
     if fit.residuals.verdict == "correlated" or said["friction"]["seen"]:
@@ -277,7 +274,6 @@ def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected
 
     Jumps are counted over the time in which they could come, apart for every true mode; intervals are at 95 %.
     """
-    from design.errors import DesignError
     from design.identification.jump_rates import jump_rates
     from hil.measure.identification_records import read_mode_record
 
@@ -285,10 +281,7 @@ def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected
         read = [read_mode_record(path, (fault, detected)) for path in logs]
     if len({restarts for _, restarts in read}) > 1:
         raise HilError("logs of different plants: failure_restarts_detection_clock is true in some and false in others")
-    try:
-        found = jump_rates([record for record, _ in read], edges, restarts=read[0][1])
-    except DesignError as error:
-        raise HilError(f"identify: {error}") from error
+    found = jump_rates([record for record, _ in read], edges, restarts=read[0][1])
     rates = [each._asdict() | {"before_s": each.before_s if isfinite(each.before_s) else None} for each in found]
     answer({"logs": [str(path) for path in logs], "rates": rates}, _show_rates, found)
 

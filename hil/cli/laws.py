@@ -52,24 +52,24 @@ def command(
     period_s = float(checked.period)
     deadline_s = checked.timing.deadline * period_s
     rig = rig_of(checked)
+    nodes = {node.name: analyse_law(node.law, period_s, deadline_s, node.law_kind) for node in rig.sensors}
+    ca = analyse_law(rig.ca_law, period_s, deadline_s, rig.ca_kind)
     if not wants_json():
         way = "sensor to controller (sc)"
-        for node in rig.sensors:
-            found = analyse_law(node.law, period_s, deadline_s, node.law_kind)
-            _print(checked.name, period_s, way if len(rig.sensors) == 1 else f"node {node.name}, {way}", found)
-        found = analyse_law(rig.ca_law, period_s, deadline_s, rig.ca_kind)
-        _print(checked.name, period_s, "controller to actuator (ca)", found)
+        for name, found in nodes.items():
+            _print(checked.name, period_s, way if len(nodes) == 1 else f"node {name}, {way}", found)
+        _print(checked.name, period_s, "controller to actuator (ca)", ca)
         return
 
-    def analysed(law: NetworkLaw, kind: str) -> dict[str, Any]:
+    def said(law: NetworkLaw, found: LawAnalysis) -> dict[str, Any]:
         matrix = mode_transitions(law)
-        found = _json(analyse_law(law, period_s, deadline_s, kind))
-        return found | {"transition_matrix": None if matrix is None else matrix.tolist()}
+        return _json(found) | {"transition_matrix": None if matrix is None else matrix.tolist()}
 
     shared = checked.network.sc.law
-    laws = {"sc": analysed(shared, checked.kinds.get("network.sc.law", "?")), "ca": analysed(rig.ca_law, rig.ca_kind)}
-    nodes = {node.name: laws["sc"] if node.law is shared else analysed(node.law, node.law_kind) for node in rig.sensors}
-    print_json({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": nodes})
+    sc = analyse_law(shared, period_s, deadline_s, checked.kinds.get("network.sc.law", "?"))
+    of_nodes = {node.name: said(node.law, nodes[node.name]) for node in rig.sensors}
+    laws = {"sc": said(shared, sc), "ca": said(rig.ca_law, ca)}
+    print_json({"experiment": checked.name, "period_s": period_s, "deadline_s": deadline_s, "laws": laws, "nodes": of_nodes})
 
 
 def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool) -> None:

@@ -47,7 +47,7 @@ class Duration(click.ParamType[float]):
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
         try:
-            seconds = float(value) if isinstance(value, int | float) else in_seconds(str(value))
+            seconds = in_seconds(str(value))
         except ValueError as error:
             self.fail(str(error), param, ctx)
         if not self.least <= seconds <= self.most or (self.above and seconds == self.least):
@@ -79,8 +79,6 @@ class NumberList(click.ParamType[tuple[float, ...]]):
         self._number = int if whole else in_seconds if times else float
 
     def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
-        if isinstance(value, tuple):
-            return value
         found: list[float] = []
         for part in str(value).split(","):
             first, dots, last = part.strip().partition("..")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from tests.hil.cli.conftest import Hil
 from tests.hil.measure.test_measures import OWN
 from tests.strangers_package import test_strangers_package as strangers
+from tests.warm_hil import hil_command
 
 LAW = """
 from dataclasses import dataclass
@@ -82,8 +84,12 @@ def test_what_a_plug_in_does_not_keep_is_one_message(cli: Hil, words: tuple[str,
 site = strangers.site  # the fixture
 
 
+def beside(site: Path) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, (str(site), os.environ.get("PYTHONPATH"))))}
+
+
 def test_a_link_of_a_package_is_held_to_the_contract(site: Path) -> None:
-    done = strangers.python(site, "-m", "hil", "check", "links", f"datagrams:{site}")
+    done = hil_command("check", "links", f"datagrams:{site}", cwd=site, env=beside(site))
     assert done.returncode == 0 and "is a Link: sessions in real time can run over it" in done.stdout, done.stderr
 
 
@@ -93,6 +99,7 @@ def test_what_a_link_plug_in_opens_that_is_none_is_said_before_anything_starts(s
     info.write_text(strangers.ENTRY_POINTS + "nothing = no_link:nothing\nfails = no_link:fails\n")
     for scheme, fault in (("nothing", "check_link: object, what the plug-in returned, needs `uri` (the URI it was opened with)"),
                          ("fails", f"KeyError: 'rig' ({site}/no_link.py, line 2)")):  # fmt: skip
-        done = strangers.python(site, "-m", "hil", "run", "two-samples.toml", "--clock", "real", "--link", f"{scheme}:x")
+        words = ("run", "two-samples.toml", "--clock", "real", "--link", f"{scheme}:x")
+        done = hil_command(*words, cwd=site, env=beside(site))
         assert done.returncode == 2 and fault in done.stderr and "Traceback" not in done.stderr, done.stderr
         assert not (site / "runs").exists()

@@ -7,7 +7,6 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import can
 import pytest
 from click.testing import CliRunner
 
@@ -18,6 +17,7 @@ from hil.experiment import load_experiment
 from hil.session import run_session
 from tests.waiting import LIMIT_S
 from transport import SensorPacket, dbc_path, encode_sensor
+from transport.links.python_can import can  # without pandas
 
 PROGRAM = """
 #include <stdio.h>

@@ -1,14 +1,13 @@
 """``hil design`` and ``hil bench design``: what they print, write and refuse."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.errors import DesignError
 from hil.cli.design import command
 from hil.compose.loop import compose
 from hil.errors import HilError
@@ -73,7 +72,7 @@ def test_experiment_gives_plant_period_and_network():
     ],
 )
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):
-    with pytest.raises(HilError, match=message):
+    with pytest.raises((HilError, DesignError), match=message):
         run(*arguments)
 
 
@@ -108,16 +107,6 @@ def test_bench_meets_a_goal_and_prints_the_other_route_beside_it():
 def test_every_goal_is_reached():
     """How long each took is the bench's to say: it depends on the machine."""
     assert [row["design"] for row in bench_design(programmes=0) if not row["reached"]] == []
-
-
-def test_what_fits_no_law_loads_no_scipy_stats() -> None:
-    """It takes half a second of CPU: only a measured network needs it, and a comparison in which a run was stopped."""
-    code = (
-        "import hil, hil.cli.design, hil.cli.design_answers, sys;"
-        "print(hil.compare('dc-motor-hinf', 'dc-motor-h2', runs=2, jobs=1));"
-        "assert 'scipy.stats' not in sys.modules"
-    )
-    subprocess.run([sys.executable, "-P", "-c", code], check=True)
 
 
 def test_a_plant_of_ones_own_is_designed_for_by_its_file_and_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

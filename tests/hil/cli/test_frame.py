@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
+from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import pytest
@@ -16,7 +16,7 @@ from hil.cli import doctor as doctor_page
 from hil.cli.terminal import visible
 from hil.experiment import shipped
 from tests.hil.cli.conftest import Hil
-from tests.waiting import LIMIT_S
+from tests.waiting import until
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -101,15 +101,18 @@ def test_bad_input_is_one_message_and_status_2(cli: Hil, arguments: list[str], s
     assert (status, out) == (2, "") and says in err and "Ctrl-C" not in err
 
 
-def test_an_interrupted_command_says_so_in_one_line() -> None:
-    command = [sys.executable, "-m", "hil", "controller", "dc-motor-hinf", "--link", f"can:hil:stop{os.getpid()}"]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        assert "Ctrl-C ends it" in process.stderr.readline()
-        process.send_signal(signal.SIGTERM)
-        rest = process.communicate(timeout=LIMIT_S)[1]
-    assert process.returncode == 143
-    assert rest.split() == ["hil:", "interrupted"]
+def test_an_interrupted_command_says_so_in_one_line(cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HIL_CAN_DIR", str(tmp_path))
+
+    def interrupt() -> None:
+        until((tmp_path / "stop").exists, "a program on the channel")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    beside = Thread(target=interrupt)
+    beside.start()
+    status, _, err = cli("controller", "dc-motor-hinf", "--link", "can:hil:stop")
+    beside.join()
+    assert status == 143 and "Ctrl-C ends it\n" in err and err.partition("ends it\n")[2].split() == ["hil:", "interrupted"]
 
 
 def test_ctrl_c_while_a_class_is_made_is_an_interrupt(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,13 +11,14 @@ import pytest
 
 from hil.log.read.run import read_run
 from tests.design.identification.test_dry_friction import CHIRP, braked
-from tests.hil.cli.conftest import Hil
+from tests.hil.cli.conftest import Hil, run_main
 
 
-@pytest.fixture
-def omni_log(cli: Hil, tmp_path: Path) -> Path:
-    assert cli("run", "omni-identify", "-o", "omni.mcap")[0] == 0
-    return tmp_path / "omni.mcap"
+@pytest.fixture(scope="module")
+def omni_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("omni") / "omni.mcap"
+    assert run_main("run", "omni-identify", "-o", str(path)) == 0
+    return path
 
 
 @pytest.mark.parametrize(

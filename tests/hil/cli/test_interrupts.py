@@ -131,7 +131,7 @@ def test_a_signal_while_the_command_line_is_imported_ends_it_without_a_word(numb
 
 def test_a_signal_that_is_ignored_stays_so_while_the_command_line_is_imported() -> None:
     program = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)" + BEFORE_THE_COMMAND_LINE.format(number=2)
-    program = program.replace('"vcan", "--", "true"', '"list"')
+    program = program.replace('"vcan", "--", "true"', '"--version"')
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, timeout=120)
     assert (done.returncode, done.stderr) == (0, b"")
 

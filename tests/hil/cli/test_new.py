@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 from pathlib import Path
@@ -23,9 +24,10 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         status, out, err = cli("new", part, name, "-o", "mine")
         assert status == 0, err
         assert f"hil run mine/{name.replace('-', '_')}.toml" in out
-        status, _, err = cli("run", f"mine/{name.replace('-', '_')}.toml")
+        status, _, err = cli("run", f"mine/{name.replace('-', '_')}.toml", "--duration", "1")
         assert status == 0, err
-    done = hil_command("-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "mine", cwd=tmp_path, program="pytest")
+    words, env = ("-q", "-p", "no:cacheprovider", "-p", "hil.api.pytest_plugin"), {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
+    done = hil_command(*words, "mine", cwd=tmp_path, program="pytest", env=os.environ | env)
     assert done.returncode == 0, done.stdout + done.stderr
     written = "".join(path.read_text() for path in Path("mine").glob("test_*.py"))
     assert f"{len(re.findall('^def test_', written, re.M))} passed" in done.stdout

@@ -9,6 +9,7 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -16,7 +17,6 @@ import pytest
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
 from tests.waiting import LIMIT_S, until
-from tests.warm_hil import hil_command
 
 
 def test_a_run_in_virtual_time_names_no_link(cli: Hil) -> None:
@@ -115,22 +115,25 @@ def test_bad_gains_and_nodes_are_refused_by_their_entry_and_nothing_is_written(
     assert [*tmp_path.iterdir()] == []
 
 
-def test_a_virtual_run_that_is_interrupted_closes_its_log(tmp_path: Path) -> None:
+def test_a_virtual_run_that_is_interrupted_closes_its_log(cli: Hil, tmp_path: Path) -> None:
     log = tmp_path / "long.mcap"
-    command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "100 h", "-o", str(log)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}) as process:
+
+    def interrupt() -> None:
         until(lambda: log.exists() and log.stat().st_size > 100_000, "the log to grow")
-        process.send_signal(signal.SIGINT)
-        out, _ = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert "interrupted" in out
+        os.kill(os.getpid(), signal.SIGINT)
+
+    beside = Thread(target=interrupt)
+    beside.start()
+    status, out, _ = cli("run", "dc-motor-hinf", "--duration", "100 h", "-o", log)
+    beside.join()
+    assert status == 130 and "interrupted" in out
     assert any(e["kind"] == "interrupted" for e in read_run(log).events)
 
 
-def test_external_link_that_cannot_be_opened_leaves_no_log(tmp_path: Path) -> None:
-    link = ("--clock", "real", "--external", "--link", "zenoh:tcp/999.1.1.1:1")
-    done = hil_command("run", "dc-motor-hinf", *link, "-o", "x.mcap", cwd=tmp_path)
-    assert done.returncode == 2 and "999.1.1.1" in done.stderr
+def test_external_link_that_cannot_be_opened_leaves_no_log(cli: Hil, tmp_path: Path) -> None:
+    link = ("--clock", "real", "--external", "--link", "can:socketcan:no-such-can")
+    status, _, err = cli("run", "dc-motor-hinf", *link, "-o", "x.mcap")
+    assert status == 2 and "no-such-can" in err
     assert list(tmp_path.iterdir()) == []
 
 

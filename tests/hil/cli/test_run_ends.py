@@ -59,12 +59,12 @@ def prepared(folder: Path, late: str) -> list[str]:
     return ["run", str(folder / "exp.toml"), "-o", str(folder / "a.mcap"), *WORDS]
 
 
-@pytest.mark.parametrize("late", ["return {}['x']", "raise Base('not now')", "sys.exit(0)", "return 1 / 0"])
+@pytest.mark.parametrize("late", ["return {}['x']", "raise Base('not now')", "sys.exit(0)"])
 def test_a_plug_in_that_fails_in_mid_run_is_one_message_and_a_whole_log(tmp_path: Path, late: str) -> None:
     done = hil_command(*prepared(tmp_path, late), cwd=tmp_path)
     assert done.returncode == 1 and "Traceback" not in done.stderr, done.stderr
     problem = json.loads(done.stdout)["problems"]["plug_in_failed"]
-    assert f"{tmp_path}/cart.py, line " in problem and problem.startswith(("KeyError", "Base", "SystemExit", "ZeroDivisionError"))
+    assert f"{tmp_path}/cart.py, line " in problem and problem.startswith(("KeyError", "Base", "SystemExit"))
     run = read_run(tmp_path / "a.mcap")
     assert [e["message"] for e in run.events if e["kind"] == "plug in failed"] == [problem]
 
@@ -136,12 +136,9 @@ def test_force_goes_through_no_link(tmp_path: Path, cli: Hil) -> None:
         hil.run("dc-motor-hinf", duration=1, log=tmp_path / "l.mcap")
 
 
-def test_a_reader_of_json_that_has_left_is_reported_like_one_of_a_table() -> None:
+def test_a_reader_of_json_that_has_left_is_reported_like_one_of_a_table(tmp_path: Path) -> None:
     for words in (["list", "--json"], ["laws", "dc-motor-hinf"]):
-        read, write = os.pipe()
-        os.close(read)
-        with open(write, "w") as closed:
-            done = subprocess.run([sys.executable, "-m", "hil", *words], stdout=closed, stderr=subprocess.PIPE, text=True)
+        done = hil_command(*words, cwd=tmp_path, reader_left=True)
         assert (done.returncode, done.stderr) == (141, "")
 
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from tests.hil.cli.conftest import Hil
 
 TRY = """
 import gc, json, sys
@@ -21,31 +25,44 @@ print("\\n" + json.dumps([sorted(sys.modules), gc.isenabled(), gc.get_freeze_cou
 """
 
 
-@pytest.mark.parametrize("arguments", [["run", "dc-motor-hinf", "--duration", "0.1", "--quiet"], ["list"]])
-def test_garbage_is_looked_for_again_and_not_among_modules(arguments: list[str], tmp_path: Path) -> None:
-    done = subprocess.run([sys.executable, "-c", TRY, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
-    loaded, enabled, frozen, others = json.loads(done.stdout.splitlines()[-1])
-    assert enabled and frozen > 5000, "what the modules left is set aside"
-    if arguments[0] == "run":
-        assert others < frozen
-        unneeded = {"importlib.metadata", "importlib.resources", "email", "scipy", "pandas", "matplotlib", "rich", "can", "zenoh"}
-        unneeded |= {"control", "csv", "difflib", "socket", "mcap", "threadpoolctl", "html", "shutil", "tempfile"}
-        unneeded |= {"hil.notebook", "click.shell_completion", "hil.rig.named_files"}
-        unneeded |= {"plants.parts.flow", "transport.laws.semi_markov", "design.controllers.scheduled_gain"}
-        unneeded |= {"hil.runtime.real.supervisor", "hil.runtime.real.child", "hil.runtime.real.rig_process"}  # of real time
-        unneeded |= {"design.requests.tracking", "transport.laws.latency", "transport.can_bus_model.bus"}  # of other experiments
-        assert unneeded.isdisjoint(loaded), unneeded & set(loaded)
+def tried(folder: Path, program: str, *arguments: str) -> Any:
+    words = [sys.executable, "-P", "-c", program, *arguments]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_a_program_that_calls_the_command_line_keeps_its_own_way_with_garbage(tmp_path: Path) -> None:
-    call = "import atexit, gc\natexit.register(lambda: print('frozen', gc.get_freeze_count()))\n"
-    call += "from hil.cli import main\nmain(['list'])"
-    done = subprocess.run([sys.executable, "-c", call], cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert done.stdout.splitlines()[-1] == "frozen 0"
+def test_garbage_is_looked_for_again_and_not_among_modules(tmp_path: Path) -> None:
+    loaded, enabled, frozen, others = tried(tmp_path, TRY, "run", "dc-motor-hinf", "--duration", "0.1", "--quiet")
+    assert enabled and 5000 < frozen > others, "what the modules left is set aside"
+    unneeded = {"importlib.metadata", "importlib.resources", "email", "scipy", "pandas", "matplotlib", "rich", "can", "zenoh"}
+    unneeded |= {"control", "csv", "difflib", "socket", "mcap", "threadpoolctl", "html", "shutil", "tempfile"}
+    unneeded |= {"hil.notebook", "click.shell_completion", "hil.rig.named_files"}
+    unneeded |= {"plants.parts.flow", "transport.laws.semi_markov", "design.controllers.scheduled_gain"}
+    unneeded |= {"hil.runtime.real.supervisor", "hil.runtime.real.child", "hil.runtime.real.rig_process"}  # of real time
+    unneeded |= {"design.requests.tracking", "transport.laws.latency", "transport.can_bus_model.bus"}  # of other experiments
+    assert unneeded.isdisjoint(loaded), unneeded & set(loaded)
 
 
-def test_who_certifies_stored_gains_does_not_load_what_would_look_for_others(tmp_path: Path) -> None:
-    arguments = ["run", "multisensor-ours", "--duration", "0.1", "--quiet"]
-    done = subprocess.run([sys.executable, "-c", TRY, *arguments], cwd=tmp_path, capture_output=True, text=True, check=True)
-    loaded = json.loads(done.stdout.splitlines()[-1])[0]
-    assert "design.historical_data.guaranteed_cost" in loaded and "scipy.optimize" not in loaded
+@pytest.mark.parametrize("looked_for", [False, True])
+def test_who_calls_the_command_line_keeps_its_own_way_with_garbage(cli: Hil, looked_for: bool) -> None:
+    """A program looks for it as it did; `hil` begins without, and the modules of any command are set aside."""
+    if not looked_for:
+        gc.disable()
+    frozen = gc.get_freeze_count()
+    assert cli("list")[0] == 0 and gc.isenabled()
+    assert (gc.get_freeze_count() == frozen) is looked_for
+
+
+COMPARED = """
+import hil, hil.cli.design, hil.cli.design_answers
+hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1)
+print(json.dumps(sorted(sys.modules)))
+"""
+
+
+def test_what_needs_no_part_of_scipy_loads_none(tmp_path: Path) -> None:
+    """Half a second of CPU each: who certifies stored gains looks for no others; a law is fitted to a measured network alone, and
+    a comparison in which no run was stopped tests nothing.
+    """
+    loaded = tried(tmp_path, TRY + COMPARED, "run", "multisensor-ours", "--duration", "0.1", "--quiet")
+    assert "design.historical_data.guaranteed_cost" in loaded and {"scipy.optimize", "scipy.stats"}.isdisjoint(loaded)

@@ -15,6 +15,7 @@ from select import select
 
 import pytest
 
+from tests.hil.cli.conftest import Hil
 from tests.waiting import LIMIT_S, until
 from tests.warm_hil import hil_command
 
@@ -120,6 +121,6 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
     assert set(tmp_path.iterdir()) == made
 
 
-def test_nothing_is_drawn_where_no_browser_looks(tmp_path: Path) -> None:
-    done = hil_command("design", "wall", "--delay", "0", "--json", cwd=tmp_path)
-    assert done.returncode == 0 and done.stderr == ""
+def test_nothing_is_drawn_where_no_browser_looks(cli: Hil) -> None:
+    status, _, err = cli("design", "wall", "--delay", "0", "--json")
+    assert (status, err) == (0, "")

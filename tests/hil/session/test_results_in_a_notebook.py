@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -106,6 +107,7 @@ def test_a_cell_needs_no_matplotlib(sweep: hil.Sweep, monkeypatch: pytest.Monkey
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     html = sweep._repr_html_()
     assert "<table>" in html and "<svg" not in html
+    assert "squared tracking error" in html and not re.search(r"\bsse\b|steady_state_error|max_abs_u", html), "titles, no keys"
     with pytest.raises(hil.HilError, match=r"plot: matplotlib is not installed; pip install 'hilrig\[notebook\]'"):
         sweep.plot()
 
