@@ -69,9 +69,8 @@ CERTIFICATE: Final[dict[str, Any]] = {
     "state": "certified", "kind": "mean-square stability", "reason": "stable over this network", "stable": True,
     "quantity": "second-moment radius per slot", "number": 0.8977276639, "limit": 1.0, "method": "second moments (Theorem 7.1)",
     "assumptions": ["no packet is later than its law says", "no limit trips"], "mean_square_radius": 0.8977276639,
-    "h2_norm": 3.892,
-    "hinf_norm": None, "rounding": 7e-10, "modes": 6, "order": 5, "digest": "156cfcef", "delays": [6, 7], "felt_n_per_m": [[7.4,
-                                                                                                                            1.0]],
+    "h2_norm": 3.892, "hinf_norm": None, "rounding": 7e-10, "modes": 6, "order": 5, "digest": "156cfcef", "delays": [6, 7],
+    "felt_n_per_m": [[7.4, 1.0]],
     "static_compliance_m_per_n": 0.134, "worst_delay": 6, "ends_within": {"angle_rms": 0.01, "speed": (1.0, 2.0)},
     "nothing": [], "cases": [{"angle_rms": 0.01}, {}],
 }  # fmt: skip
@@ -97,10 +96,10 @@ def folder() -> dict[str, list[str]]:
         return logged_run(f"{name}.mcap", f"{name}.html", shown, drawn=drawn)
 
     runs = [
-        logged("a", view("dc-motor-hinf", "duration=0.5")), logged("b", view("dc-motor-hinf", "duration=0.5", "seed=3"),
-                                                                   drawn=False),
-        logged("c", view("omni-push", "duration=0.5", certificate=REFUSED)), logged("d", view("dc-motor-h2", "duration=0.5",
-                                                                                              certificate={})),
+        logged("a", view("dc-motor-hinf", "duration=0.5")),
+        logged("b", view("dc-motor-hinf", "duration=0.5", "seed=3"), drawn=False),
+        logged("c", view("omni-push", "duration=0.5", certificate=REFUSED)),
+        logged("d", view("dc-motor-h2", "duration=0.5", certificate={})),
         LoggedRun(name="e.mcap", failure="is no MCAP file", numbers={}), logged("f", view("dc-motor-local", "duration=5")),
     ]  # fmt: skip
     many = [LoggedRun(name=f"{i}.mcap", page=f"{i}.html", verdict=GOOD, numbers={"n": i, "m": None}) for i in range(61)]

@@ -98,9 +98,10 @@ GAPS: Final = np.array([-1.25, 0.0, np.nan, np.inf, 3e-5, 2.0])
 WAY: Final = [(-1.0, 0.0), (3.0, 0.0), (3.0, 2.0), (np.nan, np.nan), (-1.0, 2.0), (0.5, 0.25)]
 MARKS: Final = tuple(
     Marker(x=x, label=label, state=state)
-    for x, label, state in ((2.0, "a", "bad"), (2.05, "behind it", "warning"), (2.1, "third", "good"), (2.15, "fourth",
-                                                                                                        "neutral"),
-                            (7.9, "at the right end", "bad"), (9.0, "beyond", "bad"), (3.0, "", "neutral"))
+    for x, label, state in (
+        (2.0, "a", "bad"), (2.05, "behind it", "warning"), (2.1, "third", "good"), (2.15, "fourth", "neutral"),
+        (7.9, "at the right end", "bad"), (9.0, "beyond", "bad"), (3.0, "", "neutral"),
+    )
 )  # fmt: skip
 FIGURES: Final[tuple[Plot, ...]] = (
     Figure(
@@ -108,10 +109,10 @@ FIGURES: Final[tuple[Plot, ...]] = (
         series=(
             Series(label="line", x=X, y=GAPS), Series(label="dashed", x=X, y=X**3, style="dashed", halo=True),
             Series(label="step", x=X, y=[0, 0, 1, 1, 2, 2], style="step", faint=True), Series(label="big", x=X, y=1e40 * X),
-            Series(label="held", x=X, y=X > 1, style="dashed-step", colour=7), Series(label="dots", x=X, y=1 + 1e-9 * X,
-                                                                                      style="points"),
-            Series(label="circles", x=X, y=X, style="circles", colour=11, marked=True), Series(label="fewer", x=X, y=X,
-                                                                                               samples=10**6),
+            Series(label="held", x=X, y=X > 1, style="dashed-step", colour=7),
+            Series(label="dots", x=X, y=1 + 1e-9 * X, style="points"),
+            Series(label="circles", x=X, y=X, style="circles", colour=11, marked=True),
+            Series(label="fewer", x=X, y=X, samples=10**6),
             Series(label="last", x=X, y=np.full(6, np.nan)), Series(label="ninth", x=[], y=[]),
         ),
         bands=(Band(label="spread", x=X, lower=X - 1, upper=X**2), Band(label="other", x=X, lower=-X, upper=X, colour=9)),
@@ -122,8 +123,8 @@ FIGURES: Final[tuple[Plot, ...]] = (
            y_log=True),
     Bars(title="Whiskers", categories=("a", "b", "c"), x_label="node", y_label="delay", y_unit="ms", note="of three", groups=(
         BarGroup(label="sc", values=[3.0, 1.0, 2.0], whiskers=[(2.0, 4.2), (0.5, 1.5), (-1.0, np.inf)]),
-        BarGroup(label="ca", values=[1.0, np.nan, 4.0], hollow=True), BarGroup(label="<third>", values=[0.0, 1.0, 1.0],
-                                                                               colour=12),
+        BarGroup(label="ca", values=[1.0, np.nan, 4.0], hollow=True),
+        BarGroup(label="<third>", values=[0.0, 1.0, 1.0], colour=12),
     )),
     Bars(title="Many", categories=[f"{i:07}" for i in range(6)], groups=(BarGroup(label="alone", values=np.arange(6) * 0.07),)),
     Bars(title="None", categories=(), groups=()),
