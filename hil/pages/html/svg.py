@@ -98,7 +98,7 @@ def draw_histogram(histogram: Histogram) -> str:
             x_ticks = [v for e in decades for m in (1, 2, 5) if low <= (v := m * 10.0**e) <= high]
     else:
         x_of = _linear(low, high, LEFT, WIDTH - RIGHT)
-        x_ticks = [v for v in nice_ticks(low, high) if low <= v <= high]
+        x_ticks = _ticks_within(low, high)
     parts = _frame(ticks, y_of, with_unit(histogram.x_label, histogram.x_unit), histogram.y_label)
     parts += [_label("tick", x_of(v), HEIGHT - BOTTOM + 16, "middle", text_of(v, 3)) for v in x_ticks]
     style = _bar_class(histogram.colour or 0, False)
@@ -179,6 +179,10 @@ def nice_ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     return [i * step for i in range(first, last + 1)]
 
 
+def _ticks_within(low: float, high: float, wanted: int = 5) -> list[float]:
+    return [tick for tick in nice_ticks(low, high, wanted) if low - 1e-12 <= tick <= high + 1e-12]
+
+
 SCENE_WIDTH = 440
 SCENE_LEFT, SCENE_RIGHT, SCENE_TOP, SCENE_BOTTOM = 50, 12, 12, 42
 SCENE_LOW, SCENE_HIGH = 110, 330
@@ -203,9 +207,9 @@ def draw_scene(scene: Scene) -> str:
 
     parts = [_shape(shape, at) for shape in scene.shapes]
     if scene.axes:
-        for tick in (t for t in nice_ticks(low[0], high[0]) if low[0] - 1e-12 <= t <= high[0] + 1e-12):
+        for tick in _ticks_within(low[0], high[0]):
             parts.append(_label("tick", at(tick, 0.0)[0], height - SCENE_BOTTOM + 18, "middle", text_of(tick, 3)))
-        for tick in (t for t in nice_ticks(low[1], high[1], 4) if low[1] - 1e-12 <= t <= high[1] + 1e-12):
+        for tick in _ticks_within(low[1], high[1], 4):
             parts.append(_label("tick", at(low[0], 0.0)[0] - 7, at(0.0, tick)[1] + 4, "end", text_of(tick, 3)))
         middle = left + (SCENE_WIDTH - left - SCENE_RIGHT) / 2
         parts += _axis_labels(middle, height - 6, scene.x_label, SCENE_TOP + drawn / 2, scene.y_label)

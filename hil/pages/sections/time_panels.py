@@ -53,24 +53,8 @@ def curve(
             own = piece if where is None else piece[where(piece)]
             yield x(own), np.asarray(own[y] if isinstance(y, str) else y(own), dtype=np.float64)
 
-    return _series(blocks, label, style, look)
-
-
-def curve_of(x: Float, y: Float, *, label: str, style: LineStyle = "line", **look: Any) -> Series:
-    """Return a curve of two arrays (n,), reduced to what a page draws.
-
-    Args:
-        x: does not decrease.
-        y: with NaN for gaps.
-        label, style: of the curve.
-        look: `colour`, `halo`, `faint` of the curve.
-    """
-    return _series(lambda: iter([(x, y)]), label, style, look)
-
-
-def _series(blocks: Callable[[], Iterator[tuple[Float, Float]]], label: str, style: LineStyle, look: dict[str, Any]) -> Series:
-    x, y, samples = reduced(blocks, step="step" in style)
-    return Series(label=label, x=x, y=y, style=style, samples=samples, **look)
+    drawn_x, drawn_y, samples = reduced(blocks, step="step" in style)
+    return Series(label=label, x=drawn_x, y=drawn_y, style=style, samples=samples, **look)
 
 
 MOST_MARKERS = 500

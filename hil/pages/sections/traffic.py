@@ -19,7 +19,7 @@ from hil.measure.network_paths import loads
 from hil.measure.view import RunView
 from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.html.numbers import can_id_text
-from hil.pages.sections.time_panels import Records, curve, curve_of, markers
+from hil.pages.sections.time_panels import Records, curve, markers
 from transport.draws import DELIVERED, DISORDERED, LOST
 
 SHOWN: Final = 60
@@ -60,7 +60,7 @@ def sensor_nodes(view: RunView) -> Section | None:
             sent_s = partial(_sent_s, view.period_s)
             sent_by.append(curve(draws, "node", label=label, style="points", where=chosen, x=sent_s, colour=colour))
     ages = tuple(
-        curve_of(t, newest_ages(draws, i, slots), label=name, style="step", colour=i) for i, name in enumerate(names)
+        Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i) for i, name in enumerate(names)
     )
     numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [

@@ -57,15 +57,6 @@ def test_a_plant_that_is_a_table_of_lists_may_change_entry_by_entry() -> None:
     assert about([side], "here")["runs"][0]["fields"] == {"plant.saturation.0": 3.0, "plant.saturation.1": 4.0}
 
 
-def test_the_laws_that_a_page_offers_keep_the_longest_delay_and_differ_in_how_often_it_grows() -> None:
-    found = presets(2)
-    worse = {"seldom late": 0.05, "often late": 0.5, "mostly late": 0.9}
-    for name, p in worse.items():
-        assert np.allclose(found.pop(name)["matrix"], [[1.0 - p, p, 0.0], [1.0 - p, 0.0, p], [1.0 - p, 0.0, p]])
-    assert found == {"no delay": {"kind": "constant", "age": 0}, "always late": {"kind": "constant", "age": 2}}
-    assert presets(0) == {"no delay": {"kind": "constant", "age": 0}}
-
-
 @pytest.mark.parametrize("side", [Side(), Side(acts=True), Side(PacedClock(), acts=True)], ids=["seen", "real", "virtual"])
 def test_the_page_offers_what_a_run_takes(side: Side) -> None:
     """Speed where virtual time is paced; changes where the run acts on them, in real time those of the plant's own way."""
