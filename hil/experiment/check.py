@@ -33,11 +33,6 @@ BESIDE = "fit"
 """The table of a law's file that says how it was found; a run does not read it."""
 
 
-def names_law_file(raw: Any) -> bool:
-    """Return whether a table of a law names a file and nothing else."""
-    return isinstance(raw, dict) and raw.keys() == {"file"}
-
-
 def read_law_file(name: Any, folder: str) -> dict[str, Any]:
     """Return the table of a network law from a file.
 
@@ -188,7 +183,7 @@ class Checker:
 
     def _law(self, raw: Any, path: str, folder: str) -> Any:
         """Return a network law with the files that it names read, from where the experiment stands."""
-        if names_law_file(raw) and self._folder is not None:
+        if isinstance(raw, dict) and raw.keys() == {"file"} and self._folder is not None:
             try:
                 raw = read_law_file(raw["file"], folder)
             except HilError as e:

@@ -93,20 +93,17 @@ def _rig_of(e: Experiment) -> RigSpec:
 
 def _size_faults(e: Experiment) -> list[str]:
     """Return where tables do not fit the plant, each with its path."""
-    faults: list[str] = []
-    p, m, names = len(e.plant.outputs), len(e.plant.inputs), [s.name for s in e.plant.states]
-    for i, step in enumerate(e.reference):
-        if len(step.value) != p:
-            faults.append(f"reference[{i}].value: length {len(step.value)}, expected {p}: one for each output")
-    for i, pulse in enumerate(e.disturbance):
-        if len(pulse.value) != m:
-            faults.append(f"disturbance[{i}].value: length {len(pulse.value)}, expected {m}: one for each input")
-    if e.limits.input is not None and len(e.limits.input) != m:
-        faults.append(f"limits.input: length {len(e.limits.input)}, expected {m}: one for each input")
-    for name in e.limits.state:
-        if name not in names:
-            faults.append(f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})")
-    return faults
+    counts, names = {"output": len(e.plant.outputs), "input": len(e.plant.inputs)}, [s.name for s in e.plant.states]
+    given = [(f"reference[{i}].value", "output", step.value) for i, step in enumerate(e.reference)]
+    given += [(f"disturbance[{i}].value", "input", pulse.value) for i, pulse in enumerate(e.disturbance)]
+    given += [("limits.input", "input", e.limits.input)] if e.limits.input is not None else []
+    return [
+        f"{path}: length {len(value)}, expected {counts[signal]}: one for each {signal}"
+        for path, signal, value in given if len(value) != counts[signal]
+    ] + [
+        f"limits.state.{name}: the plant has no such state (there are: {', '.join(names)})"
+        for name in e.limits.state if name not in names
+    ]  # fmt: skip
 
 
 def _port_faults(e: Experiment, port: Port | None) -> list[str]:

@@ -127,10 +127,8 @@ OnWay = tuple[int, ...]
 """What of a node's samples is on its way, in ages and slots."""
 
 
-def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
+def recorded_cycle(law: RecordedLaw) -> np.ndarray | str:
     """Return the ages that a receiver measures slot by slot once a recording repeats; or why there is no such cycle."""
-    if not isinstance(law, RecordedLaw):
-        return "it records no ages"
     if (slots := slots_served(law)) is not None:
         return f"the recording ends after {slots} slots, and what follows is not known"
     ages = law.recorded()
@@ -139,7 +137,7 @@ def recorded_cycle(law: NetworkLaw) -> np.ndarray | str:
     return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
 
 
-def recorded_chain(law: NetworkLaw) -> DelayChain | str:
+def recorded_chain(law: RecordedLaw) -> DelayChain | str:
     """Return the chain of ages that are recorded on the way to the actuator; or why there is none."""
     from design.processes.delay_chain import DelayChain
 

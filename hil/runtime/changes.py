@@ -91,47 +91,46 @@ class Lines:
 
     def __init__(self, there: bool) -> None:
         self._there = there
-        self._ends: dict[str, socket.socket] = {}
-        self._waiting: dict[str, bytearray] = {}
-        self._theirs: dict[str, socket.socket] = {}
+        self._lines: dict[str, tuple[socket.socket, socket.socket, bytearray]] = {}  # our end, theirs, and what waits
 
     def open(self, name: str) -> int:
         """Return the file descriptor that a process inherits, in place of the one of that name before it; -1 for none."""
         if not self._there:
             return -1
         self._close(name)
-        self._ends[name], self._theirs[name] = socket.socketpair()
-        self._ends[name].setblocking(False)
-        self._waiting[name] = bytearray()
-        return self._theirs[name].fileno()
+        ours, theirs = socket.socketpair()
+        ours.setblocking(False)
+        self._lines[name] = ours, theirs, bytearray()
+        return theirs.fileno()
 
     def passed(self, name: str, *more: int) -> tuple[int, ...]:
         """Return all that a process inherits, with other descriptors."""
-        return (*more, self._theirs[name].fileno()) if self._there else more
+        return (*more, self._lines[name][1].fileno()) if self._there else more
 
     def put(self, name: str, slot: int, change: Change, dump: Dump = pickle.dump) -> None:
         """Let a change be sent to a process, where there is one of that name."""
-        if name in self._ends:
+        if name in self._lines:
             text = BytesIO()
             dump((slot, change), text)
-            self._waiting[name] += _HEAD.pack(len(text.getvalue())) + text.getvalue()
+            self._lines[name][2].extend(_HEAD.pack(len(text.getvalue())) + text.getvalue())
 
     def flush(self) -> None:
         """Send as much as there is room for; to a process that has ended nothing."""
-        for name, waiting in self._waiting.items():
+        for ours, _, waiting in self._lines.values():
             if waiting:
                 with suppress(OSError):
-                    del waiting[: self._ends[name].send(waiting)]
+                    del waiting[: ours.send(waiting)]
 
     def close(self) -> None:
         """Send nothing more."""
-        for name in list(self._ends):
+        for name in list(self._lines):
             self._close(name)
 
     def _close(self, name: str) -> None:
-        for ends in (self._ends, self._theirs):
-            if name in ends:
-                ends.pop(name).close()
+        if name in self._lines:
+            ours, theirs, _ = self._lines.pop(name)
+            ours.close()
+            theirs.close()
 
 
 class Receiver:

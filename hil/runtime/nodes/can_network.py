@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import cast
 
 from hil.experiment import Experiment
-from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, can_bus_of, own_packets, periodic_traffic, rates_of
+from hil.rig.can_bus import CONTROLLER, RECORDING, bus_nodes, own_packets, periodic_traffic, rates_of
 from hil.rig.loop import Loop
 from hil.rig.named_files import due_of
 from hil.rig.schedules import bus_faults
+from hil.rig.sensors import SharedMedium
 from hil.runtime.streams import rng_for
 from transport.can_bus_model import CanFrame, Due, Traffic
 from transport.can_bus_model.bus import CanBus, Transmission
@@ -27,18 +29,15 @@ class CanNetwork:
     """The bus of one run.
 
     Args:
-        loop: the composed experiment, which has one.
+        loop: the composed experiment.
+        shared: its CAN bus.
         seed: seed of the run.
         seen: called with everything that ends on the bus, and who sent it.
         status: called with (session time in ns, name, node) when the error state of a node has changed.
     """
 
-    def __init__(self, loop: Loop, seed: int, seen: Seen, status: Status) -> None:
-        e = loop.experiment
-        shared = can_bus_of(loop.rig)
-        if shared is None:
-            raise ValueError("media: no CAN bus")
-        medium, name = shared.table, shared.name
+    def __init__(self, loop: Loop, shared: SharedMedium, seed: int, seen: Seen, status: Status) -> None:
+        e, medium, name = loop.experiment, shared.table, shared.name
         rates, names = rates_of(medium), bus_nodes(loop.rig, shared)
         self._fd = medium.dbitrate is not None
         self._own = own_packets(loop.rig, shared, loop.rows)
@@ -88,13 +87,10 @@ class CanNetwork:
 
     def _sensor_frames(self, first: int) -> Callable[[object], list[CanFrame]]:
         def frames(packet: object) -> list[CanFrame]:
-            if not isinstance(packet, tuple):
-                raise TypeError(f"packet: {type(packet).__name__}, expected the values of a sensor node")
-            return value_frames(first, packet, fd=self._fd)
+            return value_frames(first, cast(tuple[float, ...], packet), fd=self._fd)
 
         return frames
 
     def _control_frames(self, packet: object) -> list[CanFrame]:
-        if not isinstance(packet, ControlPacket):
-            raise TypeError(f"packet: {type(packet).__name__}, expected a control packet")
-        return value_frames(self._own[-1].first, [value for row in packet.rows for value in row], fd=self._fd)
+        rows = cast(ControlPacket, packet).rows
+        return value_frames(self._own[-1].first, [value for row in rows for value in row], fd=self._fd)

@@ -15,6 +15,7 @@ from hil.log.records import Channel
 from hil.log.write.sinks import Sink
 from hil.rig.can_bus import can_bus_of
 from hil.rig.loop import Loop
+from hil.rig.sensors import SharedMedium
 from hil.rig.watched import EQUAL, JumpStep, OneStep
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
@@ -77,7 +78,8 @@ class Rig:
         self._sensors = tuple(SensorNode(s.outputs, s.buffer, trigger_of(s.trigger), clock_of(s, seed)) for s in loop.rig.sensors)
         faults = FaultInjector(loop, seed, changing)
         self._faults = faults if faults.there else None
-        bus = self._bus = None if can_bus_of(loop.rig) is None else self._bus_of(loop, seed)
+        shared = can_bus_of(loop.rig)
+        bus = self._bus = None if shared is None else self._bus_of(loop, shared, seed)
         medium, channel = sensor_medium_of(loop, seed, bus), impaired(loop, loop.rig.ca_law, seed, "link.ca")
         self._network: tuple[ChangingMedium, ChangingMedium] | None = None
         if changing:
@@ -263,10 +265,10 @@ class Rig:
         if self._end is not None and k >= self._end:
             self._stop()
 
-    def _bus_of(self, loop: Loop, seed: int) -> CanNetwork:
+    def _bus_of(self, loop: Loop, shared: SharedMedium, seed: int) -> CanNetwork:
         from hil.runtime.nodes.can_network import CanNetwork  # the model of a bus is loaded where there is one
 
-        return CanNetwork(loop, seed, self._on_bus, self._bus_status)
+        return CanNetwork(loop, shared, seed, self._on_bus, self._bus_status)
 
     def _on_bus(self, ended: Transmission, node: CanNode) -> None:
         self._journal.bus(max(self.k, 0) * self._period_ns, self.k, ended, node)

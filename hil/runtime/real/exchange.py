@@ -171,13 +171,13 @@ class Handshake:
         """
         data = self._link.receive(max(wait_s, 0.0))
         packet = decode(data) if data is not None else None
-        answer = isinstance(packet, ControlPacket) and packet.seq == HELLO and packet.echo in self._due
-        if answer and isinstance(packet, ControlPacket):
+        if isinstance(packet, ControlPacket) and packet.seq == HELLO and packet.echo in self._due:
             asked = list(self._due)
             self._due = dict.fromkeys(asked[asked.index(packet.echo) + 1 :])
-        self._answers += answer
-        self._foreign += data is not None and not answer
-        return answer
+            self._answers += 1
+            return True
+        self._foreign += data is not None
+        return False
 
 
 class LinkExchange:

@@ -94,15 +94,6 @@ def kinds(sink: MemorySink) -> list[str]:
     return [e["kind"] for e in Run.from_memory(sink).events]
 
 
-def test_silent_controller_trips_the_watchdog_and_the_run_ends_after_the_grace(loop: Loop) -> None:
-    sink = drive(loop, lambda k: None, 100)
-    got = statuses(loop, sink)
-    assert got[:2] == [NONE_YET, NONE_YET]
-    assert SAFE in got[:6] and set(got[5:]) == {SAFE}
-    assert len(got) < 30  # 1 s of 50 ms after the trip
-    assert "safety" in kinds(sink)
-
-
 def test_controller_that_dies_is_followed_by_hold_then_the_latched_safe_state(loop: Loop) -> None:
     sink = drive(loop, lambda k: answer(k) if k < 20 else None, 60)
     got = statuses(loop, sink)
@@ -261,7 +252,8 @@ def test_a_trip_zeroes_an_input_that_was_not_zero_and_the_run_ends_exactly_after
 def test_the_watchdog_begins_to_count_when_a_packet_could_have_come(loop: Loop) -> None:
     """The first packet may take d_max slots; of the slots after these the watchdog lets three pass."""
     got = statuses(loop, drive(loop, lambda k: None, 100))
-    assert got.index(SAFE) == loop.model.d_max + loop.experiment.limits.watchdog_slots
+    before = loop.model.d_max + loop.experiment.limits.watchdog_slots
+    assert got == [NONE_YET] * before + [SAFE] * (len(got) - before) and len(got) == before + 21  # 1 s of 50 ms behind the trip
 
 
 @pytest.mark.parametrize(("selection", "row"), [("generated", 1), ("previous", 1), ("both", 2)])
