@@ -66,9 +66,8 @@ def law(
     the laws explains the packets, and no law is written.
     """
     from hil.files import check_output, write_output
-    from hil.log.recordings.law_text import fit_said, law_text
     from hil.log.recordings.read import read_recording
-    from hil.log.recordings.recording import packet_records
+    from hil.log.recordings.recording import fit_said, law_text, packet_records
     from transport.errors import FieldError
     from transport.law_fit import fit_law
 
@@ -117,7 +116,7 @@ def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.files.toml_text import toml_value
-    from hil.log.recordings.law_text import WORDS, independence_said
+    from hil.log.recordings.recording import WORDS, independence_said
 
     tested = fit.tested
     print_folded(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")

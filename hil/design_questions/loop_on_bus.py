@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
 from hil.files.toml_text import toml_lines
-from hil.log.recordings.law_text import WORDS, fit_said, law_text
+from hil.log.recordings.recording import WORDS, fit_said, law_text
 from hil.log.topics import APPLIED, BUS, ROWS
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
 from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets

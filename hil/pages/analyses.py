@@ -11,7 +11,7 @@ from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
-from hil.log.recordings.law_text import WORDS, independence_said
+from hil.log.recordings.recording import WORDS, independence_said
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html.page import Page
 from transport.law_fit import LawFit
@@ -30,7 +30,7 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
 
     Args:
         fits: by direction.
-        said: see `hil.log.recordings.law_text.fit_said`.
+        said: see `hil.log.recordings.recording.fit_said`.
         model_shares: share of slots at age 0, 1, ... under each fitted law.
     """
     badges = [
