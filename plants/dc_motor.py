@@ -136,13 +136,15 @@ class DCMotor:
         """Return the linear model that a designer sees: state (angle, speed), without the imperfections."""
         # DEVIATION: the printed discrete A of sec. 7.4.2 is no zero-order hold of the printed transfer function at any
         # period; the published gains and norms belong to this model (tests/plants/test_dc_motor.py).
-        measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
-        return StateSpace(A=[[0.0, 1.0], [0.0, -self.pole]], B=[[0.0], [self.gain]], C=measured)
+        return self._linear(self.pole)
 
     def motion(self) -> StateSpace:
         """Return the model by which it moves: viscous friction moves the pole."""
+        return self._linear(self._damping)
+
+    def _linear(self, damping: float) -> StateSpace:
         measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
-        return StateSpace(A=[[0.0, 1.0], [0.0, -self._damping]], B=[[0.0], [self.gain]], C=measured)
+        return StateSpace(A=[[0.0, 1.0], [0.0, -damping]], B=[[0.0], [self.gain]], C=measured)
 
     @property
     def _damping(self) -> float:

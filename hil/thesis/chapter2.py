@@ -38,17 +38,11 @@ def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
         BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed") for m in ("pwl", "pwc", "printed")
     )
     bars = Bars(
-        title="largest certified scale of the uncertainty",
-        categories=[f"M = {n}" for n in counts],
-        groups=groups,
-        x_label="sections",
-        y_label="scale",
-    )
-    return Plot(
-        title="What partitioning buys",
-        panels=(bars,),
-        intro="A_i(t), B_2(t) as printed, equal probability, |K| <= 100.",
-    )
+        title="largest certified scale of the uncertainty", categories=[f"M = {n}" for n in counts], groups=groups,
+        x_label="sections", y_label="scale",
+    )  # fmt: skip
+    intro = "A_i(t), B_2(t) as printed, equal probability, |K| <= 100."
+    return Plot(title="What partitioning buys", panels=(bars,), intro=intro)
 
 
 THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")

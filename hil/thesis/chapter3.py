@@ -135,11 +135,8 @@ def _trajectories(published: ScheduledGain, ours: ScheduledGain | None) -> Plot:
         if other is not None:
             series.append(Series(label="ours, |K| <= 5", x=other.time_s, y=other.x[0, :, n], style="dashed"))
         panels.append(Figure(title=f"3.2: x{n + 1}", y_label=name, y_unit=unit, series=tuple(series)))
-    return Plot(
-        title="Figure 3.2",
-        panels=tuple(panels),
-        intro="One run from the printed initial state, same modes, delay and noise.",
-    )
+    intro = "One run from the printed initial state, same modes, delay and noise."
+    return Plot(title="Figure 3.2", panels=tuple(panels), intro=intro)
 
 
 def _levels_plot(published: JumpCertificate, ours: dict[float, JumpCertificate]) -> Plot:

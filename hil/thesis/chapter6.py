@@ -192,15 +192,13 @@ def push_plot(device: HeldDevice, safe: Coupler) -> Plot:
     panels = (
         Figure(title="6.8: penetration under 1 N, delays 0 to 8 safe", series=curves, y_label="depth", y_unit="mm"),
         Figure(
-            title="the same with other couplers, material 1",
+            title="the same with other couplers, material 1", y_label="depth", y_unit="mm",
             series=(
                 Series(label="wave coupler for six samples", x=t, y=1e3 * lossless),
                 Series(label="T/(2 b) of Theorem 6.1", x=t[:51], y=1e3 * printed, style="dashed"),
             ),
-            y_label="depth",
-            y_unit="mm",
         ),
-    )
+    )  # fmt: skip
     return Plot(title="Figure 6.8", panels=panels)
 
 

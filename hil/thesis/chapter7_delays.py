@@ -24,7 +24,7 @@ from hil.pages.html.figures import Figure, Series
 from hil.thesis.chapter import Plot, ReportProgress
 from hil.thesis.chapter7_designs import NAME, PLANTS, TIE, best
 from hil.thesis.chapter7_models import H2, NETWORK, Array, Plant, motor
-from hil.thesis.chapter7_runs import BATCH_RUNS, on_all_cores, squared_error, stationary
+from hil.thesis.chapter7_runs import BATCH_RUNS, following, on_all_cores, squared_error, stationary
 from hil.thesis.statements import ERRORS, Statement, above, below, exactly
 from plants.dc_motor import DCMotor
 
@@ -95,7 +95,7 @@ def packet_by_packet(
     outputs, commands = [np.zeros((runs, len(plant.C)))] * 3, [np.zeros((runs, 1))] * 2
     for _ in range(SLOTS):
         filtered = NETWORK[1][d]  # of the d that the sensor saw last: Pr{d_k = s}
-        tau, d = (np.sum(rng.random(runs)[:, None] > limit[mode], axis=1) for limit, mode in zip(sums, (tau, d), strict=True))
+        tau, d = (following(rng, limit, mode) for limit, mode in zip(sums, (tau, d), strict=True))
         outputs = [x @ plant.C.T, *outputs[:2]]
         total += (outputs[0] ** 2).sum(axis=1) + ((R * commands[0]) ** 2).sum(axis=1)
         gain = np.einsum("ns,nsmp->nmp", filtered, gains[tau])

@@ -67,7 +67,7 @@ def errors(
     """
     rng = np.random.default_rng(seed)
     every, zero = np.arange(runs), np.zeros(runs, dtype=np.intp)
-    sums = [np.cumsum(matrix, axis=1) for matrix in NETWORK]
+    sums = [np.cumsum(matrix, axis=1)[:, :-1] for matrix in NETWORK]
     tau, d = (rng.choice(len(P), p=stationary(P), size=runs) for P in NETWORK)
     held = steady_state(*plant).input[:, 0]
     x = np.zeros((runs, plant.A.shape[0]))
@@ -77,7 +77,7 @@ def errors(
     found = np.empty((len(reference), runs))
     for k, r in enumerate(reference):
         if k:
-            tau, d = (_next(rng.random(runs), total, mode) for total, mode in zip(sums, (tau, d), strict=True))
+            tau, d = (following(rng, total, mode) for total, mode in zip(sums, (tau, d), strict=True))
         outputs = [x @ plant.C[0], *outputs[:2]]  # newest first, as are packets and the d at which they were made
         made = [d, *made[:1]]
         found[k] = outputs[0] - r
@@ -95,12 +95,9 @@ def errors(
     return found
 
 
-def _next(drawn: Array, total: Array, mode: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """The mode whose share of [0, 1] the number drawn lies in; `total` has the summed rows of the matrix."""
-    found = np.zeros(len(mode), dtype=np.intp)
-    for column in total.T[:-1]:
-        found += drawn > column[mode]
-    return found
+def following(rng: np.random.Generator, sums: Array, mode: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Draw the mode after each; ``sums`` has the summed rows of the matrix, but for their last entry."""
+    return np.asarray((rng.random(len(mode))[:, None] > sums[mode]).sum(axis=1))
 
 
 def sums_of_squares(error: Array, period_s: float, start: int = 0) -> Array:

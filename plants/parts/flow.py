@@ -12,7 +12,7 @@ import numpy as np
 
 from plants.errors import PlantError
 from plants.parts.draws import Normals, exponential
-from plants.parts.exponential import Rows, drift, zero_order_hold
+from plants.parts.exponential import Rows, dot, drift, zero_order_hold
 from plants.parts.linear import NEVER_NS, NS_PER_S
 from plants.parts.semi_markov import TransitionRates
 
@@ -57,13 +57,7 @@ class Flow:
 
     def drift(self, x: Sequence[float], v: Sequence[float], dt_ns: int) -> list[float]:
         """Return x after dt_ns, by a series: for the odd lengths between random events."""
-        force = []
-        for row in self._B:
-            total = 0.0
-            for a, b in zip(row, v):
-                total += a * b
-            force.append(total)
-        return drift(self._A, self._norm, x, force, dt_ns / NS_PER_S)
+        return drift(self._A, self._norm, x, [dot(row, v) for row in self._B], dt_ns / NS_PER_S)
 
     def _tabulate(self, dt_ns: int) -> Rows:
         if dt_ns < 0:

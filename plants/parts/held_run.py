@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from plants.errors import PlantError
-from plants.parts.actuators import Friction
+from plants.parts.actuators import Encoder, Friction
 from plants.parts.draws import TURN, Normals, sine
 from plants.parts.exponential import exp
 from plants.parts.flow import Flow, Source, pass_time
@@ -29,8 +29,8 @@ class HeldRun:
     """The held device while it runs. See `Omni` for the equations."""
 
     __slots__ = (
-        "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_place", "_push", "_slide",
-        "_sources", "_step_m", "_ways", "_x", "_zones",
+        "_applied", "_damping", "_dry", "_flow", "_force", "_given", "_limit", "_now_ns", "_path", "_place", "_push", "_read",
+        "_slide", "_sources", "_ways", "_x", "_zones",
     )  # fmt: skip
 
     def __init__(self, omni: Omni, hand: Hand, rng: np.random.Generator) -> None:
@@ -40,7 +40,7 @@ class HeldRun:
         self._move_as(omni, hand, PathRun(hand))
         self._place = self._slide.at(0)
         self._limit = math.inf if omni.force_limit_n is None else omni.force_limit_n
-        self._step_m = omni.encoder_step_m
+        self._read = Encoder(step_rad=omni.encoder_step_m).read
         self._now_ns, self._force, self._applied, self._given = 0, 0.0, (0.0,), 0.0
 
     def _move_as(self, omni: Omni, hand: Hand, path: PathRun) -> None:
@@ -104,10 +104,7 @@ class HeldRun:
 
     def measure(self) -> tuple[float, ...]:
         """Return the position in m as the encoder gives it, and the place y, z along the wall in m."""
-        position, step = self._x[0], self._step_m
-        if step and math.isfinite(position):
-            position = step * math.floor(position / step + 0.5)
-        return (position, *self._place)
+        return (self._read(self._x[0]), *self._place)
 
     @property
     def state(self) -> tuple[float, ...]:

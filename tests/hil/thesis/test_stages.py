@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,8 +114,8 @@ def lines_of(name: str, values: Mapping[str, Any]) -> Iterator[Line]:
     for each in NAMES.get(name, "").split():
         for n, value in enumerate(scalars(named(values, each))):
             yield f"{each} {n}", value, 3e-8
-    for (*words, points), size in drawn(values).items():
-        yield f"{': '.join(words)}, {points} points", float(np.mean(size)), 3e-8
+    for words, size in drawn(values).items():
+        yield words, float(np.mean(size)), 3e-8
 
 
 def scalars(value: Any) -> Iterator[Any]:
@@ -126,25 +127,35 @@ def scalars(value: Any) -> Iterator[Any]:
         yield value
 
 
-def drawn(values: Mapping[str, Any]) -> dict[tuple[Any, ...], list[float]]:
-    """Return plot, panel, line, band or bars and their points, and the mean square of each, or of the width of a band.
+def said(of: Any) -> str:
+    """What a plot, a panel or a line has beside its numbers, where it is not as by default."""
+    shown = [(each.name, getattr(of, each.name), each.default) for each in fields(of)]
+    markers = [f"{each.label} at {each.x:g}" for each in getattr(of, "markers", ())]
+    words = [f"{name} {value}" for name, value, default in shown if isinstance(value, str | bool | int) and value != default]
+    ends = [f"y {of.y_range}"] if getattr(of, "y_range", None) else []
+    return ", ".join([*words, *markers, *ends])
 
-    Of known gains: those that a stage designs itself are left out.
+
+def drawn(values: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return the words of every line, band and group of bars, and the mean square of each, or of the width of a band.
+
+    Of known gains: those that a stage designs itself are left out. Lines of the same words are one.
     """
-    found: dict[tuple[Any, ...], list[float]] = {}
+    found: dict[str, list[float]] = {}
     for plot in values.get("figures", ()):
         for panel in plot.panels:
-            lines = []
             if isinstance(panel, Bars):
-                lines = [(group.label, np.asarray(group.values)) for group in panel.groups]
+                lines = [(f"{said(group)}: {panel.categories}", np.asarray(group.values)) for group in panel.groups]
             elif isinstance(panel, Histogram):
-                found[plot.title, panel.title, "counts", len(panel.counts)] = [float(np.dot(panel.counts, panel.edges[1:]))]
+                lines = [(f"{len(panel.counts)} counts", np.sqrt(panel.counts * panel.edges[1:]))]
             else:
-                lines = [(line.label, np.asarray(line.y)) for line in panel.series]
-                lines += [(band.label, np.asarray(band.upper) - np.asarray(band.lower)) for band in panel.bands]
-            for label, y in lines:
-                found.setdefault((plot.title, panel.title, label, len(y)), []).append(float(np.square(y).mean()))
-    return {line: size for line, size in found.items() if not any(words.startswith("ours") for words in line[1:3])}
+                lines = [(f"{said(each)}, {len(each.x)} to {each.x[-1]:g}", np.asarray(each.y)) for each in panel.series]
+                bands = [(f"{said(each)}, {len(each.x)} to {each.x[-1]:g}", each) for each in panel.bands]
+                lines += [(words, np.asarray(band.upper) - np.asarray(band.lower)) for words, band in bands]
+            for words, y in lines:
+                if not words.startswith("label ours") and not panel.title.startswith("ours"):
+                    found.setdefault(f"{said(plot)}: {said(panel)}: {words}", []).append(float(np.square(y).mean()))
+    return found
 
 
 @pytest.mark.parametrize("name", FOUND)
