@@ -21,7 +21,6 @@ from hil.compose.loop import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.rig.loop import Loop
 from hil.sweeps.seeds import run_seeds
 
 RUNS = 1000
@@ -112,19 +111,13 @@ def best_known() -> dict[str, dict[str, Any]]:
 
 
 def reached(problem: Problem, controller: str, runs: int) -> Reached:
-    """Run a controller on a problem; one that does not fit it says why."""
+    """Run a controller on a problem over seeds 0 ... runs - 1; one that does not fit it says why."""
     try:
         loop = compose(problem.load(controller))
     except (HilError, DesignError) as error:
         return Reached(problem=problem.name, controller=controller, mean=None, low=None, high=None, runs=0, stopped=0, verdict="",
                        said=str(error).replace("\n", "; ")[:300])  # fmt: skip
-    return measured(problem, controller, loop, runs)
-
-
-def measured(problem: Problem, controller: str, loop: Loop, runs: int) -> Reached:
-    """Return what a composed loop reaches over seeds 0 ... runs - 1."""
-    rows = run_seeds(loop, list(range(runs)))
-    went = [row[OBJECTIVE] for row in rows if not row["stopped"]]
+    went = [row[OBJECTIVE] for row in run_seeds(loop, range(runs)) if not row["stopped"]]
     interval, stopped = mean_interval(np.array(went)), runs - len(went)
     known = interval.n > 1 and not stopped
     return Reached(
