@@ -5,7 +5,6 @@ What is installed, and the keys of one of it; the file of an experiment, its sch
 
 from __future__ import annotations
 
-import json
 import textwrap
 from typing import Any, Final
 
@@ -15,7 +14,6 @@ from hil.cli.completion import EXPERIMENT
 from hil.cli.terminal import Line, Working, answer, json_option, print_json, print_lines, terminal_columns, visible, wants_json
 from hil.errors import HilError
 
-LONGEST_DEFAULT: Final = 40
 DEEPEST: Final = 4
 """Levels of tables within tables that are shown."""
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
@@ -145,8 +143,8 @@ def _keys(cls: object, within: str) -> None:
     tables = tables_of(cls)
     for f in fields_of(cls):
         inside = next((name for name in (f.name, f"{f.name}.N") if name in tables), "")
-        long = inside and len(f.default) > LONGEST_DEFAULT  # what it holds stands at its own keys
-        default = "" if long or f.default == "None" else f" = {f.default}" if f.default else "  (required)"
+        within_it = inside and "(" in f.default  # the default of a table: what it holds stands at its own keys
+        default = "" if within_it or f.default == "None" else f" = {f.default}" if f.default else "  (required)"
         head = f"{within}{f.name}: {f.type}{default}"
         print(textwrap.fill(visible(head), _columns(), subsequent_indent="  ", break_on_hyphens=False))
         _wrapped([visible(f.meaning).replace("``", "")] if f.meaning else [], "    ")
@@ -198,7 +196,7 @@ def schema() -> None:
     """Print the JSON Schema of experiment files (for editors: put its path in the file's `#:schema` line)."""
     from hil.experiment.schema import experiment_schema
 
-    print(json.dumps(experiment_schema(), indent=2))
+    print_json(experiment_schema())
 
 
 @click.command()

@@ -139,7 +139,7 @@ def _unpack(database: Any, own: range, node: int, count: int, outputs: int, step
 
 
 def _pack(database: Any, own: range, rows: int, inputs: int, step: int) -> Iterator[str]:
-    frames = list(_fragments(database, own, step, 8 * (40 + 4 * rows * inputs)))
+    frames = list(_fragments(database, own, step, 8 * control_length(rows * inputs)))
     named, values, _ = _signals(frames, step, 320)
     yield "static void pack_answer(const struct answer *a, float u[ROWS][INPUTS], uint8_t *out) {"
     for index, message in frames:

@@ -152,14 +152,14 @@ class _Progress:
         words, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
         columns = (words, BarColumn(), TimeElapsedColumn(), left)
         self._bar = Progress(*columns, console=console, disable=not self._terminal, transient=True)
-        self._left = {name: seconds_left(name, kept) for name in names}
-        self._chapter, self._task = "", self._bar.add_task("", total=max(sum(self._left.values()), 1e-9), left="")
-        self._last, self._before, self._begun = "", 0.0, time.perf_counter()
+        self._rest = {name: seconds_left(name, kept) for name in names}  # of the chapters that come
+        self._task = self._bar.add_task("", total=max(sum(self._rest.values()), 1e-9), left="")
+        self._chapter, self._seconds, self._last, self._before, self._begun = "", 0.0, "", 0.0, time.perf_counter()
 
     def begin(self, chapter: str) -> None:
         """Say which chapter comes."""
-        self._before += self._left.pop(self._chapter, 0.0)
-        self._chapter = chapter
+        self._before += self._seconds
+        self._chapter, self._seconds = chapter, self._rest.pop(chapter)
 
     def __enter__(self) -> _Progress:
         self._bar.start()
@@ -171,8 +171,7 @@ class _Progress:
     def __call__(self, step: Step) -> None:
         words = f"{self._chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
         done = self._before + step.seconds
-        left = step.left + sum(seconds for name, seconds in self._left.items() if name != self._chapter)
-        left_text = remaining(time.perf_counter() - self._begun, done, left)
+        left_text = remaining(time.perf_counter() - self._begun, done, step.left + sum(self._rest.values()))
         self._bar.update(self._task, description=words, completed=done, left=left_text)
         if not self._terminal and words != self._last:
             print(words + (f" ({left_text})" if left_text else ""), file=sys.stderr, flush=True)

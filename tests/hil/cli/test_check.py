@@ -37,6 +37,16 @@ class Process:
     def draw(self):
         age = int(self.rng.random() < self.p)
         return age, age
+
+@dataclass(frozen=True)
+class Twice:
+    selection: ClassVar = "constant"
+
+    def start(self, model):
+        return self
+
+    def rows(self, k, tau, y, r):
+        return (0.0,), (0.0,)
 """
 
 
@@ -65,13 +75,14 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
     ("words", "fault"),
     [
         (("laws", "mine:Coin", "--parameter", "q=0.5"), "hil: law.q: unknown field; there are p"),
-        (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process"),
+        (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process, Twice"),
         (("laws", "nowhere:Coin"), "there is no nowhere.py in "),
         (("measures", "measures:Number"), "hil: check_measure: measures:Number: a run: of(view) returned 3.0, expected numbers"),
         (("measures", "measures:Leaves"), "of(view): SystemExit: 0 ("),
         (("measures", "measures:Whole", "--parameter", "a=1"), "--parameter: a measure has no keys"),
         (("links", "nope:x"), "no link is called 'nope'"),
         (("controllers", "mine:Coin"), "check_controller: "),
+        (("controllers", "mine:Twice"), "check_controller: mine:Twice: 2 rows, expected 1 for 'constant'"),
     ],
 )
 def test_what_a_plug_in_does_not_keep_is_one_message(cli: Hil, words: tuple[str, ...], fault: str) -> None:

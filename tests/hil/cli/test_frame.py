@@ -41,7 +41,9 @@ def test_list_names_all_that_ships(cli: Hil) -> None:
 
 
 def test_schema_is_json_and_knows_the_tables(cli: Hil) -> None:
-    schema = json.loads(cli("schema")[1])
+    out = cli("schema")[1]
+    schema = json.loads(out)
+    assert out.startswith('{\n  "'), "people read it, too"
     assert schema["$schema"].startswith("https://json-schema.org/") and "plant" in schema["properties"]
 
 

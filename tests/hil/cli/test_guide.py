@@ -1,9 +1,10 @@
-"""`hil guide`: topics, a page, a topic that is not there."""
+"""`hil guide`: topics, a page, a topic that is not there; `hil licences`: what is installed, and what its licence asks."""
 
 from __future__ import annotations
 
 import json
 import re
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from hil.cli.guide import guide as command
 from hil.cli.guide import pages
 from tests.bench.catalogue import PARTS
 from tests.bench.page import page_of
+from tests.hil.cli.conftest import Hil
 
 
 def test_without_a_topic_it_lists_every_page_with_its_title() -> None:
@@ -62,3 +64,15 @@ def test_the_controller_of_the_wire_format_is_the_one_that_is_tested() -> None:
     program, _ = re.findall(r"```python\n(.*?)```", pages()["wire-format"].read_text(encoding="utf-8"), re.S)
     tested = (Path(__file__).parents[2] / "foreign_controller.py").read_text(encoding="utf-8")
     assert tested.split('"""\n\n', 1)[1] == program
+
+
+def test_every_installed_package_is_listed_with_its_licence(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    status, out, _ = cli("licences", "--json")
+    rows = {row["name"]: row for row in json.loads(out)["packages"]}
+    assert status == 0 and len(rows) >= len({d.metadata["Name"] for d in distributions()}) - 1
+    assert "LGPL" in rows["python-can"]["licence"] or "Lesser" in rows["python-can"]["licence"]
+    assert rows["python-can"]["copyleft"] and rows["python-can"]["needed_by_hil"]
+    assert not rows["numpy"]["copyleft"] and rows["numpy"]["needed_by_hil"] and not rows["pytest"]["needed_by_hil"]
+    lines = cli("licences")[1].splitlines()
+    assert lines[0].startswith("! ") and max(map(len, lines)) <= 80

@@ -1,14 +1,16 @@
-"""`hil identify plant`: from our own logs at both rates, from tables, and what is no record of an axis."""
+"""`hil identify plant`: from our own logs at both rates, from tables, and what is no record of an axis; `hil identify rates`."""
 
 from __future__ import annotations
 
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from design.identification.jump_rates import JumpRate
 from hil.log.read.run import read_run
 from tests.design.identification.test_dry_friction import CHIRP, braked
 from tests.hil.cli.conftest import Hil, run_main
@@ -121,3 +123,18 @@ def test_faults_are_reported_with_status_2(cli: Hil, omni_log: Path, tmp_path: P
     ):
         status, out, err = cli("identify", "plant", *arguments)
         assert (status, out) == (2, "") and says in err, (arguments, err)
+
+
+def test_the_command_reads_logs_and_refuses_one_without_modes(cli: Hil, hil_log: Path) -> None:
+    assert cli("run", "vtol-fault", "--duration", "1", "--seed", "2", "-o", "1.mcap")[0] == 0
+    shutil.copy("1.mcap", "2.mcap")
+    status, out, _ = cli("identify", "rates", "1.mcap", "2.mcap", "--edge", "0.3s", "--json")
+    found = [JumpRate(**each) for each in json.loads(out)["rates"]]
+    assert status == 0 and found[0].fault is None and {each.after_s for each in found} == {0.0, 0.3}
+    of_fault = {(each.source, each.after_s): each.exposure_s for each in found if each.fault is None}
+    assert sum(of_fault.values()) == pytest.approx(2.0, abs=0.01)
+    assert "1/s, 95 %" in cli("identify", "rates", "1.mcap")[1]
+    status, _, err = cli("identify", "rates", "1.mcap", "--detected", "pitch_rate")
+    assert status == 2 and "pitch_rate is no mode" in err
+    status, _, err = cli("identify", "rates", hil_log)
+    assert status == 2 and "no mode 'fault_mode'" in err and "angle" in err

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+import hil
 from hil.cli import cli
 from hil.cli.laws import command
 from hil.errors import HilError
@@ -68,6 +69,7 @@ def test_every_sensor_node_has_the_law_of_its_own_network() -> None:
     found = json.loads(CliRunner().invoke(command, ["dc-motor-two-nodes", "--json"], catch_exceptions=False).output)
     law = load_experiment("dc-motor-two-nodes").network.nodes["speed"].law
     assert found["nodes"]["speed"]["transition_matrix"] == [list(row) for row in law.matrix]
+    assert [*hil.laws("dc-motor-two-nodes")] == ["angle", "speed", "ca"]
     assert set(found["laws"]) == {"sc", "ca"} and list(json.loads(laws("--json"))["nodes"]) == ["sensor"]
 
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import numpy as np
 import pytest
@@ -146,13 +149,11 @@ def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
 
 
 def test_the_summary_says_units_certificate_and_every_output_on_eighty_columns(cli: Hil) -> None:
-    for name in ("vtol-ours-h2", "dc-motor-local"):
+    for name, unit in (("vtol-ours-h2", "kn² s"), ("dc-motor-local", "rad² s")):
         status, out, err = cli("run", name, "--duration", "2", "--set", "allow_uncertified=true")
         assert status in (0, 3), err
         assert max(map(len, out.splitlines())) <= 80 and "{" not in out
-        assert "certificate" in out
-        assert "rad² s" in out or "  " in out
-    assert "rad² s" in cli("run", "dc-motor-hinf", "--duration", "2")[1]
+        assert "certificate" in out and re.search(rf"^squared tracking error   \S+ {unit}$", out, re.M)
 
 
 def test_a_run_whose_timing_is_not_valid_says_why() -> None:
@@ -163,6 +164,29 @@ def test_a_run_whose_timing_is_not_valid_says_why() -> None:
     timing = timing_metrics(np.full(3, 10.0), np.full(3, np.nan), late, np.zeros(3), period_s=1e-3)
     timing["scheduler"] = "SCHED_FIFO 60"
     assert timing_rows(timing)[0] == ("timing", "NOT VALID: 2 of 3 slots had no answer in time; SCHED_FIFO 60")
+
+
+def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[tuple[Any, dict[str, Any]]] = []
+
+    def shown(what: Any, *_: object, opened: Callable[[str], None], **about: Any) -> int:
+        opened("http://here")
+        seen.append((what, about))
+        return 0
+
+    monkeypatch.setattr("hil.pages.live.watch.watch", shown)
+    monkeypatch.setattr("hil.pages.live.watch.show_log", shown)
+    words = ("--seed", "3", "--duration", "1", "--speed", "2", "--port", "9", "--hold")
+    assert cli("live", "dc-motor-h2", "dc-motor-hinf", *words) == (0, "", "open http://here\n")
+    ((asked, about),) = seen
+    assert [(each.load(None).name, each.speed, each.held, each.clock) for each in asked] == [
+        (name, 2.0, True, "virtual") for name in ("dc-motor-h2", "dc-motor-hinf")
+    ]
+    assert [asked[0].load(again).seed for again in (None, 8)] == [3, 8] and about["port"] == 9
+    assert not [*tmp_path.rglob("*.mcap")], "what was tried is let go"
+    assert cli("live", hil_log)[2] == "open http://here\n" and len(seen[1][0].events) > 0
+    for more in (("--foxglove", "0"), ("--script", "a.toml")):
+        assert "a log is shown alone" in cli("live", hil_log, *more)[2]
 
 
 def test_a_device_that_takes_no_log_stays(cli: Hil, tmp_path: Path) -> None:

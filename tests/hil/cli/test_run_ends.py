@@ -17,6 +17,7 @@ from hil.cli.run import let_go
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from tests.hil.cli.conftest import Hil
+from tests.waiting import gone, until
 from tests.warm_hil import hil_command
 
 PLANT = '''
@@ -78,6 +79,25 @@ def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path
     assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome"
 
 
+ORPHAN = """
+import os, signal, time
+parent = os.getppid()
+open("pid", "w").write(str(os.getpid()))
+os.kill(parent, signal.SIGKILL)
+while os.getppid() == parent:
+    pass
+time.sleep(1)
+open("alive", "w").close()
+"""
+
+
+def test_a_command_of_ones_own_module_ends_with_the_process_that_was_called(tmp_path: Path) -> None:
+    (tmp_path / "orphan.py").write_text(ORPHAN)
+    assert hil_command("list", "plants", "orphan:Plant", cwd=tmp_path).returncode == -signal.SIGKILL
+    until(lambda: gone(int((tmp_path / "pid").read_text())), "the end of the process in which the module runs")
+    assert not (tmp_path / "alive").exists()
+
+
 def test_a_signal_before_the_first_record_leaves_no_empty_log(tmp_path: Path) -> None:
     words = prepared(tmp_path, "pass")
     text = (tmp_path / "cart.py").read_text()
@@ -132,6 +152,9 @@ def test_force_goes_through_no_link(tmp_path: Path, cli: Hil) -> None:
     status, out, err = cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "l.mcap", "--force")
     assert (status, out) == (2, "") and f"is a symbolic link, and --force overwrites no file through one; name {tmp_path}" in err
     assert (tmp_path / "victim.txt").read_text() == "mine" and (tmp_path / "l.mcap").is_symlink()
+    (tmp_path / "loop").symlink_to("loop")
+    err = cli("run", "dc-motor-hinf", "--duration", "1s", "-o", "loop/a/b.mcap", "--force")[2]
+    assert "log loop/a/b.mcap: cannot be created: Too many levels of symbolic links" in err
     with pytest.raises(hil.HilError, match=r"l\.mcap: exists already"):
         hil.run("dc-motor-hinf", duration=1, log=tmp_path / "l.mcap")
 

@@ -97,6 +97,12 @@ def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:
     assert rows[-1]["taps_m_per_n"].split()[0] in page
 
 
+def test_a_map_of_one_cell_is_a_table_of_one_row(tmp_path: Path) -> None:
+    shown = mapped("--period", "1ms", "--delay", "0", "--hand", "5", "--csv", str(tmp_path / "m.csv"))
+    (row,) = csv.DictReader((tmp_path / "m.csv").open())
+    assert shown.exit_code == 0 and (row["period_s"], row["delay"], row["hand_damping_n_s_per_m"]) == ("0.001", "0", "5.0")
+
+
 def test_a_joint_with_a_lever_is_stiffer() -> None:
     tip, joint = (json.loads(mapped(*MAP, "--lever", lever, "--json").stdout) for lever in ("1", "0.135"))
     assert joint["device"]["damping_n_s_per_m"] == pytest.approx(1.9857 / 0.135**2)

@@ -76,6 +76,12 @@ def _encrypted(path: Path) -> None:
     path.write_bytes(data)
 
 
+def test_of_many_keys_twenty_are_named(folder: Path) -> None:
+    np.savez(folder / "many.npz", **{f"k{i:02d}": np.zeros(1) for i in range(25)})
+    with pytest.raises(HilError, match=r"has no key 'K'; it has 'k00', .*'k19'$"):
+        numbers_from_file({"file": "many.npz"}, "K", str(folder), 1)
+
+
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb.mat": (_bomb, r"is no whole \.mat file"),
     "huge.npz": (_huge_npz, r"key 'A': an array of shape \(1000000000000,\); at most 1000000 numbers"),

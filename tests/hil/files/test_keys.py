@@ -86,6 +86,12 @@ def test_a_folder_that_is_not_new_or_not_ones_own_takes_no_keys(folder: Path, tm
         make_keys(tmp_path / "new", ["ä"])
 
 
+def test_a_host_that_is_neither_address_nor_name_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match="--host 'rig·lab': neither an address nor a name"):
+        make_keys(tmp_path / "keys", ["rig·lab"])
+    assert not [*(tmp_path / "keys").iterdir()]
+
+
 def test_a_name_of_ones_own_gets_a_certificate_once_unless_it_is_revoked(folder: Path) -> None:
     root = read_certificate(folder / "ca.pem")
     assert issue_certificate(folder, "alice", ["10.0.0.7"], days=5) == [folder / "alice.pem", folder / "alice.key"]

@@ -1,4 +1,4 @@
-"""One option, one meaning, in all commands; and what `hil list` and `hil sweep` say of themselves."""
+"""One option, one meaning, in all commands, of times too; and what `hil list` and `hil sweep` say of themselves."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import click
 import pytest
 
 from hil.cli import COMMANDS, command_of
+from hil.cli.option_types import Duration, NumberList
 from hil.experiment import FIRST
 from tests.hil.cli.conftest import Hil
 
@@ -108,3 +109,37 @@ def test_people_read_titles_and_programs_read_keys(cli: Hil, tmp_path: Path) -> 
         words = " ".join(text.split())
         assert "squared tracking error" in words and "steady-state" in words
         assert not re.search(r"\bsse\b|steady_state_error|max_abs_u", words)
+
+
+TIMES = {"--duration", "--for", "--wait", "--timeout", "--period"}
+
+
+TEXT = tuple(f"{name} --duration" for name in ("run", "rig", "live", "sweep", "compare"))
+
+
+def test_every_time_is_a_duration() -> None:
+    """`--duration` of run, rig, live, sweep and compare is text, for it goes to the experiment, which reads it the same way."""
+    for path, option in options():
+        for at in (f"{path} {name}" for name in option.opts if name in TIMES):
+            if at != "new --for":  # an experiment
+                times = option.type._number.__name__ == "in_seconds" if isinstance(option.type, NumberList) else None
+                assert isinstance(option.type, Duration) or times or at in TEXT, at
+
+
+@pytest.mark.parametrize("duration", ["1s", "1000ms", "1 s", "1.", "1e3ms"])
+def test_a_run_lasts_as_long_as_is_typed(cli: Hil, duration: str) -> None:
+    status, out, err = cli("run", "dc-motor-hinf", "--duration", duration, "--set", "period=25ms", "--quiet", "-o", "a.mcap")
+    assert (status, err) == (0, "") and "40" in out
+
+
+@pytest.mark.parametrize(
+    ("value", "says"),
+    [("2 parsec", "'2 parsec' is not a duration"), ("0s", "a duration above 0 s"), ("-1s", "above 0 s"), ("1e999", "inf")],
+)
+def test_an_option_says_what_is_no_duration(value: str, says: str) -> None:
+    with pytest.raises(click.BadParameter, match=says):
+        Duration(above=True).convert(value, None, None)
+
+
+def test_lists_of_times_have_units_too() -> None:
+    assert NumberList(above=True, times=True).convert("1ms,0.05,2 s", None, None) == (0.001, 0.05, 2.0)
