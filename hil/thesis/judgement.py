@@ -225,8 +225,9 @@ def _share(what: str, values: npt.NDArray[np.float64], printed: float, rule: Dra
     if np.isnan(values).any():
         return Check(what, math.nan, rule)
     reach = float(np.ptp(values)) if np.isfinite(values).all() else math.inf
-    if reach > 0.0 and (printed > values.max() + reach or printed < values.min() - reach):
-        return Check(what, float(printed > values.max()), rule)
+    above = printed > values.max() + reach
+    if reach > 0.0 and (above or printed < values.min() - reach):
+        return Check(what, float(above), rule)
     below, beyond = int((values <= printed).sum()), int((values >= printed).sum())
     if below <= beyond:
         value, interval = (below + 1.0) / (values.size + 1.0), share_interval(below, values.size)

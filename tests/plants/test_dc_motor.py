@@ -150,26 +150,6 @@ def test_time_that_runs_backwards_is_refused():
         started().advance(-5, (0.0,))
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"gain": 0.0}, "^gain: 0.0, expected a finite number > 0"),
-        ({"pole": -1.0}, "^pole: -1.0, expected a finite number >= 0"),
-        ({"initial_angle_rad": math.nan}, "^initial_angle_rad: nan"),
-        ({"initial_speed_rad_s": math.inf}, "^initial_speed_rad_s: inf"),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        DCMotor(**parameters)
-
-
-@pytest.mark.parametrize("times", [{"start_s": -1.0}, {"start_s": 2.0, "stop_s": 1.0}, {"torque_v": math.nan}])
-def test_a_load_whose_times_are_not_in_order_is_refused(times):
-    with pytest.raises(ValueError, match=r"^(start_s|stop_s|torque_v): "):
-        LoadTorque(**times)
-
-
 def test_a_toml_table_becomes_a_motor():
     table = {
         "gain": 100,

@@ -136,22 +136,3 @@ def test_settling_times_are_those_of_ten_thousand_runs(plant, gain, seconds, mea
     """Within four standard errors of 60 runs."""
     times = [settling_time(plant, gain, seed, seconds) for seed in range(60)]
     assert abs(np.mean(times) - mean) < 4 * deviation / math.sqrt(60)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"initial_state": (1.0,)}, "^initial_state: 1 entries, expected 2"),
-        ({"initial_mode": 3}, "^initial_mode: 3, expected a mode from 1 to 2"),
-        ({"rate_high": 0.05}, "^rate_high: 0.05, expected a finite number above rate_low"),
-        ({"rate_slope": 0.0}, "^rate_slope: "),
-        ({"uncertainty": "some"}, "^uncertainty: 'some', expected one of none, constant, sampled"),
-        ({"uncertainty_form": "x"}, "^uncertainty_form: "),
-        ({"uncertainty_scale": -1.0}, "^uncertainty_scale: "),
-        ({"uncertainty_period_s": 1e-12}, "^uncertainty_period_s: "),
-        ({"rho": 1.5}, r"^rho: 1.5, expected a number in \[-1, 1\]"),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        SwitchedExample(**parameters)

@@ -1,7 +1,6 @@
 """The VTOL helicopter of sec. 7.4.1."""
 
 import numpy as np
-import pytest
 
 from plants.vtol import VTOL, vtol_matrices
 
@@ -43,16 +42,3 @@ def test_airspeeds_differ_in_three_entries():
         A2, B2 = (np.array(M) for M in vtol_matrices(airspeed))
         assert {(int(i), int(j)) for i, j in np.argwhere(A != A2)} == {(2, 1), (2, 3)}
         assert {(int(i), int(j)) for i, j in np.argwhere(B != B2)} == {(1, 0)}
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"airspeed_kn": 100}, "^airspeed_kn: 100, expected one of 60, 135, 170"),
-        ({"initial_state": (0.0, 0.0)}, "^initial_state: 2 entries, expected 4"),
-        ({"initial_state": (0.0, 0.0, float("nan"), 0.0)}, r"^initial_state\[2\]: nan"),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        VTOL(**parameters)

@@ -161,23 +161,3 @@ def test_the_published_gains_give_the_known_transient():
             run.advance(10_000_000, [sum(a * b for a, b in zip(row, x)) for row in rows])
         norms.append(math.sqrt(total))
     assert abs(np.mean(norms) - 0.840) < 4 * np.std(norms, ddof=1) / math.sqrt(20)
-
-
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"initial_state": (1.0,)}, "^initial_state: 1 entries, expected 4"),
-        ({"initial_mode": 4}, "^initial_mode: 4, expected a mode from 1 to 3"),
-        ({"max_delay_s": 0.0}, "^max_delay_s: "),
-        ({"delay_rates": (0.1, -0.2, 0.1)}, r"^delay_rates\[1\]: -0.2"),
-        ({"rates": TransitionRates.clipped(low=0.1, high=1.0)}, "^rates.rates: 2 modes, expected 3"),
-        ({"noise_std": -1.0}, "^noise_std: "),
-        ({"noise_period_s": 0.0}, "^noise_period_s: "),
-        ({"substep_s": 1.5e-9}, "^substep_s: "),
-        ({"substep_s": 1e-9}, "^substep_s: 1e-09 s, expected at least 1e-05 s"),
-        ({"substep_s": 1e-5, "max_delay_s": 20.0}, "^substep_s: 1e-05, expected at least a millionth"),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        DelayedVTOL(**parameters)

@@ -141,24 +141,6 @@ def test_a_toml_table_becomes_a_plant():
     assert plant.detection == FaultyVTOL().detection
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"initial_state": (1.0,)}, "^initial_state: 1 entries, expected 4"),
-        ({"initial_fault": 0}, "^initial_fault: 0, expected a mode from 1 to 2"),
-        ({"initial_detected": 3}, "^initial_detected: "),
-        ({"fault_effectiveness": math.nan}, "^fault_effectiveness: "),
-        ({"detection": ()}, "^detection: 0 tables, expected one for each of 2 fault modes"),
-        ({"failure": TransitionRates(nodes_s=(0.0,), rates=(((0.0,),),))}, "^failure.rates: 1 modes, expected 2"),
-        ({"noise_std": -1.0}, "^noise_std: "),
-        ({"noise_period_s": math.nan}, "^noise_period_s: "),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        FaultyVTOL(**parameters)
-
-
 def test_of_detection_and_failure_at_one_instant_detection_goes_first():
     """The detector knows nothing of a failure that comes at the same time, so it jumps by the rates of before."""
     run = FaultyVTOL(failure_restarts_detection_clock=True).start(np.random.default_rng(1))

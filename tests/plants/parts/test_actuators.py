@@ -62,20 +62,6 @@ def test_a_command_that_is_no_number_stays_visible(driver):
     assert math.isnan(driver.drive(math.nan))
 
 
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("saturation_v", 0.0), ("saturation_v", -1.0), ("pwm_step_v", -0.1), ("dead_zone_v", math.nan)],
-)
-def test_parameters_out_of_range_are_refused_by_name(field, value):
-    with pytest.raises(ValueError, match=f"^{field}: "):
-        Driver(**{field: value})
-
-
-def test_a_pwm_count_above_the_supply_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"^pwm_step_v: 0.2 V is above the supply, saturation_v = 0.05 V"):
-        Driver(saturation_v=0.05, pwm_step_v=0.2)
-
-
 STEP = 0.0038
 
 
@@ -96,9 +82,3 @@ def test_without_a_step_the_reading_is_the_angle(angle):
 @pytest.mark.parametrize("angle", [math.nan, math.inf, -math.inf])
 def test_a_state_that_is_lost_stays_visible(angle):
     assert repr(Encoder(step_rad=STEP).read(angle)) == repr(angle)
-
-
-@pytest.mark.parametrize("step", [-1.0, math.nan, math.inf])
-def test_a_step_that_is_none_is_refused(step):
-    with pytest.raises(ValueError, match=r"^step_rad: "):
-        Encoder(step_rad=step)

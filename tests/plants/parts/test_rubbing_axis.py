@@ -142,21 +142,6 @@ def test_a_drive_that_is_no_number_ends_all_the_same(drive, speed):
     axis(STRIBECK).move(0.0, speed, drive, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("parameters", "message"),
-    [
-        ({"coulomb_v": -0.1}, r"^coulomb_v: -0.1, expected a finite number >= 0"),
-        ({"coulomb_v": 0.2, "static_v": 0.1}, r"^static_v: 0.1, expected at least coulomb_v \(0.2\)"),
-        ({"static_v": math.nan}, r"^static_v: nan"),
-        ({"stribeck_speed_rad_s": -1.0}, r"^stribeck_speed_rad_s: "),
-        ({"viscous_v_s_per_rad": math.inf}, r"^viscous_v_s_per_rad: "),
-    ],
-)
-def test_parameters_out_of_range_are_refused_by_name(parameters, message):
-    with pytest.raises(ValueError, match=message):
-        Friction(**parameters)
-
-
 def test_static_friction_is_coulomb_friction_unless_said():
     assert Friction(coulomb_v=0.3).breakaway_v == 0.3
     assert not Friction(viscous_v_s_per_rad=0.3).dry
