@@ -13,8 +13,6 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.figure import Figure as Sheet
-from matplotlib.ticker import FixedLocator
 
 from hil.pages.html.figures import (
     Badge,
@@ -197,6 +195,8 @@ LOOKS: Final = ("label", "text", "position", "xydata", "xy", "data", "array", "c
 
 def paper() -> dict[str, list[str]]:
     """What a paper shows of each plot."""
+    from matplotlib.figure import Figure as Sheet  # runs take nothing of it
+
     found = {}
     for plot in (each for each in FIGURES if each.title != "Nothing"):
         draw(plot, axis := Sheet().subplots())
@@ -206,7 +206,7 @@ def paper() -> dict[str, list[str]]:
 
 def axis_lines(axis: Any) -> list[str]:
     """Return what a plot of matplotlib shows; where its axes end and what they name by themselves is matplotlib's."""
-    named = [side for side in (axis.xaxis, axis.yaxis) if isinstance(side.get_major_locator(), FixedLocator)]
+    named = [side for side in (axis.xaxis, axis.yaxis) if type(side.get_major_locator()).__name__ == "FixedLocator"]
     return [
         *map(_look, (*axis.lines, *axis.patches, *axis.collections, *axis.texts, *axis.images)),
         f"{axis.get_xscale()} {axis.get_yscale()} {axis.get_xlabel()} {axis.get_ylabel()} {axis.get_aspect()} {axis.axison}",
