@@ -38,7 +38,7 @@ def test_a_page_is_what_it_was(name: str) -> None:
         for kind, i, end, j, stop in SequenceMatcher(None, old, digests(new), autojunk=False).get_opcodes():
             if kind != "equal":
                 said += [f"{section}: {end - i} lines were where line {j} is now:", *(f"    {line}" for line in new[j:stop])]
-    assert not said, "\n".join([*said[:SHOWN], f"{len(said)} lines in all"])
+    assert not said, "\n".join([*said[:SHOWN], f"{len(said)} lines in all; if they are meant: python -m {__name__}"])
 
 
 if __name__ == "__main__":
