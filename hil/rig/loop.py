@@ -20,7 +20,7 @@ from hil.rig.watched import Watched
 Origin = Literal["stored", "solved here"]
 
 
-class Gains(Struct, frozen=True, kw_only=True):
+class Gains(Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Where the gains of a run come from.
 
     Args:
@@ -30,10 +30,6 @@ class Gains(Struct, frozen=True, kw_only=True):
 
     origin: Origin
     note: str = ""
-
-    def to_json(self) -> dict[str, str]:
-        """Return it as the summary of a run has it."""
-        return {"origin": self.origin, **({"note": self.note} if self.note else {})}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,8 +25,6 @@ from transport.laws import NetworkLaw, load_files, slots_served
 from transport.wire import frame_length
 
 if TYPE_CHECKING:
-    import csv
-
     from transport.can_bus_model import Due
 
 
@@ -131,25 +129,20 @@ def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
 def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
     import csv  # loaded where there is such a file
 
+    rows, found = csv.DictReader(text.splitlines()), []
     try:
-        return _of_rows(path, csv.DictReader(text.splitlines()))
+        unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
+        missing = {"can_id", "period"} - set(rows.fieldnames or ())
+        if unknown or missing:
+            known = ", ".join(TrafficTable.__struct_fields__)
+            said = f"no column {min(missing)!r}" if missing else f"an unknown column {min(unknown, key=str)!r}"
+            raise HilError(f"{path}: line 1: {said}, expected some of {known}")
+        for row in rows:
+            found.append(_table({key: value.strip() for key, value in row.items() if value and value.strip()}))
     except csv.Error as error:  # of the head, too
         raise HilError(f"{path}: is no table: {error}") from error
-
-
-def _of_rows(path: Path, rows: csv.DictReader[str]) -> tuple[TrafficTable, ...]:
-    unknown = set(rows.fieldnames or ()) - set(TrafficTable.__struct_fields__)
-    missing = {"can_id", "period"} - set(rows.fieldnames or ())
-    if unknown or missing:
-        known = ", ".join(TrafficTable.__struct_fields__)
-        said = f"no column {min(missing)!r}" if missing else f"an unknown column {min(unknown, key=str)!r}"
-        raise HilError(f"{path}: line 1: {said}, expected some of {known}")
-    found = []
-    for row in rows:
-        try:
-            found.append(_table({key: value.strip() for key, value in row.items() if value and value.strip()}))
-        except (ValueError, AttributeError, TypeError) as error:
-            raise HilError(f"{path}: line {rows.line_num}: {error}") from error
+    except (ValueError, AttributeError, TypeError) as error:
+        raise HilError(f"{path}: line {rows.line_num}: {error}") from error
     return tuple(found)
 
 
@@ -269,14 +262,11 @@ def due_of(line: str, node: int = 0) -> Due:
     from transport.can_bus_model import Due  # loaded where there is a bus
 
     at, identifier, kind, dlc, flags, flexible, classic = found.groups()
-    number, extended = int(identifier, 16), len(identifier) == 8
+    data = bytes.fromhex(flexible or classic or "")
+    frame: dict[str, Any] = {"data": data}
     if kind.startswith("#R"):
-        return Due(int(at), node, CanFrame(identifier=number, extended=extended, remote=True, dlc=int(dlc or 0)))
-    if flags is not None:
-        data = bytes.fromhex(flexible)
-        frame = CanFrame(
-            identifier=number, extended=extended, fd=True, data=data.ljust(frame_length(min(len(data), 64)), b"\0"),
-            bitrate_switch=bool(int(flags) & 1), error_state=bool(int(flags) & 2),
-        )  # fmt: skip
-        return Due(int(at), node, frame)
-    return Due(int(at), node, CanFrame(identifier=number, extended=extended, data=bytes.fromhex(classic)))
+        frame = {"remote": True, "dlc": int(dlc or 0)}
+    elif flags is not None:
+        padded = data.ljust(frame_length(min(len(data), 64)), b"\0")
+        frame = {"fd": True, "data": padded, "bitrate_switch": bool(int(flags) & 1), "error_state": bool(int(flags) & 2)}
+    return Due(int(at), node, CanFrame(identifier=int(identifier, 16), extended=len(identifier) == 8, **frame))

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from msgspec import Struct
+from msgspec import Struct, to_builtins
 from msgspec.structs import force_setattr
 
 from hil.errors import HilError
@@ -234,7 +234,7 @@ def unreached(loop: Loop) -> dict[str, str]:
 
 
 def gains_in(loop: Loop) -> dict[str, Any]:
-    return {"gains": None if loop.gains is None else loop.gains.to_json()}
+    return {"gains": to_builtins(loop.gains)}
 
 
 def kinds_of(run: Run) -> set[str]:

@@ -56,7 +56,7 @@ class Journal:
         self._control = self._log[CONTROL.name]
         self._passivity = self._log.get(PASSIVITY.name)
         self._bus = self._log.get(BUS.name)
-        filled = [(TOPICS[topic].values, record) for topic, record in self._log.items() if topic in TOPICS]
+        filled = [(TOPICS[topic].values, record) for topic, record in self._log.items()]
         self._filled = [(values, record) for values, record in filled if values is not None and record is not None]
         self._sensed: tuple[Any, ...] = ()  # what was asked in the slot, where a topic is filled from it
         self._row_values, self._numbers = row_values, tuple(numbers)

@@ -54,3 +54,9 @@ def test_a_clock_and_losses_are_the_mean_over_the_packets_of_its_slots(loss: flo
     new = held @ np.array([[1.0, 0.0], [1.0, 0.0]])
     moments = loss * np.kron(held @ held, held @ held) + (1.0 - loss) * np.kron(held @ new, held @ new)
     assert found.number == pytest.approx(np.sqrt(np.abs(np.linalg.eigvals(moments)).max()), rel=1e-9)
+
+
+def test_a_band_over_packets_that_all_come_alike_is_that_over_a_constant_age() -> None:
+    given = {"controller": {"kind": "local", "gain": [[-0.9]]}, "node": {"trigger": {"kind": "dead-band", "threshold": 0.1}}}
+    packets, age = (judged(law, **given) for law in ({"latency": "5 ms"}, {"kind": "constant", "age": 0}))
+    assert packets.number == pytest.approx(age.number, rel=1e-9) and packets.state == age.state
