@@ -8,13 +8,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from plants.errors import (
-    FieldError,
-    require_choice,
-    require_not_negative,
-    require_vector,
-    require_whole_nanoseconds,
-)
+from plants.errors import FieldError, require_choice, require_not_negative, require_vector, require_whole_nanoseconds
 from plants.parts.exponential import Rows
 from plants.parts.flow import Flow, JumpProcess, Source, pass_time
 from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace

@@ -12,32 +12,14 @@ import pkgutil
 
 from design.lmi import check_solvers
 from hil.errors import unknown_name
-from hil.thesis.chapter import Chapter, Checkpoint, Part, Plot, Progress, ReportProgress, Reproduction, Stage, Step, compute
-from hil.thesis.judgement import VERDICTS, Check, Row, Verdict
+from hil.thesis.chapter import Chapter, Checkpoint, Part, Plot, Progress, Reproduction, Stage, Step, compute
+from hil.thesis.judgement import VERDICTS, Check, Row
 from hil.thesis.pages import power, power_in_words
 from hil.thesis.statements import Statement
 
 __all__ = [
-    "VERDICTS",
-    "Chapter",
-    "Check",
-    "Checkpoint",
-    "Part",
-    "Plot",
-    "Progress",
-    "ReportProgress",
-    "Reproduction",
-    "Row",
-    "Stage",
-    "Statement",
-    "Step",
-    "Verdict",
-    "chapters",
-    "compute_chapter",
-    "power",
-    "power_in_words",
-    "reproduce",
-    "seconds_left",
+    "VERDICTS", "Chapter", "Check", "Checkpoint", "Part", "Plot", "Progress", "Reproduction", "Row", "Stage", "Statement",
+    "Step", "chapters", "compute_chapter", "power", "power_in_words", "reproduce", "seconds_left",
 ]  # fmt: skip
 
 

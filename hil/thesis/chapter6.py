@@ -32,15 +32,7 @@ from hil.pages.html.figures import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 from hil.thesis.chapter import Chapter, Plot, Stage
-from hil.thesis.chapter6_equations import (
-    EQUATIONS,
-    STATEMENTS,
-    distortion_norm,
-    equations,
-    loop_of,
-    safe_coupler,
-    statements,
-)
+from hil.thesis.chapter6_equations import EQUATIONS, STATEMENTS, distortion_norm, equations, loop_of, safe_coupler, statements
 from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
 from hil.thesis.statements import Statement, above, below, exactly, mean, says, within
 from plants.omni import Omni

@@ -13,13 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from design.as_printed.chapters_5_and_6 import (
-    DELAY,
-    LAMBDA,
-    PERIOD_S,
-    meets_printed_condition,
-    printed_distortion,
-)
+from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_condition, printed_distortion
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import square_rows

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -119,6 +120,7 @@ def test_a_unit_runs_like_the_plant_that_it_computes(units: Path, version: int) 
 
 def test_parameters_reach_the_unit(units: Path) -> None:
     carts = [FMU(file="cart2.fmu", **LINEAR, parameters={"m": m}).with_files(str(units)) for m in (1.0, 4.0)]
+    assert all(cart == replace(cart) and "Unit(" not in repr(cart) for cart in carts)  # its unit says nothing that it does not
     light, heavy = (cart.start(np.random.default_rng(0)) for cart in carts)
     for run in (light, heavy):
         run.advance(100_000_000, (1.0,))
