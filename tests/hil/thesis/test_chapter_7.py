@@ -117,6 +117,7 @@ def test_the_printed_local_gain_of_the_vtol_is_no_optimum_under_either_label():
     assert printed == pytest.approx((0.1105, 0.1708), abs=1e-4)
     assert smaller_h2[0] < 0.77 * printed[0] and smaller_peak[1] < 0.65 * printed[1]
     assert peak(VTOL_LOCAL) == pytest.approx(printed[1], rel=1e-3)
+    assert peak(0.0 * VTOL_LOCAL) == 1e3  # without control it is not stable
 
 
 @pytest.mark.parametrize(
