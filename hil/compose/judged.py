@@ -83,7 +83,9 @@ def judge(
         verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if external:
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
-    _allow(experiment, verdict)
+    if not (verdict.certified or experiment.allow_uncertified):
+        said = f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}"
+        raise ExperimentError(experiment.name, [f"{said}; set allow_uncertified = true to run it all the same"])
     return verdict, watched
 
 
@@ -168,19 +170,6 @@ def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:
     if ca is None or ca.holds.any():
         return d_max, d_max, d_max
     return int(ca.delay.min()), int(ca.delay.max()), d_max
-
-
-def _allow(e: Experiment, verdict: Verdict) -> None:
-    """Refuse to run a loop without a certificate, unless the experiment allows it."""
-    if verdict.certified or e.allow_uncertified:
-        return
-    raise ExperimentError(
-        e.name,
-        [
-            f"controller: no certificate of {verdict.kind}, {verdict.state}: {verdict.reason}; "
-            "set allow_uncertified = true to run it all the same"
-        ],
-    )
 
 
 def fourth_moments_of(loop: Loop) -> FourthMoments | None:

@@ -206,3 +206,11 @@ def test_a_nonlinear_time_varying_hand_gains_no_energy_from_the_wall():
         last = abs(v) if k > 1150 else last
     assert 0.01 < largest < 1.0
     assert last < 1e-3
+
+
+def test_the_damping_of_a_delay_that_varies_counts_every_pair_and_of_one_that_stays_the_worst():
+    """F_N is N^2 at angle 0, where it is largest."""
+    unit = PERIOD_S / (2 * 0.01)
+    for varying, needed in ((True, 4 + 9 + 9 + 16), (False, 16)):
+        found = damping_needed(static_coupler(0.01), PERIOD_S, [2, 3, 1, 2], varying=varying)
+        assert found == (pytest.approx(needed * unit), 3, 0.0)

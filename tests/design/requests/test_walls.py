@@ -12,13 +12,14 @@ from msgspec import structs
 from design.controllers import LoopModel
 from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import Wall
+from design.controllers.wall_pattern import square_rows
 from design.errors import FieldError
 from design.passivity.loop import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import sparing
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import DesignTask
-from design.requests.walls import CouplerRequest, DesignedWall
+from design.requests.walls import CouplerRequest, DesignedFollowing, DesignedWall
 
 PERIOD_S, DAMPING = 0.001, 7.0
 HALF = [[0.5, 0.5], [0.5, 0.5]]
@@ -66,6 +67,15 @@ def test_every_method_counts_on_the_damping_that_is_said_or_read_from_the_model(
     assert (taps.coupler.taps_m_per_n, taps.coupler.integrator_m_per_n) == ((0.1, 0.2), 0.3)
     own = solved(method="wave", per_material=True)
     assert own.wall == replace(Wall(), materials=sparing(Wall().materials, own.coupler, PERIOD_S)) and own.wall.spares
+
+
+@pytest.mark.parametrize(
+    ("wall", "chain"),
+    [(Wall(), np.eye(3)), (Wall(pattern=square_rows(0.02)), np.full((3, 3), 1 / 3)), (Wall(material=1), np.eye(3))],
+)
+def test_materials_that_nothing_is_said_of_stay_or_follow_each_other_alike(wall: Wall, chain: np.ndarray) -> None:
+    said = DesignedFollowing(wall=wall, material_chain=tuple(map(tuple, chain.tolist())))
+    assert DesignedFollowing(wall=wall).solve(task()) == said.solve(task())
 
 
 @pytest.mark.parametrize(
