@@ -9,6 +9,7 @@ import pytest
 
 from design.errors import NotStable
 from design.jump_linear.leaving import ultimate_bound
+from design.networked_loop import polytope
 from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
@@ -222,6 +223,21 @@ def test_a_relative_trigger_is_certified_to_a_share_and_its_runs_go_to_rest_with
     assert both is not None and both.state == "undecided" and "beside a relative one" in both.reason
     lossy = relative(0.1, **{"network.media": {"bus": LOSSY_BUS}}).verdict
     assert lossy is not None and lossy.state == "undecided"
+
+
+def test_where_no_family_is_sought_over_a_relative_trigger_the_reason_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    trigger, clamped = {"kind": "relative", "threshold": 0.1}, INTEGRAL | {"integral_limit": [1.0]}
+    node = {"network.nodes": {"sensor": {"outputs": ["angle"], "trigger": trigger}}}
+    away = relative(0.1, controller={"kind": "local", "gain": [[0.05, 0.0]]})
+    limited = composed("dc-motor-h2", controller=clamped, **node)
+    monkeypatch.setattr(polytope, "MOST_UNKNOWNS", 1)
+    for loop, without, what in (
+        (away, "refused", "a relative trigger"),
+        (limited, "certified", "a clamped integral beside a relative trigger"),
+        (relative(0.1), "certified", "a relative trigger: a quadratic family has more than 1 unknowns here"),
+    ):
+        assert loop.verdict is not None and loop.verdict.state == "undecided" and not loop.verdict.details["stable"]
+        assert loop.verdict.reason.startswith(f"{without} without {what}; not decided with it (")
 
 
 @pytest.mark.parametrize("share", [0.05, 0.3])
