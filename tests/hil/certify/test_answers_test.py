@@ -1,0 +1,103 @@
+"""What a controller is asked before a run, and how its answers beside those of its table are told apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+import pytest
+
+from design.controllers import LoopModel, SendAll, SensorNodes, nested
+from hil.certify.answers_test import FAR, SLOTS, compared, drifts, outgrows, question, share_memory
+
+TWO = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 1), delays=(None, None))
+
+
+def model(sensors: SensorNodes | None = None, outputs: int = 1) -> LoopModel:
+    return LoopModel(
+        A=0.5 * np.eye(2), B=np.ones((2, 1)), C=np.eye(2)[:outputs], period_s=0.1, tau_max=3, d_max=1, sensors=sensors
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("sensors", "outputs"), [(None, 1), (TWO, 2)])
+def test_every_age_is_asked_for_longer_than_any_gain_distinguishes_and_late_in_a_run(sensors: Any, outputs: int) -> None:
+    asked = question(model(sensors, outputs), width=3, longest=5, far=True)
+    for column in asked.ages.T:
+        stays = [(age, len(list(run))) for age, run in groupby(column.tolist())]
+        assert {age for age, _ in stays} == {0, 1, 2, 3} and max(length for _, length in stays) > 5
+    assert asked.ages.shape == (SLOTS, outputs) and asked.samples.shape == (SLOTS, 3) and np.abs(asked.samples).max() <= 1.0
+    assert asked.slots == (*range(3, 3 + SLOTS - len(FAR)), *FAR) and asked.reference == (1.0,) * outputs
+    near = question(model(), width=1, slots=300, far=True)
+    assert near.slots == tuple(range(3, 303)) and not near.received and not near.modes
+    assert question(model(), width=1, aims=0.0).reference == (0.0,)
+
+
+def sends(K: np.ndarray) -> Any:
+    return lambda: SendAll(gains=nested(K), selection="applied").start(model())
+
+
+K = np.arange(1.0, 9.0).reshape(4, 2, 1, 1)
+ASKED = question(model(), width=1, aims=0.0)
+NODES = model().nodes
+
+
+def at_rest() -> tuple[np.ndarray, np.ndarray]:
+    return np.zeros((SLOTS, 2, 1)), np.zeros((SLOTS, 2, 1))
+
+
+def test_a_row_of_one_age_that_differs_is_named_with_both_numbers() -> None:
+    other = K.copy()
+    other[2, 1] *= 1.25
+    (same,) = compared(sends(K), sends(K), at_rest(), ASKED, NODES, [1.0])
+    assert same.share == 0.0
+    for size, found in zip((0.1, 10.0), compared(sends(other), sends(K), at_rest(), ASKED, NODES, [0.1, 10.0])):
+        first = int(np.flatnonzero(ASKED.ages[:, 0] == 2)[0])
+        said = size * K[2, 1, 0, 0] * ASKED.samples[first, 0]
+        assert (found.size, found.age, found.row, found.slot) == (size, 2, 1, ASKED.slots[first])
+        assert found.foretold == pytest.approx(said) and found.found == pytest.approx(1.25 * said) and 0.05 < found.share <= 0.25
+    one_row = SendAll(gains=nested(K[:, :1]), selection="constant")
+    rest = (np.zeros((SLOTS, 1, 1)), np.zeros((SLOTS, 2, 1)))
+    (short,) = compared(lambda: one_row.start(model()), sends(K), rest, ASKED, NODES, [1.0])
+    assert short.share == np.inf
+
+
+def test_what_grows_with_time_is_told_from_what_stays() -> None:
+    far = question(model(), width=1, far=True)
+    early, still = np.ones(SLOTS - len(FAR)), at_rest()[1]
+
+    def with_late(*late: float) -> tuple[np.ndarray, np.ndarray]:
+        return np.concatenate([early, late])[:, None, None] * np.ones((1, 2, 1)), still
+
+    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 6.0), far) == (FAR[-1], 6.0, 1.0)
+    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 5.4), far) is None  # by a tenth less
+    assert outgrows(with_late(1.0, 1.2, 1.5, 2.0, 2.9), far) is None
+    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 6.0), ASKED) is None
+    grown, _ = with_late(2.0, 3.0, 4.0, 5.0, 6.0)
+    assert outgrows((grown[:-1], still[:-1]), far) is None and outgrows((grown, still[:, :1]), far) is None
+
+
+class Counts:
+    """Answers how often it was asked, or how often all of its class were."""
+
+    selection = "constant"
+    asked = 0
+
+    def __init__(self, step: float, shared: bool) -> None:
+        self._own, self._step, self._shared = 0.0, step, shared
+
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> tuple[tuple[float, ...], ...]:
+        Counts.asked += 1
+        self._own += self._step
+        return ((y[0] - r[0] + (Counts.asked if self._shared else self._own),),)
+
+
+def test_answers_that_change_by_themselves_or_by_what_another_is_asked_are_told() -> None:
+    assert drifts(lambda: Counts(0.0, False), ASKED, NODES) == 0.0
+    assert drifts(lambda: Counts(0.5, False), ASKED, NODES) == pytest.approx(0.5 * (SLOTS - 1))
+    assert drifts(lambda: Counts(0.0, True), ASKED, NODES) == np.inf
+    Counts.asked = 0
+    alone = np.arange(1.0, 1.0 + SLOTS)[:, None, None]
+    assert share_memory(lambda: Counts(0.0, True), alone, ASKED, NODES)
+    assert not share_memory(lambda: Counts(1.0, False), alone, ASKED, NODES)
