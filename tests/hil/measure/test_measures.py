@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -77,53 +78,28 @@ def test_both_measures_keep_what_the_check_asks() -> None:
         check_measure(Effort(), view)
 
 
-class _Nan(Effort):
-    def of(self, view: RunView) -> dict[str, float | None]:
-        return {"effort": float("nan")}
-
-
-class _Other(Effort):
-    def of(self, view: RunView) -> dict[str, float | None]:
-        return {"work": 1.0}
-
-
-class _Greedy(Effort):
-    def of(self, view: RunView) -> dict[str, float | None]:
-        return {"effort": float(len(view.run.arrays.get("/plant/state", ())))}
-
-
-class _Counting(Effort):
-    calls = 0
-
-    def of(self, view: RunView) -> dict[str, float | None]:
-        self.calls += 1
-        return {"effort": float(self.calls)}
-
-
-class _Silent(Effort):
-    def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
-        return ()
-
-    def of(self, view: RunView) -> dict[str, float | None]:
-        return {}
-
-
-class _Wordy(Effort):
-    def of(self, view: RunView) -> dict[str, float | None]:
-        return {"effort": "much"}  # type: ignore[dict-item]
+CALLS = count()
 
 
 @pytest.mark.parametrize(
-    ("measure", "fault"),
+    ("name", "instead", "fault"),
     [
-        (object(), "title"), (_Nan(), "is nan"), (_Other(), "work"), (_Greedy(), "topics"), (_Counting(), "numbers"),
-        (_Silent(), "a measure has at least one quantity"),
-        (_Wordy(), "a run: effort is 'much', expected a number, or None"),
+        ("of", lambda self, view: {"effort": float("nan")}, "is nan"), ("of", lambda self, view: {"work": 1.0}, "work"),
+        ("of", lambda self, view: {"effort": float(len(view.run.arrays.get("/plant/state", ())))}, "topics"),
+        ("of", lambda self, view: {"effort": float(next(CALLS))}, "numbers"),
+        ("of", lambda self, view: {"effort": "much"}, "a run: effort is 'much', expected a number, or None"),
+        ("quantities", lambda self, signals: (), "a measure has at least one quantity"), ("title", None, "title"),
     ],
 )  # fmt: skip
-def test_the_check_says_what_a_measure_does_not_keep(measure: object, fault: str) -> None:
+def test_the_check_says_what_a_measure_does_not_keep(
+    name: str, instead: object, fault: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if instead is None:
+        monkeypatch.delattr(Effort, name)
+    else:
+        monkeypatch.setattr(Effort, name, instead)
     with pytest.raises(AssertionError, match=fault):
-        check_measure(measure, view_of(run_of("dc-motor-hinf", "duration=1")))
+        check_measure(Effort(), view_of(run_of("dc-motor-hinf", "duration=1")))
 
 
 def test_an_unknown_or_doubled_measure_is_a_fault_of_the_experiment() -> None:
