@@ -259,6 +259,3 @@ class Named(dict[str, T]):
 
     def __missing__(self, name: str) -> T:
         raise unknown_name(self.what, name, self)
-
-    def __reduce__(self) -> tuple[type[Named[T]], tuple[str, dict[str, T]]]:
-        return Named, (self.what, dict(self))

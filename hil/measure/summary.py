@@ -180,7 +180,7 @@ def controller_of(run: Run) -> str:
     return str(run.resolved.get("controller", {}).get("kind", ""))
 
 
-def network_summary(view: RunView, late: int = 0) -> dict[str, Any]:
+def network_summary(view: RunView, late: int) -> dict[str, Any]:
     """Return the network part of a summary: sc and ca, see `network_metrics`, and nodes, the same per sensor node with its load.
 
     Where several nodes share the way to the controller, sc counts their packets together, and no law is tested: each has its own.
@@ -226,13 +226,13 @@ def _bus(view: RunView) -> dict[str, Any]:
     return {} if found is None else {"bus": dataclasses.asdict(found)}
 
 
-def run_metrics(run: Run, experiment: Experiment | None = None, rig: RigSpec | None = None) -> dict[str, Any]:
+def run_metrics(run: Run, experiment: Experiment, rig: RigSpec) -> dict[str, Any]:
     """Return the numbers of a run by name; see `hil.measure.measure.measured`.
 
     Args:
         run: needs the topics `/plant/measurement`, `/reference` and `/actuator/applied`.
-        experiment: what ran, where it is known.
-        rig: of the loop that ran, where it is known.
+        experiment: what ran.
+        rig: of the loop that ran.
     """
     view = view_of(run, experiment, rig)
     return measured(view, view.once(run_measures))

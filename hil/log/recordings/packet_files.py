@@ -128,7 +128,7 @@ NOMINAL_S = 1.0
 """Time between packets of a table that does not say when they were sent."""
 
 
-def read_latencies(path: Path, *, one_clock: bool = False) -> Recording:
+def read_latencies(path: Path, *, one_clock: bool) -> Recording:
     """Read a table of packets (.csv): latencies, round trips, or the time stamps of both ends.
 
     | columns | what they are |

@@ -64,7 +64,7 @@ class Compressor:
         contexts: those of zstd, by the binary digits of a length.
     """
 
-    def __init__(self, room: int = 0) -> None:
+    def __init__(self, room: int) -> None:
         self.contexts: dict[int, zstandard.ZstdCompressor] = {}
         for digits in range(SHORTEST, max(room - 1, 0).bit_length() + 1):
             for data in _touching(1 << digits):

@@ -157,7 +157,7 @@ class ColumnBuffer:
         ValueError: a topic that the session does not have, or that holds raw frames.
     """
 
-    def __init__(self, channels: Mapping[str, Channel], keep: Keep, folder: Path | None = None) -> None:
+    def __init__(self, channels: Mapping[str, Channel], keep: Keep, folder: Path) -> None:
         for topic in keep:
             if topic not in channels or channels[topic].schema.raw:
                 raise ValueError(f"keep: {topic!r} is no topic of numbers in the table of channels")

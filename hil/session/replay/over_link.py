@@ -167,7 +167,7 @@ class Playback:
     error_us: dict[str, float | None]
 
 
-def onto(run: Run, uri: str, speed: float = 1.0, progress: Callable[[int, int], None] = lambda i, n: None) -> Playback:
+def onto(run: Run, uri: str, speed: float, progress: Callable[[int, int], None]) -> Playback:
     """Put the recorded frames of both directions on a link, with their recorded spacing divided by ``speed``."""
     count = sum(len(run.numbers(topic)) for topic in FRAME_TOPICS)
     ways = [_of_role(run, topic, role) for topic, role in zip(FRAME_TOPICS, ("rig", "controller"), strict=True)]

@@ -168,7 +168,7 @@ def test_a_log_that_cannot_be_asked_says_why() -> None:
     for ask, said in ((lambda run: experiment_of(run, "a.mcap"), "a.mcap: the log carries no resolved experiment"),
                       (lambda run: what_if(run, other, "hinf"), "log: the log has no slot with an applied command"),
                       (lambda run: ask_process(run, "can:hil:x"), "the log: holds no answers to compare with"),
-                      (lambda run: over_link.onto(run, "can:hil:x"), "the log has no frames to play"),
+                      (lambda run: over_link.onto(run, "can:hil:x", 1.0, print), "the log has no frames to play"),
                       (verify, "log: the log holds no slots"),
                       (changes_of, "event of slot 3: a change without path and value")):  # fmt: skip
         bare = replace(run, arrays={topic: array[:0] for topic, array in run.arrays.items()}, events=[])
