@@ -88,9 +88,6 @@ class Laws(SingleResult, Named[LawAnalysis]):
         ways = ", ".join(f"{way} {law.kind} with mean age {law.mean_age:.3g} slots" for way, law in self.items())
         return f"<Laws of {self.experiment}: {ways}>"
 
-    def __reduce__(self) -> tuple[type[Laws], tuple[str, dict[str, LawAnalysis], float]]:  # type: ignore[override]
-        return Laws, (self.experiment, dict(self), self.period_s)
-
 
 def _known(value: float, scale: float) -> float | None:
     return None if math.isnan(value) else scale * value

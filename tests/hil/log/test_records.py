@@ -89,28 +89,6 @@ def test_packed_is_aligned_for_every_schema_that_is_accepted(types: list[str], r
     assert_decoded(schema, data.draw(values_of(schema)))
 
 
-def test_the_table_has_the_topics_and_fields_of_a_session() -> None:
-    assert [c.id for c in TABLE.values()] == list(range(1, 11))
-    names = {topic: [f.name for f in c.schema.fields] for topic, c in TABLE.items()}
-    assert names["/plant/state"] == ["angle", "speed", "slot"]
-    assert names["/plant/measurement"] == names["/reference"] == ["angle", "slot"]
-    assert names["/actuator/applied"] == [
-        "voltage", "brake_torque", "w_voltage", "w_brake_torque", "slot", "packet_slot", "d", "row", "status",
-    ]  # fmt: skip
-    assert names["/controller/rows"][:6] == [
-        "row0_voltage", "row0_brake_torque", "row1_voltage", "row1_brake_torque", "row2_voltage", "row2_brake_torque",
-    ]  # fmt: skip
-    assert names["/controller/rows"][6:] == ["sample_ns", "control_ns", "slot", "tau", "selection"]
-    assert names["/network/sc"] == names["/network/ca"] == ["latency_s", "slot", "packet_slot", "mode", "age", "reason"]
-    assert names["/link/sensor"] == names["/link/control"] == ["slot", "late", "data"]
-    assert names["/timing/slot"] == ["lateness_us", "round_trip_us", "work_us", "slot", "late", "overrun"]
-
-
-def test_units_stand_in_the_schema_text() -> None:
-    assert "float64 speed  # rad/s\n" in TABLE["/plant/state"].schema.text
-    assert "float64 lateness_us  # us, wake-up after the nominal time\n" in TABLE["/timing/slot"].schema.text
-
-
 @pytest.mark.parametrize("channel", TABLE.values(), ids=lambda c: c.topic)
 def test_a_schema_is_read_back_from_its_text(channel: Channel) -> None:
     again = Schema.from_text(channel.schema.name, channel.schema.text)

@@ -23,15 +23,24 @@ from hil.session.replay.recorded import Asked
 from tests.hil.pages.runs import run_of
 from transport.laws.age import MarkovAge
 
+SUMMED = {
+    "dc-motor-hinf": ["duration=8"], "dc-motor-two-nodes": ["duration=5", 'report.measures=["tracking", "cost"]'],
+    "dc-motor-busy-can": ["duration=1"], "omni-push": ["duration=2", "disturbance=[]"], "vtol-h2": ["duration=8"],
+    "dc-motor-packets": ["duration=8"],
+}  # fmt: skip
 
-def test_counted_modes_add_up_to_the_slots() -> None:
-    run = run_of("dc-motor-hinf")
-    network = summarise(view_of(run))["network"]
-    for side, modes in (("sc", 3), ("ca", 2)):
-        assert len(network[side]["mode_counts"]) == modes and sum(network[side]["mode_counts"]) == 1000
-        assert np.sum(network[side]["transition_counts"]) == 999
-    draws = run.arrays["/network/ca"]
-    assert network["ca"]["mode_counts"][0] == np.sum(draws["mode"] == 0)
+
+def summed() -> str:
+    """What is said of some runs, numbers to seven digits."""
+    runs = {name: run_of(name, *sets, certify=False) for name, sets in SUMMED.items()}
+    runs["timed"] = run_of("dc-motor-hinf", "duration=8", timed=True, certify=False)
+    found = {name: summarise(view_of(run)) for name, run in runs.items()}
+    return json.dumps(json.loads(json.dumps(found), parse_float=lambda text: float(f"{float(text):.7g}")), indent=1) + "\n"
+
+
+def test_the_summary_of_a_run_is_as_it_is_printed() -> None:
+    """`print(summed(), end="")` prints the file: who changes what is measured changes it too."""
+    assert json.loads(summed()) == json.loads((Path(__file__).parents[2] / "data/summaries.json").read_text())
 
 
 def test_run_stopped_by_safety_names_the_reason() -> None:

@@ -10,11 +10,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 import hil
 from hil.errors import HilError
-from hil.log.topics import TOPICS, Logged, MissingTopic, channels
+from hil.log.topics import TOPICS, Logged, MissingTopic, channels, panels
 from hil.log.topics.topic import SLOT, Topic
+from tests.hil.log.recording import Signal
 
 ROOT = Path(__file__).parents[3]
 POWER = """
@@ -100,9 +102,29 @@ def test_a_reader_says_what_a_log_lacks(tmp_path: Path) -> None:
             assert isinstance(why.value, HilError) and isinstance(why.value, KeyError)
 
 
-def test_every_topic_says_what_the_registry_asks_of_it() -> None:
-    assert [*TOPICS] == sorted(TOPICS, key=lambda name: TOPICS[name].order)
-    for topic in TOPICS.values():
-        assert topic.name.startswith("/") and topic.filled_by and topic.since.count(".") == 2
-        fields = topic.fields(Logged())
-        assert SLOT in fields and all(f.unit for f in fields)
+BARE = Logged(
+    states=(Signal("angle", "rad"), Signal("speed", "rad/s")), inputs=(Signal("voltage", "V"), Signal("Brake torque", "N m")),
+    outputs=(Signal("angle", "rad"), Signal("mode", "1")), n_rows=2,
+)  # fmt: skip
+WHOLE = replace(BARE, numbered=True, passivity=True, on_can=True, bus=True, n_rows=0)
+
+
+def described(logged: Logged) -> list[str]:
+    """What a session logs: every topic with its number, fields and units, and how it is plotted."""
+    found, table = [], channels(logged)
+    for name, topic in TOPICS.items():
+        if name in table or not topic.logged(WHOLE):
+            number = table[name].id if name in table else "-"
+            found.append(f"{number} {name} {topic.schema_name(logged)}: {topic.filled_by}, since {topic.since}")
+            found += [f"    {field.line}" for field in topic.fields(logged)]
+            found += [f"    {what}" for what in ("frames", "paged") if getattr(topic, what)]
+    schemas = {name: channel.schema for name, channel in table.items()}
+    for title, curves in panels(schemas).items():
+        found.append(f"{title}: " + ", ".join(f"{name} {curve.field}" for name, curve in curves))
+    return found
+
+
+def test_every_topic_is_as_it_is_printed() -> None:
+    """`print(*described(BARE), *described(WHOLE), sep="\\n")` prints the file: who changes a topic changes it too."""
+    assert [*described(BARE), *described(WHOLE)] == (ROOT / "tests/data/topics.txt").read_text().splitlines()
+    assert [*panels({name: c.schema for name, c in channels(BARE).items()}, ["/timing/slot"])] == ["timing, us"]
