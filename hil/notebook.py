@@ -175,8 +175,9 @@ def _side(rows: Sequence[Sequence[Cell]], column: int) -> str:
 
 
 PAPER_STYLE: Any = {
-    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "xtick.labelsize": 7, "ytick.labelsize": 7,
-    "lines.linewidth": 1.0, "axes.linewidth": 0.6, "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
+    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "legend.frameon": False, "xtick.labelsize": 7,
+    "ytick.labelsize": 7, "lines.linewidth": 1.0, "axes.linewidth": 0.6,
+    "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip
 """The style of matplotlib for a figure that is printed in a column."""
 

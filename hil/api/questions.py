@@ -73,7 +73,7 @@ class Laws(SingleResult, Named[LawAnalysis]):
         axis.set_xticks(range(min(max(len(law.age_shares) for law in self.values()), LONGEST + 1)))
         axis.set_xlabel("age of the newest packet (slots)")
         axis.set_ylabel("share of slots")
-        axis.legend(frameon=False)
+        axis.legend()
 
     def _result(self) -> Result:
         rows: list[list[Cell]] = [
@@ -239,7 +239,7 @@ class DesignResult(SingleResult):
         axis.set_xticks(taus)
         axis.set_xlabel("tau (samples)")
         axis.set_ylabel("gain")
-        axis.legend(frameon=False)
+        axis.legend()
 
     def _result(self) -> Result:
         c, bounds = self.certificate, self.bounds

@@ -186,8 +186,8 @@ def remaining(spent_s: float, done_s: float, left_s: float) -> str:
         done_s: nominal length of what was done in it.
         left_s: nominal length of the rest.
 
-    >>> remaining(20.0, 10.0, 60.0), remaining(0.1, 0.0, 100.0), remaining(20.0, 1.0, 5.0)
-    ('about 2 min left', 'about 100 s left', 'about 100 s left')
+    >>> remaining(20.0, 10.0, 60.0), remaining(0.1, 0.0, 100.0), remaining(20.0, 1.0, 5.0), remaining(1.0, 1.0, 119.5)
+    ('about 2 min left', 'about 100 s left', 'about 100 s left', 'about 2 min left')
     """
     if left_s <= 0.0:
         return ""

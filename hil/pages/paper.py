@@ -116,7 +116,7 @@ def _curves(plot: Figure, axis: Any) -> None:
     axis.set_ylabel(with_unit(plot.y_label, plot.y_unit))
     _marks(axis, plot.markers)
     if len(plot.series) + len(plot.bands) > 1:
-        axis.legend(frameon=False)
+        axis.legend()
 
 
 def _bars(plot: Bars, axis: Any) -> None:
@@ -131,7 +131,7 @@ def _bars(plot: Bars, axis: Any) -> None:
     axis.set_xlabel(plot.x_label)
     axis.set_ylabel(with_unit(plot.y_label, plot.y_unit))
     if len(plot.groups) > 1:
-        axis.legend(frameon=False)
+        axis.legend()
 
 
 def _heat_map(plot: Matrix, axis: Any) -> None:
@@ -166,7 +166,7 @@ def _map(plot: Scene, axis: Any) -> None:
     axis.set_xlabel(plot.x_label)
     axis.set_ylabel(plot.y_label)
     if labels - {""}:
-        axis.legend(frameon=False)
+        axis.legend()
 
 
 def _ink(shape: Shape) -> str:

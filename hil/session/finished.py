@@ -160,12 +160,12 @@ def _paint(run: Run, sheet: Figure) -> None:
         axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
         axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
         axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
-        axis.legend(frameon=False)
+        axis.legend()
     for number, name in enumerate(inputs):
         rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
     rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
     if len(inputs) > 1:
-        rows[-1].legend(frameon=False)
+        rows[-1].legend()
     rows[-1].set_xlabel("time (s)")
 
 

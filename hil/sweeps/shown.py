@@ -219,7 +219,7 @@ def paint_distributions(groups: Mapping[str, Values], quantity: Quantity) -> Cal
         axis.set_ylabel("share of runs at or below")
         axis.set_ylim(0.0, 1.0)
         if len(groups) > 1:
-            axis.legend(frameon=False)
+            axis.legend()
 
     return paint
 
@@ -245,6 +245,6 @@ def paint_points(
         axis.set_xlabel(x_label)
         axis.set_ylabel(with_unit(quantity.title, quantity.unit))
         if len(groups) > 1:
-            axis.legend(frameon=False)
+            axis.legend()
 
     return paint

@@ -9,14 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from design.monte_carlo.confidence import SequentialTest
-from hil.api.assertions import frequency
 from hil.cli import cli
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 
-TEST = SequentialTest(p0=0.5, p1=0.9, alpha=0.01, beta=0.01)
 FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
 
 
@@ -74,8 +71,8 @@ def test_words_that_cannot_be_meant_are_refused(
         (lambda: hil.sweep(load_experiment("dc-motor-h2"), grid={"plant.gain": [1.0, 2.0]}), "give its name or path"),
         (lambda: hil.sweep("dc-motor-h2", runs=0), "runs: 0, first_seed: 0; expected at least one run"),
         (lambda: hil.sweep("dc-motor-h2", first_seed=-1), "first_seed: -1"),
-        (lambda: frequency(load_experiment("dc-motor-h2"), bool, TEST, most_runs=0), "most_runs: 0, first_seed: 0; expected"),
-        (lambda: frequency(load_experiment("dc-motor-h2"), bool, TEST, first_seed=-1), "first_seed: -1; expected at least"),
+        (lambda: hil.assert_probability("dc-motor-h2", bool, at_least=0.5, most_runs=0), "most_runs: 0, first_seed: 0; expected"),
+        (lambda: hil.assert_probability("dc-motor-h2", bool, at_least=0.5, first_seed=-1), "first_seed: -1; expected at least"),
     ],
 )  # fmt: skip
 def test_arguments_that_cannot_be_meant_are_refused(ask: Callable[[], object], said: str) -> None:

@@ -79,6 +79,19 @@ def test_a_plug_in_that_never_returns_is_ended_by_a_signal_with_its_log(tmp_path
     assert read_run(tmp_path / "a.mcap").events[-1]["kind"] == "outcome"
 
 
+STOPPED = """
+import os, signal, time
+os.kill(os.getppid(), signal.SIGTERM)
+time.sleep(60)
+"""
+
+
+def test_a_signal_to_the_process_that_was_called_reaches_that_of_ones_own_module(tmp_path: Path) -> None:
+    (tmp_path / "stopped.py").write_text(STOPPED)
+    done = hil_command("list", "plants", "stopped:Plant", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (143, "\nhil: interrupted\n"), "it heeds the signal, and is not killed"
+
+
 ORPHAN = """
 import os, signal, time
 parent = os.getppid()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from typing import NoReturn
 
@@ -24,9 +25,12 @@ SHORT = ("--jobs", "1", "--set", "duration=4")
 
 
 def test_json_has_statistics_of_every_metric(cli: Hil) -> None:
+    begun = time.perf_counter()
     status, out, _ = cli("sweep", "dc-motor-hinf", "--runs", "3", *SHORT, "--json")
+    points = json.loads(cli("sweep", "dc-motor-hinf", "--runs", "2", "--grid", "plant.gain=150,170", *SHORT, "--json")[1])
     found = json.loads(out)
     assert status == 0 and found["runs"] == 3
+    assert found["wall_s"] >= 0.0 and points["wall_s"] >= 0.0 and found["wall_s"] + points["wall_s"] < time.perf_counter() - begun
     assert found["metrics"]["sse"]["n"] == 3 and set(found["metrics"]["sse"]["percentiles"]) >= {"5", "50", "95"}
 
 
