@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any, Final
 
 import numpy as np
 from msgspec.structs import replace
 
 from hil.compose.loop import compose
+from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
@@ -20,6 +22,7 @@ from hil.log.write.provenance import Provenance
 from hil.log.write.sinks import MemorySink
 from hil.measure.view import RunView, view_of
 from hil.pages.live.about import Window, about, picture
+from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.side import Side
 from hil.pages.run_page import LoggedRun, logged_run, render_report, runs_page
 from hil.pages.viewers import foxglove, plotjuggler
@@ -135,6 +138,13 @@ def in_time() -> dict[str, list[str]]:
     return lines(render_report(late)) | {f"few: {name}": own for name, own in lines(render_report(few)).items()}
 
 
+WISHES: Final = (
+    Wish(do="dance"), Wish(do="hold"), Wish(do="step", slots=0), Wish(do="step", slots=1001), Wish(do="speed", speed=2e3),
+    Wish(do="speed", speed=1e-4), Wish(do="check", path="end"), Wish(do="restart", seed=-1), Wish(do="step", sides=(2,)),
+    Wish(do="step", sides=(-1,)), Wish(do="apply", path="end"),
+)  # fmt: skip
+
+
 def live() -> dict[str, list[str]]:
     """What the live page is given of a log, and of a run that may be changed."""
     shown = view(*RUNS["nodes"], timed=True, events=EVENTS)
@@ -144,10 +154,23 @@ def live() -> dict[str, list[str]]:
     side.show(shown.run, loop)
     acts.begin(loop, {})
     drawn = np.frombuffer(picture(side.records(), side.traces, Window.over(*side.span(), 9)), "<f4").reshape(len(side.traces), -1)
-    said = {"about": about([side, acts], "here"), "now": side.now(1, True), "acts": acts.now(0, True), "span": side.span()}
+    taken = [_taken(desk, wish) for desk in map(Desk, ([side], [acts, acts], [Side(acts=True)])) for wish in WISHES]
+    said = {"wishes": taken, "about": about([side, acts], "here"), "now": side.now(1, True),
+            "acts": acts.now(0, True), "span": side.span()}
     layouts = {"foxglove": foxglove(shown.run.schemas).splitlines(), "plotjuggler": plotjuggler(shown.run.schemas).splitlines()}
     drawn_lines = [f"{trace}: {rounded(values.astype(float))}" for trace, values in zip(side.traces, drawn)]
     return layouts | {name: _json(one) for name, one in said.items()} | {"picture": drawn_lines}
+
+
+def _taken(desk: Desk, wish: Wish) -> list[Any]:
+    """Return the draft before a wish, and what is said where it cannot be done."""
+    draft = asdict(desk.draft)
+    try:
+        return [draft, desk.take(wish)]
+    except HilError as error:
+        return [draft, str(error)]
+    finally:
+        desk.close()
 
 
 def _json(value: Any) -> list[str]:
