@@ -25,7 +25,7 @@ from hil.runtime.nodes.network import FaultInjector, clock_of, impaired, sensor_
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
-from hil.runtime.nodes.wire import VIRTUAL, Wire
+from hil.runtime.nodes.wire import Wire
 from hil.runtime.streams import rng_for
 from plants.parts.protocols import GoesOn, Plant, PlantRun
 from transport.links.can_identifiers import Identifiers
@@ -64,7 +64,7 @@ class Rig:
         sink: Sink,
         channels: dict[str, Channel],
         stop: Callable[[], None],
-        wire: Wire = VIRTUAL,
+        wire: Wire | None = None,
         identifiers: Identifiers | None = None,
         woken: Callable[[int], int] | None = None,
         changing: bool = False,
@@ -94,7 +94,7 @@ class Rig:
         self.actuator = ActuatorNode(inputs, loop.model.d_max, safety, damper_of(loop), loop.rig.row_sojourns)
         numbers = [(i,) if sensor.numbered else () for i, sensor in enumerate(loop.rig.sensors)]
         self._journal = Journal(sink, channels, loop.rows * inputs, numbers, identifiers)
-        self._nonce = None if wire is VIRTUAL else wire.nonce
+        self._nonce = None if wire is None else wire.nonce
         self._counter = 0
         self.answers = AnswerMatcher(inputs, loop.model.d_max, self._journal, e.period_ns, loop.rig.row_sojourns)
         self._reference, self._disturbance, self._disturbed = loop.reference(), loop.disturbance(), bool(e.disturbance)

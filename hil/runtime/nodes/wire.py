@@ -38,20 +38,12 @@ class Wire(Struct, frozen=True, kw_only=True):
     """How a rig speaks.
 
     Args:
-        nonce: the nonce of a slot, u64; 0 for all where no other process can send.
-        hello: the nonce of the hello.
+        nonce: the nonce of a slot, u64.
+        hello: the nonce of the hello; 0 where none is said, as in a replay.
     """
 
     nonce: Callable[[int], int]
     hello: int = 0
-
-
-def no_nonce(seq: int) -> int:
-    """Return 0: virtual time needs no nonce."""
-    return 0
-
-
-VIRTUAL: Final = Wire(nonce=no_nonce)
 
 
 def session_wire(secret: bytes, slots: int = SEGMENT) -> Wire:

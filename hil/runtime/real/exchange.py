@@ -22,7 +22,7 @@ from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import VIRTUAL, Wire
+from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange
 from transport.links import Closing, Link, LinkCounters
@@ -253,15 +253,14 @@ WARM_UP_S = 0.5
 class WarmUpExchange:
     """A link without a link: every question is answered with zeros, so that no line of a controller runs in this process."""
 
-    def __init__(self, loop: Loop, wire: Wire) -> None:
-        self._wire, self._echo = wire, 0
-        self._period_ns = loop.experiment.period_ns
+    def __init__(self, loop: Loop) -> None:
+        self._echo, self._period_ns = 0, loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._rows = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
         """Keep what an answer has to echo."""
-        self._echo = echo(frames) if self._wire is not VIRTUAL else 0
+        self._echo = echo(frames)
 
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
         """Answer with zeros."""
@@ -282,7 +281,7 @@ class WarmUpRig:
         self._k, self._period_ns, channels = 0, loop.experiment.period_ns, channels_of(loop)
         self._sink = PipeSink(os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC), channels)
         rig = Rig(loop, 0, self._sink, channels, lambda: None, wire)
-        exchange = DirectExchange(ControlNode(loop)) if local else WarmUpExchange(loop, wire)
+        exchange = DirectExchange(ControlNode(loop)) if local else WarmUpExchange(loop)
         self._slot = Slot(rig, exchange, self._sink.commit)
 
     def run(self) -> None:
@@ -310,7 +309,7 @@ def warm_up_controller(loop: Loop) -> None:
     """
     e, limit = loop.experiment, monotonic_ns() + round(WARM_UP_S * 1e9)
     with suppress(Exception):  # a law that fails is to fail in the session, where it is reported
-        rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, VIRTUAL)
+        rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None)
         slot = Slot(rig, DirectExchange(ControlNode(loop)))
         for k in range(min(e.slots, WARM_UP_SLOTS)):
             if monotonic_ns() > limit:

@@ -266,9 +266,14 @@ def test_set_that_makes_no_sense_is_refused(change: str) -> None:
         load_experiment("dc-motor-hinf", [change])
 
 
-def test_schema_accepts_the_names_of_every_table() -> None:
+def test_schema_takes_what_every_shipped_file_has_and_asks_for_no_more() -> None:
     schema = experiment_schema()
-    assert {"name", "period", "plant", "controller", "network", "links"} <= set(schema["properties"])
+    tables = schema["$defs"]
+    for name, path in shipped().items():
+        raw = tomllib.loads(path.read_text())
+        sides = [(tables["Direction"], raw["network"][side]) for side in ("sc", "ca")]
+        for table, given in ((schema, raw), (tables["Network"], raw["network"]), *sides):
+            assert set(table["required"]) <= given.keys() <= table["properties"].keys(), name
     kinds = {variant["properties"]["kind"].get("const") for variant in schema["properties"]["plant"]["oneOf"]}
     assert {"dc-motor", "vtol"} <= kinds
     json.dumps(schema)

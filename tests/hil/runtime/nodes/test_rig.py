@@ -20,7 +20,7 @@ from hil.runtime.clock import Kernel, VirtualClock
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import VIRTUAL, session_wire
+from hil.runtime.nodes.wire import session_wire
 from hil.runtime.slot import Slot
 from hil.runtime.virtual import simulate
 from transport.packets import ControlPacket, encode_control
@@ -77,7 +77,7 @@ def drive(loop: Loop, answer: Callable[[int], bytes | None], slots: int) -> Memo
     """Run a rig whose controller is a function of the slot."""
     sink = MemorySink(channels_of(loop))
     kernel = Kernel(VirtualClock())
-    rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop, VIRTUAL)
+    rig = Rig(loop, 0, sink, channels_of(loop), kernel.stop)
     kernel.run(loop.experiment.period_ns, slots, Slot(rig, Script(loop, answer)).run)
     return sink
 
@@ -138,7 +138,7 @@ def test_late_answer_is_lost_and_logged_never_another_delay(loop: Loop) -> None:
 def test_garbage_from_the_link_is_counted_and_changes_nothing(loop: Loop) -> None:
     rng = np.random.default_rng(0)
     sink = MemorySink(channels_of(loop))
-    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
+    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None)
     rig.sense(0)
     for _ in range(300):
         assert rig.on_frame(rng.bytes(int(rng.integers(0, 80)))) is False
@@ -168,7 +168,7 @@ def test_answer_to_a_slot_that_was_not_asked_is_never_applied_and_is_reported(lo
 
 def test_what_is_thrown_away_is_counted_by_what_it_is_and_the_log_keeps_little_of_it(loop: Loop) -> None:
     sink = MemorySink(channels_of(loop))
-    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None, VIRTUAL)
+    rig = Rig(loop, 0, sink, channels_of(loop), lambda: None)
     frames = {0: [], 1: [control(0), control(0), b"junk", *[control(0, 0.1 * i) for i in range(100)], control(1)]}
     slot = Slot(rig, Script(loop, lambda k: frames[k]))
     for k in range(2):

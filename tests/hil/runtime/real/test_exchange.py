@@ -21,7 +21,7 @@ from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import VIRTUAL, Wire, session_wire
+from hil.runtime.nodes.wire import session_wire
 from hil.runtime.real.exchange import (
     MOST_FRAMES,
     REHEARSALS,
@@ -40,6 +40,7 @@ from transport.packets import ControlPacket, SensorPacket, decode, encode_contro
 from transport.wire import echo
 
 MS = 1_000_000
+WIRE = session_wire(bytes(16), 1000)
 
 
 class Bench(MemoryLink):
@@ -154,7 +155,7 @@ def hello(link: Bench | None = None) -> bytes:
 def test_controller_is_asked_once_then_rehearsed_and_the_link_is_empty_before_slot_0() -> None:
     link = Bench()
     link.on_question = lambda: link.arrive(MS, hello(link))
-    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, WIRE).greet()
     assert greeting.answered
     assert len(link.asked) == greeting.questions == 1 + REHEARSALS
     assert {q.seq for q in link.asked} == {HELLO}
@@ -172,7 +173,7 @@ def test_controller_that_joins_late_and_then_answers_everything_leaves_an_empty_
             link.arrive(MS, hello(link))
 
     link.on_question = answer_from_the_fourth_on
-    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, WIRE).greet()
     assert greeting.answered and not link.inbox
 
 
@@ -190,7 +191,7 @@ def test_nothing_lies_between_the_last_rehearsal_and_slot_0() -> None:
         link.t_ns += MS
 
     link.on_question = answer_from_the_fourth_on
-    greeter = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL, lambda: done.append("meanwhile"), pause)
+    greeter = Handshake(link, 15.0, lambda: False, link.now, WIRE, lambda: done.append("meanwhile"), pause)
     assert greeter.greet().answered
     assert done == ["asked"] * 4 + ["asked", "meanwhile", "paused"] * REHEARSALS
     begin = (2 + 4 + 8) * MS  # three questions without an answer
@@ -205,7 +206,7 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
         link.arrive(i * 50 * MS, bytes(8))
     if answers:
         link.on_question = lambda: link.inbox.appendleft((link.t_ns + MS, hello(link)))
-    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, WIRE).greet()
     assert greeting.answered == answers
     assert link.t_ns <= (1_000 * MS if answers else 15_001 * MS)
     assert greeting.foreign > 0
@@ -214,7 +215,7 @@ def test_frames_of_others_delay_the_beginning_by_no_more_than_the_limit_and_are_
 def test_a_process_that_repeats_the_answer_for_ever_does_not_hold_the_session() -> None:
     link = Bench(taking_ns=MS)
     link.on_question = lambda: setattr(link, "endless", link.endless or hello(link))
-    greeting = Handshake(link, 15.0, lambda: False, link.now, VIRTUAL).greet()
+    greeting = Handshake(link, 15.0, lambda: False, link.now, WIRE).greet()
     assert greeting.answered and link.t_ns < 400 * MS and greeting.foreign > 0
 
 
@@ -261,14 +262,13 @@ def loop() -> Loop:
     return compose(load_experiment("dc-motor-hinf"), certify=False)
 
 
-@pytest.mark.parametrize("wire", [VIRTUAL, session_wire(bytes(16), 1000)])
-def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop, wire: Wire) -> None:
-    rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, wire)
-    slot = Slot(rig, WarmUpExchange(loop, wire))
+def test_every_rehearsed_slot_is_answered_with_the_echo_of_the_session(loop: Loop) -> None:
+    rig = Rig(loop, 0, MemorySink(channels_of(loop), ()), channels_of(loop), lambda: None, session_wire(bytes(16), 1000))
+    slot = Slot(rig, WarmUpExchange(loop))
     for k in range(10):
         slot.run(k * loop.experiment.period_ns)
     assert rig.outcome()["late"] == rig.outcome()["foreign"] == 0
-    rehearsed = WarmUpRig(loop, wire).warm_up()
+    rehearsed = WarmUpRig(loop, session_wire(bytes(16), 1000)).warm_up()
     for _ in range(3):
         rehearsed.run()
 
@@ -298,7 +298,7 @@ def test_a_control_law_runs_before_the_session_and_may_fail_there(loop: Loop) ->
 
 def test_a_part_that_failed_is_not_asked_again_before_the_session(loop: Loop) -> None:
     for law, last in ((Law(loop), WARM_UP_SLOTS - 1), (Law(loop, fails_in=7), 7)):
-        WarmUpRig(replace(loop, controller=law), VIRTUAL, local=True).warm_up()
+        WarmUpRig(replace(loop, controller=law), session_wire(bytes(16), 1000), local=True).warm_up()
         assert law.asked[-1] == last
 
 

@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.pipe_sink import PipeSink
 from hil.rig.session_link import no_link
-from hil.runtime.nodes.wire import VIRTUAL
+from hil.runtime.nodes.wire import session_wire
 from hil.runtime.real import rig_process
 from hil.runtime.real.ending import ENDED
 from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
@@ -42,7 +42,7 @@ def real() -> Iterator[RealLoop]:
     loop = compose(load_experiment("dc-motor-hinf"), certify=False)
     read, write = os.pipe()
     job = Job(loop=loop, link=no_link(loop.rig), seed=7, parent=os.getpid(), log_fd=write, hello_timeout_s=1.0)
-    yield RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), VIRTUAL)
+    yield RealLoop(job, MemoryLink(), PipeSink(write, channels_of(loop)), session_wire(bytes(16), 1))
     for fd in (read, write):
         os.close(fd)
 
