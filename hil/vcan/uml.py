@@ -208,11 +208,9 @@ def _pump(source: int, target: int, child: subprocess.Popen[bytes]) -> bool:
 
 def _feed(ask: int, target: int) -> None:
     """Carry stdin in frames, one for each byte by which the guest asks for it, and an empty one at its end."""
-    try:
+    with suppress(OSError):  # the guest has gone
         while os.read(ask, 1):
             _write(target, guest.frame(os.read(0, guest.CHUNK)))
-    except OSError:  # the guest has gone
-        pass
 
 
 def _write(fd: int, data: bytes) -> None:

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 from itertools import pairwise
 from time import time
 from typing import Any
@@ -16,7 +17,7 @@ import pytest
 from tests.waiting import until
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length
-from transport.links import TransportError
+from transport.links import TransportError, can_bus
 from transport.links.can_bus import HilBus
 from transport.links.opening import open_link
 
@@ -176,3 +177,43 @@ def test_a_full_transmit_buffer_is_an_error_of_the_sender() -> None:
             lone.send(message(n))
         with pytest.raises(can.CanOperationError, match="the transmit buffer is full"):
             lone.send(message(0x7FF))
+
+
+def test_a_bridge_is_the_controller_of_an_interface_between_its_programs_and_a_bus_that_takes_time(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In the place of a kernel's interface: a bus of ours without time."""
+    over, looked = threading.Event(), can_bus._received
+
+    def look(each: can.BusABC) -> can.Message | None:
+        if over.is_set():
+            raise SystemExit
+        return looked(each)
+
+    def run() -> None:
+        with suppress(SystemExit):
+            can_bus.bridge(controller, interface)
+
+    monkeypatch.setattr(can_bus, "_received", look)
+    monkeypatch.setattr("transport.links.timed_sender.MOST_WAITING", 4)
+    with bus() as controller, can.Bus("if0", interface="hil") as interface, can.Bus("if0", interface="hil") as program:
+        thread = threading.Thread(target=run)
+        thread.start()
+        try:
+            with bus() as other:
+                program.send(message(0x101))
+                (came,) = received(other, 1)
+                assert (came.arbitration_id, bytes(came.data)) == (0x101, b"12345678")
+                other.send(can.Message(arbitration_id=0x1ABCDEF, data=b"back", is_extended_id=True))
+                (came,) = received(program, 1)
+                assert (came.arbitration_id, came.is_extended_id, bytes(came.data)) == (0x1ABCDEF, True, b"back")
+                program.send(can.Message(arbitration_id=0x004, is_error_frame=True, data=bytes(8)))
+                program.send(message(0x102))
+                assert received(other, 1)[0].arbitration_id == 0x102, "an error frame of a program is none of the wire"
+            for n in range(8):  # nobody acknowledges any more, and four may wait
+                program.send(message(0x200 + n))
+            full = [each for each in received(program, 4) if each.is_error_frame and each.data[1] == 0x02]
+            assert full and all(each.arbitration_id == 0x004 and len(each.data) == 8 for each in full)
+        finally:
+            over.set()
+            thread.join()

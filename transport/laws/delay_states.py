@@ -128,10 +128,7 @@ def _measured(
     return bounds[0], bounds[1], bounds[2], np.array([age for _, age in states], dtype=np.int64), origin
 
 
-Numbers = NDArray[np.float64]
-
-
-def mode_transitions(law: object) -> Numbers | None:
+def mode_transitions(law: object) -> Matrix | None:
     """Return the transition matrix of a law's modes, (n, n); None where they are no Markov chain.
 
     Args:
@@ -142,7 +139,7 @@ def mode_transitions(law: object) -> Numbers | None:
     return np.asarray(law.transition_matrix(), dtype=np.float64)
 
 
-def long_run(law: object) -> tuple[Numbers, Numbers] | None:
+def long_run(law: object) -> tuple[Matrix, Matrix] | None:
     """Return the share of slots in every mode, and the mean number of slots that it lasts, (n,); None where a law does not say.
 
     Raises:

@@ -179,7 +179,7 @@ class HilFrames:
                 return None
             if len(frame) < _FRAME_BYTES:
                 self.filtered += 1
-            elif self.timed is None or not self._not_for_us(frame):
+            elif self.timed is None or not self._not_for_us(self.timed, frame):
                 if (self._fd or not frame[_FLAGS] & FD_FRAME) and (self.matches is None or self._wanted(_identifier(frame))):
                     return frame
                 self.filtered += 1
@@ -218,11 +218,9 @@ class HilFrames:
         frame = self.take(timeout)
         return None if frame is None else (_identifier(frame), bool(frame[_FLAGS] & FD_FRAME), frame[_FRAME_BYTES:])
 
-    def _not_for_us(self, frame: bytes) -> bool:
+    def _not_for_us(self, timed: TimedSender, frame: bytes) -> bool:
         """Return whether this is no frame for a participant of a bus that takes time; look at its error state where asked to."""
-        timed, (stamp, _, identifier, _, flags) = self.timed, FRAME.unpack_from(frame)
-        if timed is None:
-            return False
+        stamp, _, identifier, _, flags = FRAME.unpack_from(frame)
         if flags & LOOK:
             timed.look()
             return True
@@ -231,10 +229,7 @@ class HilFrames:
         return timed.was_off(monotonic_ns() - round((time() - stamp) * 1e9))
 
     def _wanted(self, identifier: int) -> bool:
-        for can_id, mask in self.matches or ():
-            if not (identifier ^ can_id) & mask:
-                return True
-        return bool(identifier & ERROR)
+        return bool(identifier & ERROR) or any(not (identifier ^ can_id) & mask for can_id, mask in self.matches or ())
 
     def shutdown(self) -> None:
         """Leave the bus; frames already sent still arrive. May be called twice."""

@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from struct import Struct
 from time import monotonic, monotonic_ns, sleep
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.disturbances import BusFault
@@ -165,6 +165,8 @@ class BusFile(Closing):
 
 _AGAIN_NS: Final = 100_000
 
+Found = TypeVar("Found")
+
 
 class Seen(NamedTuple):
     """What a participant finds when it looks.
@@ -221,13 +223,16 @@ class SharedBus:
         node = CanNode(buffer="fifo", recovers=False, rates=None if bus.rates == rates else rates)
         self._node = held.join(node, self._own)
 
-    def _change(self, change: Callable[[HeldBus], None]) -> None:
+    def _change(self, change: Callable[[HeldBus], Found]) -> Found:
+        found: list[Found] = []
+
         def changed(text: bytes) -> bytes:
             held = HeldBus(text)
-            change(held)
+            found.append(change(held))
             return held.text()
 
         self._file.change(changed)
+        return found[-1]
 
     def _pass(self, held: HeldBus) -> int:
         """Let time pass until now; return the instant."""
@@ -249,11 +254,11 @@ class SharedBus:
                 held.queue(self._node, Waiting(frame, BitRates.units(now), tag))
             return self._seen(held, now)
 
-        return self._seeing(change)
+        return self._change(change)
 
     def look(self) -> Seen:
         """Let time pass until now."""
-        return self._seeing(lambda held: self._seen(held, self._pass(held)))
+        return self._change(lambda held: self._seen(held, self._pass(held)))
 
     def restart(self) -> Seen:
         """Come back from bus-off after 128 times 11 recessive bits from now on, as a driver does on a request to restart."""
@@ -263,7 +268,7 @@ class SharedBus:
             held.living.switch_on(self._node, BitRates.units(now))
             return self._seen(held, now)
 
-        return self._seeing(change)
+        return self._change(change)
 
     def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
         """Replace what is wrong with the bus when.
@@ -282,11 +287,6 @@ class SharedBus:
             held.plan(meant, seed, now)
 
         self._change(change)
-
-    def _seeing(self, change: Callable[[HeldBus], Seen]) -> Seen:
-        seen: list[Seen] = []
-        self._change(lambda held: seen.append(change(held)))
-        return seen[-1]
 
     def _seen(self, held: HeldBus, now: int) -> Seen:
         due, more = held.due(self._node, now)

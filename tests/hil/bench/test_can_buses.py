@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import io
 import math
+import os
 import shutil
+import sys
 import tempfile
+import threading
 from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
 
 import pytest
 
-from hil.bench.can_buses import FLOOD, _row, bench_can_buses
+from hil.bench import can_buses
+from hil.bench.can_buses import _ANSWER, FLOOD, _echo, _flood, _join, _row, _trips, bench_can_buses, main
+from transport.links.python_can import can
 
 
 @pytest.fixture(autouse=True)
@@ -46,3 +54,65 @@ def test_a_row_counts_what_came_and_what_was_lost() -> None:
     none = _row("none", [], [], [], 2.0, "no such bus")
     assert none["lost"] == 0 and math.isnan(none["frames_s"]) and math.isnan(none["p50_us"]) and none["late_p50_us"] is None
     assert none["cyclictest_p99_us"] is None
+
+
+def test_a_pair_counts_frames_and_times_round_trips(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over python-can's bus within one process; an error frame is no answer, and without another end nothing comes."""
+    monkeypatch.setattr(can_buses, "_PATIENCE_S", 5.0)
+    over, name = threading.Event(), f"pair-{os.getpid()}"
+    with _join("virtual", name) as ours, _join("virtual", name) as other:
+        received = other.recv
+        monkeypatch.setattr(other, "recv", lambda timeout: sys.exit() if over.is_set() else received(0.02))
+
+        def answer() -> None:
+            with suppress(SystemExit):
+                _echo(other)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        other.send(can.Message(arbitration_id=_ANSWER, is_error_frame=True))
+        trips = _trips(ours, 3, timed=False)
+        found, ns = _flood(ours, 30)
+        again, _ = _flood(ours, 5)
+        timed = _trips(ours, 2, timed=True)
+        over.set()
+        thread.join()
+        assert len(trips) == 3 and all(0 < each < 5e9 for each in trips)
+        assert (found, again) == (30, 35) and 0 < ns < 5e9
+        assert len(timed) == 4 and all(0 < each < 5e9 for each in timed[:2]) and all(-1e6 < late < 5e9 for late in timed[2:])
+        monkeypatch.setattr(can_buses, "_PATIENCE_S", 0.01)
+        assert _trips(ours, 2, timed=True) == [-1, -1]
+        lost, ns = _flood(ours, 2)
+        assert lost == 0 and 1e7 <= ns < 5e9
+
+
+def test_each_bus_is_joined_as_its_name_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(can_buses.can, "Bus", dict)
+    monkeypatch.setattr(os, "getppid", lambda: 23_456)
+    hil: dict[str, Any] = {"interface": "hil", "channel": "c", "ignore_config": True}
+    assert [_join(bus, "c") for bus in can_buses.BUSES] == [
+        hil, hil | {"bitrate": 1_000_000}, hil | {"bitrate": 1_000_000, "timed": True},
+        hil | {"interface": "socketcan", "channel": "vcan0"},
+        hil | {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 23_456, "hop_limit": 0},
+        hil | {"interface": "virtual"},
+    ]  # fmt: skip
+
+
+def test_a_driving_process_answers_each_line_and_one_without_a_bus_says_why(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    urgent: list[int] = []
+    monkeypatch.setattr(can_buses, "die_with_parent", lambda pid: None)
+    monkeypatch.setattr(can_buses, "go_real_time", lambda priority, cpu, *, awake: urgent.append(priority))
+    monkeypatch.setattr(can_buses.signal, "signal", lambda *_: None)
+    monkeypatch.setattr(can_buses, "_PATIENCE_S", 0.01)
+    monkeypatch.setattr(sys, "argv", ["", "drive", "hil", f"drive-{os.getpid()}"])
+    monkeypatch.setattr(sys, "stdin", io.StringIO("trips 2\nflood 1\n"))
+    main()
+    ready, trips, flood = capsys.readouterr().out.splitlines()
+    assert (ready, trips, flood.split()[0]) == ("ready", "-1 -1", "0")
+    monkeypatch.setattr(sys, "argv", ["", "echo", "nosuch", "x"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1 and "nosuch" in capsys.readouterr().out
+    assert urgent == [60, 59]

@@ -14,7 +14,19 @@ import numpy as np
 import pytest
 
 from hil.bench import soak
-from hil.bench.soak import PROCESSES, _beside, _memory, _predicted, _processes, _resident_kb, _watch, bench_soak, judge, slope
+from hil.bench.soak import (
+    PROCESSES,
+    Samples,
+    _beside,
+    _memory,
+    _predicted,
+    _processes,
+    _resident_kb,
+    _watch,
+    bench_soak,
+    judge,
+    slope,
+)
 from hil.errors import HilError
 
 
@@ -231,3 +243,49 @@ def test_the_processes_of_a_session_are_its_children_by_what_they_run_and_what_i
         os.waitid(os.P_PID, session.pid, os.WEXITED | os.WNOWAIT)
         assert _resident_kb(session.pid) is None
     assert _resident_kb(rig) is None
+
+
+def test_a_soak_is_of_what_its_sessions_and_cyclictest_wrote(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the place of sessions and of cyclictest: programs that end at once, and what those would have written."""
+    asked: list[tuple[float, ...]] = []
+    said: list[str] = []
+
+    def start(folder: Path, number: int, duration_s: float) -> subprocess.Popen[bytes]:
+        asked.append((number, duration_s))
+        timing = {"late": 3, "overruns": 5, "lateness_us": {"p50": 9.0}, "why": ["late"]}
+        summary = {"slots": 1000, "safety": None, "log": {"dropped": number}, "timing": timing}
+        (folder / f"{number}.json").write_text(json.dumps(summary))
+        (folder / f"{number}.mcap").write_bytes(bytes(2000))
+        return subprocess.Popen([sys.executable, "-c", f"raise SystemExit({3 * (number > 1)})"])
+
+    def beside(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
+        asked.append((priority, period_us, duration_s))
+        output.write_text(json.dumps({"thread": {"0": {"histogram": {"20": 97, "2500": 1}}}}))
+        return subprocess.Popen(["true"])
+
+    def watch(session: object, log: Path, duration_s: float) -> Samples:
+        t = np.arange(1, 101) / 100.0
+        kb = {"session": [1e4] * 100, "rig": [2e4] * 100, "controller": (1e4 + 1e5 * t).tolist()}
+        return Samples(t.tolist(), kb, (1000 * t).tolist())
+
+    for name, stands_in in (("SHORT_S", 0.2), ("_start", start), ("start_cyclictest", beside), ("_watch", watch)):
+        monkeypatch.setattr(soak, name, stands_in)
+    monkeypatch.setattr(soak.shutil, "which", lambda name: name)
+    row = bench_soak(duration_s=1.0, sessions=2, at_once=3, progress=said.append)
+    assert asked == [(60, 1000, 1.0), (0, 1.0), (1, 0.2), (1, 0.2), (1, 0.2), (2, 0.2), (3, 0.2)]
+    assert said == [
+        "1 kHz for 1 s over can:hil", "in a row: 1 of 2, 1 sessions of 0.2 s", "in a row: 2 of 2, 1 sessions of 0.2 s",
+        "at once: 1 of 1, 3 sessions of 0.2 s",
+    ]  # fmt: skip
+    memory, beside_us = row.pop("memory"), row.pop("cyclictest_us")
+    assert [each["grows"] for each in memory] == [False, False, True]
+    assert [each["mb"] for each in memory] == pytest.approx([10.0, 20.0, 110.0])
+    assert [each["slope_kb_per_min"] for each in memory] == pytest.approx([0.0, 0.0, 6e6])
+    assert (beside_us["p50"], beside_us["max"]) == (20.0, 2500.0)
+    assert (row.pop("log_predicted"), row.pop("log_ratio")) == pytest.approx((1000.0, 2.0))
+    assert row.pop("verdict") == "does not hold" and "controller: memory grows" in row.pop("why")
+    assert row == {
+        "status": 0, "safety": None, "slots": 1000, "slots_expected": 1000, "dropped": 0, "late": 3, "overrun_share": 0.005,
+        "lateness_us": {"p50": 9.0}, "timing_why": ["late"], "cyclictest_missed_share": 0.02, "log_bytes": 2000,
+        "in_a_row": {"0": 2}, "at_once": {"0": 1, "3": 2}, "short_dropped": {"in a row": 2, "at once": 6},
+    }  # fmt: skip

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from typing import ClassVar
+from types import SimpleNamespace
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from hil.bench.timing import Turn, _row, bench_live, bench_timing, read_cyclictest, read_page
+from hil.bench import timing
+from hil.bench.timing import Turn, _row, bench_live, bench_timing, read_cyclictest, read_page, start_cyclictest, take_turn
 from hil.errors import HilError
 
 
@@ -41,18 +44,6 @@ def test_rig_and_cyclictest_are_measured_in_one_run() -> None:
     assert row["round_trip_ratio"] == 1.0  # the last link is what the others are compared with
     assert row["slots"] == 1200 and row["dropped_records"] == 0
     assert 0 <= row["cyclictest_missed_share"] < 1
-
-
-@pytest.mark.cyclictest
-@pytest.mark.realtime
-def test_two_experiments_are_measured_in_turns() -> None:
-    rows = bench_timing(
-        duration_s=0.6, turns=1, links=[f"can:hil:two{os.getpid()}"], experiments=["dc-motor-1khz", "omni-1khz"],
-        sets=["report.measures=[]"],
-    )  # fmt: skip
-    assert [row["experiment"] for row in rows] == ["dc-motor-1khz", "omni-1khz"]
-    assert all(row["slots"] == 600 and row["dropped_records"] == 0 and row["period_s"] == 1e-3 for row in rows)
-    assert rows[-1]["round_trip_ratio"] == 1.0
 
 
 @pytest.mark.realtime
@@ -113,3 +104,101 @@ def test_a_row_is_of_all_turns_together_and_compares_with_cyclictest_of_the_same
     assert row["ratio"]["p50"] == 4.0 and row["lateness_us"]["max"] == 80.0 and row["round_trip_us"]["p50"] == 100.0
     at_once = _row("mine", "can:hil:x", "free", [turn([40.0] * 10, [0.0] * 10, 0, 0)])
     assert at_once["ratio"]["p50"] == 40.0, "cyclictest counts whole microseconds: less than one is one"
+
+
+def test_experiments_links_and_affinities_take_turns_and_are_compared_with_the_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    said: list[str] = []
+
+    def taken(name: str, uri: str, duration_s: float, folder: Path, sets: list[str]) -> Turn:
+        asked.append((name, uri, duration_s, sets))
+        found = turn([40.0] * 10, [20.0] * 10, 0, 0)
+        found.timed["round_trip_us"] *= 3.0 if uri == "a" else 1.0
+        return found
+
+    monkeypatch.setattr(timing, "take_turn", taken)
+    sets, both = ["report.measures=[]"], ["dc-motor-1khz", "omni-1khz"]
+    rows = bench_timing(
+        duration_s=4.0, turns=2, links=["a", "b"], experiments=both, sets=sets, affinities=["free", "shared"],
+        progress=said.append,
+    )  # fmt: skip
+    ways = [(name, uri, how) for name in both for uri in "ab" for how in ("free", "shared")]
+    assert asked == [(name, uri, 2.0, [*sets, f"timing.affinity={how}"]) for name, uri, how in ways] * 2
+    each = [f"{name} at 1000 Hz for 2 s over {uri} ({how}), cyclictest beside it" for name, uri, how in ways]
+    assert said == [f"turn {n} of 2: {one}" for n in (1, 2) for one in each]
+    assert [(row["experiment"], row["link"], row["affinity"]) for row in rows] == ways and {row["turns"] for row in rows} == {2}
+    assert [row["round_trip_ratio"] for row in rows] == [3.0, 3.0, 1.0, 1.0] * 2
+
+
+def test_a_turn_is_of_what_its_session_and_cyclictest_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the place of both: programs, and what those would have written."""
+    slots, histogram = np.zeros(3, [("lateness_us", "<f8")]), {"thread": {"0": {"histogram": {"20": 6, "2500": 1}}}}
+    status, text, command = 0, json.dumps(histogram), ["true"]
+    started: list[subprocess.Popen[bytes]] = []
+
+    def ran(experiment: Any, *, clock: str, link: str, path: Path) -> Any:
+        assert (clock, link, experiment.duration) == ("real", "x:", 2.5) and experiment.timing.affinity == "shared"
+        path.write_bytes(b"")
+        summary = {"problems": {"rig": "why", "more": "so"}}
+        return SimpleNamespace(status=status, summary=summary, run=SimpleNamespace(arrays={"/timing/slot": slots}))
+
+    def start(priority: int, period_us: int, duration_s: float, output: Path) -> subprocess.Popen[bytes]:
+        assert (priority, period_us, duration_s) == (60, 1000, 2.5)
+        if text:
+            output.write_text(text)
+        started.append(subprocess.Popen(command, stderr=subprocess.PIPE))
+        return started[-1]
+
+    def take(beside: bool = True) -> Turn:
+        return take_turn("dc-motor-1khz", "x:", 2.5, tmp_path, ["timing.affinity=shared"], beside=beside)
+
+    monkeypatch.setattr(timing, "run_session", ran)
+    monkeypatch.setattr(timing, "start_cyclictest", start)
+    found = take()
+    assert (found.period_s, found.timed is slots, sorted(found.cyclictest_us), found.missed) == (
+        1e-3, True, [20] * 6 + [500, 1500, 2500], 2,
+    )  # fmt: skip
+    alone = take(beside=False)
+    assert (len(alone.cyclictest_us), alone.missed, len(started)) == (0, 0, 1) and not list(tmp_path.iterdir())
+    command = ["sleep", "100"]
+    for ended, error, said in ((130, SystemExit, "130"), (1, HilError, "x:: the session failed: why; so")):
+        status = ended
+        with pytest.raises(error, match=said):
+            take()
+        assert started[-1].poll() is not None
+    status, text, command = 0, "", ["sh", "-c", "echo no room >&2"]
+    (tmp_path / "cyclictest.json").unlink()
+    with pytest.raises(HilError, match="cyclictest gave no result: 'no room"):
+        take()
+
+
+def test_cyclictest_runs_at_the_rate_and_the_priority_of_the_rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program, output = tmp_path / "cyclictest", tmp_path / "out.json"
+    program.write_text(f'#!/bin/sh\necho "$@" > {tmp_path}/asked\n')
+    program.chmod(0o755)
+    monkeypatch.setattr(timing.shutil, "which", lambda name: str(program) if name == "cyclictest" else None)
+    for user, priority in ((0, " -p80"), (1000, "")):
+        monkeypatch.setattr(timing.os, "geteuid", lambda user=user: user)
+        assert start_cyclictest(80, 500, 2.6, output).wait() == 0
+        assert (tmp_path / "asked").read_text() == f"-q -m -i500 -D3 -h100000 --json={output}{priority}\n"
+    start_cyclictest(80, 500, 0.2, output).wait()
+    assert " -D1 " in (tmp_path / "asked").read_text()
+    monkeypatch.setattr(timing.shutil, "which", lambda name: None)
+    with pytest.raises(HilError, match="apt-get install rt-tests"):
+        start_cyclictest(80, 500, 1.0, output)
+
+
+def test_rows_of_readers_are_of_all_turns_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    lengths: list[float] = []
+
+    def session(readers: int, name: str, uri: str, duration_s: float, log: Path) -> tuple[Any, int, int, int]:
+        lengths.append(duration_s)
+        return np.full(10, 20.0 + 20.0 * readers), 1 + readers, 2 * readers, 7 * readers
+
+    monkeypatch.setattr(timing, "_session", session)
+    rows = bench_live(duration_s=4.0, turns=2, link="x:", experiment="mine")
+    assert lengths == [2.0] * 6
+    assert [tuple(row[key] for key in ("readers", "slots", "missed", "dropped_records", "pictures")) for row in rows] == [
+        (0, 20, 2, 0, 0), (1, 20, 4, 4, 14), (3, 20, 8, 12, 42),
+    ]  # fmt: skip
+    assert [row["ratio"]["p50"] for row in rows] == [1.0, 2.0, 4.0] and rows[2]["lateness_us"]["max"] == 80.0
