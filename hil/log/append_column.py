@@ -139,8 +139,6 @@ def release(array: Column) -> None:
 
 def whole(array: Column, name: str) -> Column:
     """Return one field of a structured array as an array of its own, copied piece by piece."""
-    if len(array) <= ROWS:
-        return np.ascontiguousarray(array[name])
     out = np.empty(len(array), array.dtype[name])
     at = 0
     for piece in pieces(array):

@@ -61,7 +61,7 @@ def without_sense(signals: Signals) -> tuple[str, ...]:
     ('sse', 'sse_after_5s', 'steady_state_error')
     """
     errors = ("sse", "sse_after_5s", "steady_state_error") if len(signals.tracked) > 1 and signals.tracked_unit() is None else ()
-    inputs = ("max_abs_u",) if len(signals.inputs) > 1 and signals.input_unit() is None else ()
+    inputs = ("max_abs_u",) if signals.input_unit() is None else ()
     return (*errors, *inputs)
 
 
@@ -130,7 +130,7 @@ def tracking_metrics(
         found["steady_state_error"] = _worst([_finite(pairwise_sum(column, last, n - last) / last) for column in columns])
         if changes:
             first, end = changes[0], changes[1] if len(changes) > 1 else n
-            if disturbed_at_s is not None and disturbed_at_s > run.time(first):
+            if disturbed_at_s is not None and disturbed_at_s - 1e-9 > run.time(first):
                 end = min(end, run.first_at(disturbed_at_s - 1e-9))
             step = run.reference(first) - run.reference(first - 1)
             found["overshoot"] = _overshoot(run, error, step, first, end)
@@ -163,8 +163,6 @@ class _Error:
 def _overshoot(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:
     """By how much an output went beyond its target at most, in % of the step."""
     moved = step != 0.0
-    if end <= first or not moved.any():
-        return None
     most = [float(np.max(error.of(i, j)[:, moved] / step[moved])) for i, j in run.blocks(first, end)]
     return _finite(100.0 * max(float(np.max(most)), 0.0))
 
@@ -172,8 +170,6 @@ def _overshoot(run: Followed, error: _Error, step: Array, first: int, end: int) 
 def _settling(run: Followed, error: _Error, step: Array, first: int, end: int) -> float | None:
     """Time from the step after which every output stays within its band."""
     moved = step != 0.0
-    if end <= first or not moved.any():
-        return None
     band = SETTLING_BAND * np.abs(step[moved])
     last = None
     for i, j in reversed([*run.blocks(first, end)]):
@@ -228,14 +224,13 @@ def tracking_of_batch(view: BatchView) -> dict[str, BatchValues]:
     changes = np.flatnonzero(np.any(reference[1:] != reference[:-1], axis=1)) + 1
     if changes.size:
         first, end = int(changes[0]), int(changes[1]) if changes.size > 1 else n
-        if view.disturbed_at_s is not None and view.disturbed_at_s > t[first]:
+        if view.disturbed_at_s is not None and view.disturbed_at_s - 1e-9 > t[first]:
             end = min(end, int(np.searchsorted(t, view.disturbed_at_s - 1e-9)))
         step = reference[first] - reference[first - 1]
         moved = [(error[:, first:end], s) for error, s in zip(errors, step) if s != 0.0]
-        if moved and end > first:
-            beyond = np.maximum.reduce([(error / s).max(axis=1) for error, s in moved])
-            found["overshoot"] = 100.0 * np.maximum(beyond, 0.0)
-            found["settling_time_s"] = _settling_of_batch(t[first:end], moved)
+        beyond = np.maximum.reduce([(error / s).max(axis=1) for error, s in moved])
+        found["overshoot"] = 100.0 * np.maximum(beyond, 0.0)
+        found["settling_time_s"] = _settling_of_batch(t[first:end], moved)
     return found
 
 

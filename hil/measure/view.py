@@ -14,7 +14,7 @@ from msgspec.structs import replace as struct_replace
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.log import topics
-from hil.log.append_column import ROWS, pieces, release, whole
+from hil.log.append_column import pieces, release, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.measure.signals import Followed, Signals, bare, tracked_among
@@ -203,13 +203,10 @@ def signal_names(run: Run, topic: str) -> list[str]:
 
 def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:
     """Return fields of a structured array as one array (n, len(names))."""
-    if not names:
-        return np.zeros((len(array), 0))
-    if len(array) <= ROWS:
-        return np.column_stack([array[n] for n in names]).astype(np.float64, copy=False)
     out, at = np.empty((len(array), len(names))), 0
     for piece in pieces(array):
-        out[at : at + len(piece)] = matrix(piece, names)
+        for column, name in zip(out[at : at + len(piece)].T, names):
+            column[:] = piece[name]
         at += len(piece)
     return out
 
