@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -30,14 +30,13 @@ class Payload:
         self.figures: list[dict[str, Any]] = []
         self._tables: list[list[dict[str, Any]]] = []
 
-    def numbers(self, columns: Sequence[tuple[str, Sequence[Any]]]) -> int:
+    def numbers(self, columns: Sequence[tuple[str, Iterable[Any]]]) -> int:
         """Store the numbers of a plot that the script does not draw, for whoever saves them, and return its number.
 
         Args:
             columns: heading and cells of each; floats that are not finite become empty.
         """
-        told = [(name, [None if isinstance(c, float) and not math.isfinite(c) else c for c in cells]) for name, cells in columns]
-        self._tables.append([{"name": name, "values": values} for name, values in told])
+        self._tables.append([{"name": name, "values": [_plain(cell) for cell in cells]} for name, cells in columns])
         return len(self._tables) - 1
 
     def add(self, values: npt.NDArray[np.float64]) -> int:
@@ -72,7 +71,7 @@ class Payload:
 
 
 Still: TypeAlias = Bars | Histogram | Matrix | Scene
-Column: TypeAlias = tuple[str, Sequence[Any]]
+Column: TypeAlias = tuple[str, Iterable[Any]]
 
 
 def columns_of(plot: Still) -> list[Column]:
@@ -92,15 +91,15 @@ def columns_of(plot: Still) -> list[Column]:
 
 
 def _histogram(plot: Histogram) -> list[Column]:
-    edges, name = _plain(plot.edges), with_unit(plot.x_label or "x", plot.x_unit)
-    return [(f"{name}, from", edges[:-1]), (f"{name}, to", edges[1:]), (plot.y_label or "count", _plain(plot.counts))]
+    edges, name = plot.edges, with_unit(plot.x_label or "x", plot.x_unit)
+    return [(f"{name}, from", edges[:-1]), (f"{name}, to", edges[1:]), (plot.y_label or "count", plot.counts)]
 
 
 def _bars(plot: Bars) -> list[Column]:
     found: list[Column] = [(plot.x_label or "category", [str(category) for category in plot.categories])]
     for group in plot.groups:
         ends = () if group.whiskers is None else zip((f"{group.label}, low", f"{group.label}, high"), zip(*group.whiskers))
-        found += [(with_unit(name, plot.y_unit), _plain(side)) for name, side in ((group.label, group.values), *ends)]
+        found += [(with_unit(name, plot.y_unit), side) for name, side in ((group.label, group.values), *ends)]
     return found
 
 
@@ -108,9 +107,9 @@ def _matrix(plot: Matrix) -> list[Column]:
     found: list[Column] = [(plot.row_label or "row", [str(row) for row in plot.rows])]
     for j, name in enumerate(plot.columns):
         label = f"{plot.column_label} {name}".strip()
-        found.append((label, _plain([row[j] for row in plot.values])))
+        found.append((label, [row[j] for row in plot.values]))
         if plot.expected is not None:
-            found.append((f"{label}, expected", _plain([row[j] for row in plot.expected])))
+            found.append((f"{label}, expected", [row[j] for row in plot.expected]))
     return found
 
 
@@ -122,9 +121,10 @@ def _scene(plot: Scene) -> list[Column]:
             (plot.y_label or "y", [float(f"{y:.7g}") for _, y in points])]  # fmt: skip
 
 
-def _plain(values: Any) -> list[Any]:
-    """Return Python's numbers, which JSON keeps to the last digit; a None stays."""
-    return [value.item() if isinstance(value, np.generic) else value for value in values]
+def _plain(cell: Any) -> Any:
+    """Return a number of Python, which JSON keeps to the last digit, None where it is not finite; anything else as it is."""
+    value = cell.item() if isinstance(cell, np.generic) else cell
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 Float: TypeAlias = npt.NDArray[np.float64]

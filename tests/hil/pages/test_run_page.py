@@ -39,12 +39,6 @@ def test_page_of_twenty_seconds_at_one_kilohertz_stays_below_three_megabytes() -
     assert len(report(run_of("dc-motor-1khz", timed=True)).encode()) < 3_000_000
 
 
-def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
-    page = report(run_of("smjls-robust-published", 'duration="1 s"'))
-    assert "no step" in page and "not settled" not in page and 'class="tile warning"' not in page
-    assert "not settled" in report(run_of("dc-motor-hinf", 'duration="2 s"'))
-
-
 def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
     vtol, motor = (load_experiment(name) for name in ("vtol-hinf", "dc-motor-hinf"))
     values = {name: {m: np.arange(3.0) for m in columns_of(motor)} for name in ("a", "b")}
