@@ -157,11 +157,6 @@ class Delivered:
     packets: NDArray[np.int64] | None = None
 
 
-def channels_of_their_own(loop: Loop) -> bool:
-    """Return whether what comes of every node follows from its law alone, for all runs at once."""
-    return not loop.rig.media and all(law_supports_batch(s.law) and s.clock.every == 1 for s in loop.rig.sensors)
-
-
 def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delivered:
     """Return what the controller receives in the runs of some seeds.
 
@@ -170,7 +165,8 @@ def delivered(loop: Loop, seeds: Sequence[int], *, every_packet: bool) -> Delive
         seeds: one run each.
         every_packet: whether arrivals and numbers of packets are wanted.
     """
-    if not every_packet and channels_of_their_own(loop):
+    of_its_law = not loop.rig.media and all(law_supports_batch(s.law) and s.clock.every == 1 for s in loop.rig.sensors)
+    if of_its_law and not every_packet:  # what comes of every node follows from its law alone, for all runs at once
         ways = [received(s.law, seeds, s.stream, loop.experiment) for s in loop.rig.sensors]
         return Delivered(newest=[w.newest for w in ways], known=np.logical_and.reduce([w.known for w in ways]))
     if len(seeds) > 1 and _certain(loop):
