@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from design.as_printed.chapters_2_to_4 import PrintedRequest
-from design.as_printed.examples import chapter3_gain
+from design.as_printed.examples import chapter3_gain, chapter4_seen_gain
 from design.monte_carlo.parallel_runs import Workers
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -55,6 +55,10 @@ def printed_section(system: object, process: object, sections: Partition, m: int
     return JumpCertificate(method=more["reading"], verdict="certified", reason="", gamma=gamma)
 
 
+def seen() -> JumpCertificate:
+    return JumpCertificate(method="", verdict="certified", reason="", gamma=1.0, gain=chapter4_seen_gain(partitioned=True))
+
+
 SMALLER: dict[str, Any] = {
     "chapter2_runs.RUNS": 30, "chapter2_feasibility.BOUNDS": (5.0,), "chapter2.largest_uncertainty": scale,
     "chapter3.delayed_hinf": certificate, "chapter3.analyse_delayed": certificate,
@@ -64,6 +68,7 @@ SMALLER: dict[str, Any] = {
     "chapter3_partitions.analyse_delayed": certificate,
     "chapter3_partitions.decay_of": lambda *given: SimpleNamespace(rate=0.05, coefficient=40.0),
     "chapter3_partitions.rates_inside": lambda found: (-found.gamma, -2.0 * found.gamma), "chapter4_simulations.RUNS": 20,
+    "chapter4_simulations.our_gains": seen, "chapter4.our_gains": seen, "chapter7.SMITH_RUNS": 100,
     "chapter7_friction.FIT_SEEDS": 2, "chapter7_friction.CANDIDATES": 3, "chapter7_friction.CHECK_SEEDS": 3,
     "chapter7_runs.Workers": lambda **_: Workers(), "chapter7_designs.TrackingProblem": partial(TrackingProblem, starts=1),
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
