@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import re
 import shlex
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +24,7 @@ import hil.thesis
 from hil.cli import cli
 from hil.cli.guide import pages
 from hil.experiment import shipped
-from hil.thesis import Chapter, Check
+from hil.thesis import VERDICTS, Chapter, Check
 from hil.thesis.judgement import Equals
 from hil.thesis.statements import Claim, Statement, judge
 from tests.hil.thesis.judging import assert_every_number_decides
@@ -32,6 +34,7 @@ PLACE = re.compile(r"(Section|Figure|Table|Theorem|Example) [\d.]+[a-z]?")
 NAME = re.compile(r"(local )?[\w-]+([.]\w+|\[[^\[\]]+\])*")
 
 
+ROOM = Path(hil.thesis.__file__).parent
 WRITTEN = Path(ROOT, "tests/data/statements.txt")
 PAGE = pages()["reproducing-the-thesis"].read_text(encoding="utf-8")
 TABLE = re.findall(r"^\| (.+?) \| (.+?) \|$", PAGE.partition("## Place by place")[2].partition("\n\nThe ratios")[0], re.M)[1:]
@@ -64,6 +67,24 @@ def test_what_is_claimed_has_the_name_of_a_number(tables: list[tuple[str, Statem
     claims = [(room, each.item, c) for room, each in tables for c in (*each.claims, *each.witness, *each.beside)]
     assert len(claims) > 400
     assert [(room, item, c) for room, item, c in claims if isinstance(c.name, str) and not NAME.fullmatch(c.name)] == []
+
+
+def test_no_statement_is_given_a_verdict_and_each_is_judged_by_computed_numbers(tables: list[tuple[str, Statement]]) -> None:
+    ours = set(VERDICTS) - {"undecided"}  # which certificates say too
+    for path in sorted(ROOM.rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and path.name not in ("judgement.py", "pages.py"):
+                assert node.value not in ours, f"{path.name}:{node.lineno} writes a verdict down"
+    for _, said in tables:
+        with pytest.raises(KeyError):  # each number is asked for by its name
+            judge([said], {})
+
+
+def test_a_printed_number_is_judged_once(tables: list[tuple[str, Statement]]) -> None:
+    """No two rows judge the same printed number: what else is known of it stands beside."""
+    numbers = Counter(s.printed for _, s in tables if any(c.isdigit() for c in s.printed) and "." in s.printed)
+    shared = {printed for printed, count in numbers.items() if count > 1}
+    assert not {p for p in shared if not p.startswith(("Section", "Remark", "Figure", "more effective", "<", ">"))}, shared
 
 
 class Named(float):
