@@ -64,7 +64,7 @@ def interval_matrices(corners: str, seed: int = 0) -> float:
         high = low + rng.uniform(0, 2, count)
         diagonal = diagonal - _largest(_symmetric(low + (high - low) * chosen, diagonal)).max() - 0.01
         # Half of the points have some of their entries at an end.
-        inside = np.clip(rng.uniform(-0.5, 1.5, (INSIDE, count)), 0.0, 1.0)
+        inside = rng.uniform(-0.5, 1.5, (INSIDE, count)).clip(0.0, 1.0)
         worst = max(worst, float(_largest(_symmetric(low + (high - low) * inside, diagonal)).max()))
     return worst
 
@@ -171,7 +171,7 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
         delayed_section(system, process, SECTIONS, m, None, reading="consistent", gain_bound=BOUNDS[0], gamma=GAMMA)
         for m in (0, 1)
     ]
-    found = np.array([free_gains(part, "012") for part in parts if part.certified]).swapaxes(0, 1)
+    found = np.stack([free_gains(part, "012") for part in parts if part.certified], axis=1)
     levels: dict[str, list[float]] = {"delays": [], "slopes": []}
     for n, delay_s in enumerate(DELAYS_S):
         report_progress(f"delays up to {delay_s:g} s", n, len(DELAYS_S) + len(SLOPES))

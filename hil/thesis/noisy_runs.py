@@ -132,17 +132,17 @@ def fault_runs(
 def _phases(
     eta: JumpPath, r: JumpPath, gain: ScheduledGain, process: FaultDetection, duration_s: float
 ) -> list[tuple[float, int, int, int]]:
-    """(start, eta, r, section) of every stretch on which the loop is constant, and an end mark."""
+    """(end, eta, r, section) of every stretch on which the loop is constant."""
     times = {0.0, *eta.times_s.tolist(), *r.times_s.tolist()}
     for start in np.unique(gain.starts_s):
         times |= {float(t + start) for t in r.times_s if t + start < duration_s}
-    out = []
-    for t in sorted(times):
+    out, instants = [], sorted(times)
+    for t, end in zip(instants, [*instants[1:], math.inf]):
         i, (k, clock) = int(eta.at(t)[0]), r.at(t)
         mode = gain_mode(gain.measured, process, i, int(k))
         section = int(np.searchsorted(gain.starts_s[mode], float(clock) + 1e-12, side="right")) - 1
-        out.append((t, i, mode, section))
-    return [*out, (math.inf, 0, 0, 0)]
+        out.append((end, i, mode, section))
+    return out
 
 
 def _propagate(
@@ -159,10 +159,10 @@ def _propagate(
     out[0], at = start, 0
     for k in range(held.shape[0]):
         now, until, state = k * noise_s, (k + 1) * noise_s, out[k]
-        while phases[at + 1][0] <= now:
+        while phases[at][0] <= now:
             at += 1
         while True:
-            end = min(until, phases[at + 1][0])
+            end = min(until, phases[at][0])
             key = phases[at][1:]
             if end - now == until - k * noise_s:
                 if key not in cache:
