@@ -74,7 +74,7 @@ class McapSink(Sink):
         self._closed = False
         self._ids: dict[str, int] = {}
         self._channels = channels
-        self.kept = ColumnBuffer(channels, keep or {}, self.path.parent)
+        self.kept = ColumnBuffer(channels, self._ids, keep or {}, self.path.parent)
         try:
             self._disk = _Disk(self.path)
         except OSError as error:
@@ -85,11 +85,10 @@ class McapSink(Sink):
         )  # fmt: skip
         try:
             self._open(channels, provenance)
-        except OSError as error:
+        except BaseException as error:
             self._disk.discard()
-            raise HilError(f"log {self.path}: cannot be written: {error.strerror or error}") from error
-        except BaseException:
-            self._disk.discard()
+            if isinstance(error, OSError):
+                raise HilError(f"log {self.path}: cannot be written: {error.strerror or error}") from error
             raise
 
     def _open(self, channels: Mapping[str, Channel], provenance: Provenance) -> None:
@@ -108,7 +107,6 @@ class McapSink(Sink):
             )  # fmt: skip
         events = writer.register_schema(EVENT_SCHEMA_NAME, "ros2msg", EVENT_SCHEMA.encode())
         self._ids[EVENTS_TOPIC] = writer.register_channel(EVENTS_TOPIC, "cdr", events)
-        self.kept.number(self._ids)
         writer.flush()
 
     def channel(self, topic: str) -> PayloadWriter | None:

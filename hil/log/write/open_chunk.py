@@ -147,6 +147,7 @@ class ColumnBuffer:
 
     Args:
         channels: the session's table.
+        ids: under which number a topic stands in the file, filled in before the first chunk ends.
         keep: topic to the fields that are kept, None for all; no topic with raw frames.
         folder: where those of a long run are kept, see `AppendColumn`.
 
@@ -157,7 +158,7 @@ class ColumnBuffer:
         ValueError: a topic that the session does not have, or that holds raw frames.
     """
 
-    def __init__(self, channels: Mapping[str, Channel], keep: Keep, folder: Path) -> None:
+    def __init__(self, channels: Mapping[str, Channel], ids: Mapping[str, int], keep: Keep, folder: Path) -> None:
         for topic in keep:
             if topic not in channels or channels[topic].schema.raw:
                 raise ValueError(f"keep: {topic!r} is no topic of numbers in the table of channels")
@@ -174,12 +175,8 @@ class ColumnBuffer:
             layout = {"names": names, "formats": formats, "offsets": offsets, "itemsize": payload + dtype.itemsize}
             self._messages[topic] = np.dtype(layout)  # type: ignore[call-overload]
             self._columns[topic] = AppendColumn([(TIME_FIELD, "<i8"), *zip(names, formats)], folder)
-        self._ids: Mapping[str, int] = {}
-        self._events, self._lengths = AppendColumn(np.uint8, folder), AppendColumn(np.int64, folder)
-
-    def number(self, ids: Mapping[str, int]) -> None:
-        """Say under which number a topic stands in the file."""
         self._ids = ids
+        self._events, self._lengths = AppendColumn(np.uint8, folder), AppendColumn(np.int64, folder)
 
     def take(self, data: bytes, messages: Messages) -> None:
         """Keep what is to be kept of one chunk; see `McapWriter`."""
