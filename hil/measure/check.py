@@ -60,13 +60,12 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
                 raise AssertionError(f"{what}: {key} is {value!r:.80}, expected a number, or None where it is not defined")
             if value is not None and not math.isfinite(value):
                 raise AssertionError(f"{what}: {key} is {value}; a number that is not defined is None")
+    if (whole := _numbers(measure, view, "a run")) != _numbers(measure, view, "a run"):
+        raise AssertionError("the same run must give the same numbers")
     kept = {topic: array for topic, array in view.run.arrays.items() if topic in measure.topics}
     of_those = replace(view, run=struct_replace(view.run, arrays=kept))
-    alone = _numbers(measure, of_those, f"with {measure.topics} alone, its topics")
-    if alone != _numbers(measure, view, "a run"):
+    if _numbers(measure, of_those, f"with {measure.topics} alone, its topics") != whole:
         raise AssertionError(f"with {measure.topics} alone, its topics, it gives other numbers: a sweep keeps no others")
-    if _numbers(measure, view, "a run") != _numbers(measure, view, "a run"):
-        raise AssertionError("the same run must give the same numbers")
     said = [f"{name} is a Measure: its numbers stand in summary, page, sweep and comparison"]
     if isinstance(measure, BatchMeasure):
         said.append(f"{name} is a BatchMeasure: a sweep asks it for all runs at once")

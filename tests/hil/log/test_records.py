@@ -138,6 +138,11 @@ def test_a_layout_that_would_not_be_aligned_is_refused(types: tuple[str, ...]) -
         Schema(name="hil/msg/Bad", fields=tuple(Field(type=t, name=f"f{i}") for i, t in enumerate(types)))
 
 
+def test_the_time_of_a_record_is_no_name_of_a_signal() -> None:
+    with pytest.raises(HilError, match=r"signal 'T ns': 't_ns' is the log's own name for the time of a record"):
+        field_name("T ns")
+
+
 def test_a_schema_name_that_ros2_readers_cannot_take_is_refused() -> None:
     with pytest.raises(ValueError, match="package/msg/Name"):
         Schema(name="hil.PlantState", fields=(Field(type="float64", name="a"),))

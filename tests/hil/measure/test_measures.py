@@ -85,8 +85,8 @@ CALLS = count()
     ("name", "instead", "fault"),
     [
         ("of", lambda self, view: {"effort": float("nan")}, "is nan"), ("of", lambda self, view: {"work": 1.0}, "work"),
-        ("of", lambda self, view: {"effort": float(len(view.run.arrays.get("/plant/state", ())))}, "topics"),
-        ("of", lambda self, view: {"effort": float(next(CALLS))}, "numbers"),
+        ("of", lambda self, view: {"effort": float(len(view.run.arrays.get("/plant/state", ())))}, "alone, its topics"),
+        ("of", lambda self, view: {"effort": float(next(CALLS))}, "the same run must give the same numbers"),
         ("of", lambda self, view: {"effort": "much"}, "a run: effort is 'much', expected a number, or None"),
         ("quantities", lambda self, signals: (), "a measure has at least one quantity"), ("title", None, "title"),
     ],

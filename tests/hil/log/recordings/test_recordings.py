@@ -351,7 +351,7 @@ def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
         ([plain, plain, plain], {}, "expected one file, or two CAN logs of one bus, or two tables (.csv) of both directions"),
         ([plain, empty], {}, "expected one file, or two CAN logs of one bus, or two tables"),
         ([plain, tmp_path / "b.log"], {}, "expected one file, or two CAN logs of one bus, or two tables"),
-        ([tmp_path / "b.log"] * 3, {}, "a CAN log has no latencies by itself"),
+        ([tmp_path / f"b{ending}" for ending in (".log", ".asc", ".blf")], {}, "a CAN log has no latencies by itself"),
         ([plain, trips], {}, "two tables are both directions; expected latencies or time stamps, and no round trips"),
         ([trips, plain], {}, "two tables are both directions; expected latencies or time stamps, and no round trips"),
         ([plain], {"halve": True}, "--halve: these are no round trips, but sc"),

@@ -267,8 +267,9 @@ def git(folder: Path, *words: str) -> str:
     return done.stdout.strip()
 
 
-def test_a_checkout_is_named_by_its_commit_and_by_what_differs_from_it(tmp_path: Path) -> None:
-    assert commit(tmp_path) == "", "no checkout"
+def test_a_checkout_is_named_by_its_commit_and_by_what_differs_from_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "broken/.git").mkdir(parents=True)
+    assert commit(tmp_path) == commit(tmp_path / "broken") == "", "no checkout"
     git(tmp_path, "init", "-q")
     (tmp_path / "a").write_text("1")
     git(tmp_path, "add", "a")
@@ -279,6 +280,9 @@ def test_a_checkout_is_named_by_its_commit_and_by_what_differs_from_it(tmp_path:
     (tmp_path / "a").write_text("2")
     commit.cache_clear()
     assert commit(tmp_path) == f"{clean}-dirty"
+    commit.cache_clear()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert commit(tmp_path) == "", "no git"
     commit.cache_clear()
 
 

@@ -21,6 +21,7 @@ from hil.runtime.nodes.wire import Wire, session_wire
 from hil.runtime.virtual import simulate_as_logged
 from hil.session.replay import over_link
 from hil.session.replay import recorded as replay_recorded
+from hil.session.replay.compare import near_values
 from hil.session.replay.over_link import ask_process
 from hil.session.replay.recorded import RecordedAnswers, Tags, changes_of, recorded_wire, verify_tags
 from hil.session.replay.replay import experiment_of, verify, what_if
@@ -178,3 +179,15 @@ def test_a_log_that_cannot_be_asked_says_why() -> None:
             bare = replace(bare, events=[{"kind": "change", "slot": 3, "data": {"path": "plant.gain"}}])
         with pytest.raises(HilError, match=re.escape(said)):
             ask(bare)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "near"),
+    [
+        (1.0, 1.0 + 2.0**-22, True), (1.0, 1.0 + 2.0**-21, False), (-1e-9, 1e-9, False), (np.inf, np.inf, True),
+        (0.0, -0.0, True), (np.nan, np.nan, True), (np.nan, 1.0, False), (1.0, np.nan, False), (7, 7, True), (7, 8, False),
+        (((1.0, 2.0), 3), ((1.0, 2.0 + 2.0**-22), 3), True), ((1.0,), (1.0, 2.0), False), ((), (), True), (None, (), False),
+    ],
+)  # fmt: skip
+def test_values_of_a_frame_are_near_in_the_last_bits_of_the_wire(one: object, other: object, near: bool) -> None:
+    assert near_values(one, other) is near_values(other, one) is near
