@@ -5,14 +5,13 @@ And gains for uncertain plants (7.41).
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 
-from design.errors import DesignError
+from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.uncertainty import robust_h2, uncertainty_margin
 from design.requests.tracking import solve_tracking
 from design.tracking.synthesis import Design, TrackingProblem, solve
@@ -260,25 +259,19 @@ def uncertain(report_progress: ReportProgress) -> dict[str, Any]:
         asked = [interval(target.of, f"gain={percent}%")]
         plants, ours = plants_between(target, asked), robust_design(target, nominal, asked)
         both = {"nominal": nominal, "ours": ours}
-        margin = {who: _margin(design, plants) for who, design in both.items()}
+        margin = {who: uncertainty_margin(*_loop(design, plants)) for who, design in both.items()}
         values[name] = {
-            "margin": margin, "ratio": margin["ours"] / margin["nominal"],
-            "cost": {who: _guaranteed(design, plants) for who, design in both.items()},
+            "margin": margin, "ratio": margin["ours"] / margin["nominal"], "h2": ours.certificate.h2_norm,
             "verdict": {who: judge_uncertain(target, design, asked).state for who, design in both.items()},
-            "h2": ours.certificate.h2_norm,
         }  # fmt: skip
+        if percent == NARROW:  # what the nominal gains do not bear has no cost
+            values[name]["cost"] = {who: robust_h2(*_loop(design, plants))[0] for who, design in both.items()}
     return values
 
 
-def _margin(design: Design, plants: PlantSet) -> float:
-    return uncertainty_margin(design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2)
+def _loop(design: Design, plants: PlantSet) -> tuple[LoopStructure, Array, Array, Array, Array]:
+    return design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2
 
-
-def _guaranteed(design: Design, plants: PlantSet) -> float:
-    try:
-        return robust_h2(design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2)[0]
-    except DesignError:
-        return math.nan
 
 
 UNCERTAIN = (

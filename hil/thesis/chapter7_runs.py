@@ -71,21 +71,19 @@ def errors(
     tau, d = (rng.choice(len(P), p=stationary(P), size=runs) for P in NETWORK)
     held = steady_state(*plant).input[:, 0]
     x = np.zeros((runs, plant.A.shape[0]))
-    outputs: list[Array] = []
-    packets: list[Array] = []
-    made: list[npt.NDArray[np.intp]] = []
+    outputs, made = [np.zeros(runs)] * 3, [d] * 2  # newest first, as are packets; made: d when the packets were
+    packets = [np.zeros((runs, *gains.shape[1:3]))] * 2
     found = np.empty((len(reference), runs))
     for k, r in enumerate(reference):
         if k:
             tau, d = (following(rng, total, mode) for total, mode in zip(sums, (tau, d), strict=True))
-        outputs = [x @ plant.C[0], *outputs[:2]]  # newest first, as are packets and the d at which they were made
-        made = [d, *made[:1]]
+        outputs, made = [x @ plant.C[0], *outputs[:-1]], [d, made[0]]
         found[k] = outputs[0] - r
-        seen = np.stack([outputs[min(age, len(outputs) - 1)] for age in range(3)])[tau, every] - r
+        seen = np.stack(outputs)[tau, every] - r
         rows = held * r + gains[tau, :, :, 0] * seen[:, None, None]
         rows[tau > k] = 0.0  # no sample has come
-        packets = [rows, *packets[:1]]
-        sent = np.stack([packets[min(age, len(packets) - 1)] for age in range(2)])[d, every]
+        packets = [rows, packets[0]]
+        sent = np.stack(packets)[d, every]
         row = np.where(d == 0, d, made[-1]) if selection == "generated" else zero
         u = sent[every, row]
         u[d > k] = 0.0  # no packet has come
