@@ -32,25 +32,6 @@ WAITS_TOO_LONG: Final = 1e-6
 """How far from 1 a growth must lie to decide."""
 
 
-class Said:
-    """Keeps the first answer of a plant and a controller to every question: a certifier and a test lean on the same answer."""
-
-    def __init__(self) -> None:
-        self._known: dict[str, Any] = {}
-
-    def once(self, name: str, ask: Callable[[], T]) -> T:
-        """Return the answer to a question, asked at most once.
-
-        Args:
-            name: of the question.
-            ask: asks it.
-        """
-        if name not in self._known:
-            self._known[name] = ask()
-        answer: T = self._known[name]
-        return answer
-
-
 class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     """The loop that will run, as far as a claim can rest on it.
 
@@ -66,7 +47,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         input_limits: largest command per input that the run allows, None where it has no limit.
         state_limits: largest value of named states.
         selection: rule by which the controller that was started says that a row is picked; empty: not looked for.
-        said: what plant and controller said of themselves.
+        said: what plant and controller said of themselves, by the question.
         unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
         neglects: what the chains leave out; empty: nothing.
         silent: what of the packets never comes where it is waited for, and why; empty: of each kind some come.
@@ -92,7 +73,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     input_limits: tuple[float, ...] | None = None
     state_limits: Mapping[str, float] = msgspec.field(default_factory=dict)
     selection: str = ""
-    said: Said = msgspec.field(default_factory=Said)
+    said: dict[str, Any] = msgspec.field(default_factory=dict)
     unmet: str = ""
     neglects: str = ""
     silent: str = ""
@@ -115,6 +96,18 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         """The plant's own model, which is what the controller knows unless another plant has taken over."""
         return self.model if self.taken_over is None else self.taken_over
 
+    def once(self, name: str, ask: Callable[[], T]) -> T:
+        """Return the first answer of plant or controller to a question: a certifier and a test lean on the same one.
+
+        Args:
+            name: of the question.
+            ask: asks it.
+        """
+        if name not in self.said:
+            self.said[name] = ask()
+        answer: T = self.said[name]
+        return answer
+
     def no_chain(self) -> str:
         """Return why nothing is known of a loop without chains of ages, as a reason."""
         return f"no certificate covers this kind of network: {self.chainless}" if self.chainless else (
@@ -132,11 +125,7 @@ class Certifier(Protocol):
 
 def table_of(loop: CertificationProblem, controller: GainTable) -> NDArray[np.float64]:
     """Return the gains that a controller states, K[tau, row, m, p], asked once: judge and test lean on the same ones."""
-
-    def ask() -> NDArray[np.float64]:
-        return np.array(controller.table(loop.model), dtype=float)
-
-    return loop.said.once("table", ask)
+    return loop.once("table", lambda: np.array(controller.table(loop.model), dtype=float))
 
 
 def undecided(loop: CertificationProblem, kind: Kind, reason: str, details: Mapping[str, object] | None = None) -> Verdict:

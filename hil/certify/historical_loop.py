@@ -85,7 +85,7 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         said = f"[plant] has {len(x0)} states, and its model {len(plant.A)}: what it costs from its first state is not known"
         return undecided(loop, KIND, said)
     least = _least_cost(loop.plant, plant, history)
-    K = loop.said.once("history", lambda: np.array(controller.history(), dtype=float))
+    K = loop.once("history", lambda: np.array(controller.history(), dtype=float))
     unknown = gains_undecided(K, nodes, controller.uses, plant.memory)
     if nodes.silent:
         unknown = f"the theory does not know when the triggers or clocks of the nodes {', '.join(nodes.silent)} let them send"

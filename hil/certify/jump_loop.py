@@ -112,8 +112,8 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
 
     try:
         stated, rates, gain = _within_reach(
-            loop.said.once("jump system", plant.jump_system), loop.said.once("jump process", plant.jump_process),
-            loop.said.once("schedule", controller.schedule_of_modes),
+            loop.once("jump system", plant.jump_system), loop.once("jump process", plant.jump_process),
+            loop.once("schedule", controller.schedule_of_modes),
         )  # fmt: skip
         system, process = system_of(stated), process_of(rates)
         system, gain = _with_seen_sensors(system, gain, hidden=isinstance(process, FaultDetection))

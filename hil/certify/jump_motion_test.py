@@ -45,8 +45,8 @@ NAME = "your plant does not move as its model() says"
 def jump_check(loop: CertificationProblem) -> Check:
     """Return what a plant's motion says of its matrices and rates: a state and its reason, or None and what was found equal."""
     plant = cast(JumpPlant, loop.plant)
-    system = loop.said.once("jump system", plant.jump_system)
-    rates = loop.said.once("jump process", plant.jump_process)
+    system = loop.once("jump system", plant.jump_system)
+    rates = loop.once("jump process", plant.jump_process)
     first = rates.initial_detected if rates.detection else rates.initial
     begun = {int(plant.start(np.random.default_rng((SEED, turn))).measure()[-1]) for turn in range(RUNS)}
     if first and not begun <= set(first):

@@ -184,7 +184,7 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
         laws, selection = laws_of(loop, controller, int(loop.sc.label.max()) + 1), controller.start(loop.model).selection
         verdict = judge_linear_law(loop.motion, loop.sc, loop.ca, laws, selection, digest=loop.digest)
         return limited_to_model(loop.plant, verdict)
-    law, sc, ca = loop.said.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
+    law, sc, ca = loop.once("law", lambda: controller.linear_law(loop.model)), loop.sc, loop.ca
 
     def modes(A: Array, B: Array, C: Array) -> ClosedLoop:
         from design.networked_loop.closed_loop import dynamic_loop
@@ -204,7 +204,7 @@ def _closed(structure: LoopStructure, gains: Array, C: Array) -> ClosedLoop:
 
 def laws_of(loop: CertificationProblem, controller: AgedFeedback, ages: int) -> tuple[RowsLaw, ...]:
     """Return the matrices that a controller states for so many ages, asked once: judge and test lean on the same ones."""
-    return loop.said.once(f"laws of {ages}", lambda: controller.laws_of_ages(loop.model, ages))
+    return loop.once(f"laws of {ages}", lambda: controller.laws_of_ages(loop.model, ages))
 
 
 def judge_linear_law(

@@ -20,6 +20,7 @@ from design.controllers import (
     ages_distinguished,
     integral_limit,
     integrates,
+    nested,
     packet_samples,
     row_sojourns_distinguished,
     sojourns_distinguished,
@@ -49,7 +50,6 @@ from hil.rig.watched import EQUAL, handed, looks_back
 if TYPE_CHECKING:
     from design.controllers import Controller
     from design.controllers.scheduled_gain import ScheduledGain
-    from design.requests.scheduled import Scheduled
 
 
 SIZES = (1e-3, 1e3)
@@ -118,35 +118,33 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
     p = model.C.shape[0]
     if isinstance(controller, GainTable):
         K = table_of(loop, controller)
-        samples, integral, stays, ages = (
-            packet_samples(controller), integrates(controller), sojourns_distinguished(controller),
-            ages_distinguished(controller),
-        )  # fmt: skip
+        samples, stays = packet_samples(controller), sojourns_distinguished(controller)
         lengths = (stays,) if isinstance(stays, int) else tuple(stays)
         table = SendAll(
-            gains=_nested(K), selection=controller.selection, integral=integral, samples=samples,
-            integral_limit=integral_limit(controller),
-            sojourns=() if isinstance(stays, int) else lengths, ages=ages, row_sojourns=row_sojourns_distinguished(controller),
+            gains=nested(K), selection=controller.selection, integral=integrates(controller), samples=samples,
+            integral_limit=integral_limit(controller), sojourns=() if isinstance(stays, int) else lengths,
+            ages=ages_distinguished(controller), row_sojourns=row_sojourns_distinguished(controller),
         )  # fmt: skip
         return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):
-        law = loop.said.once("law", lambda: controller.linear_law(model))
-        rows = [tuple(tuple(map(float, row)) for row in np.asarray(M)) for M in (law.A, law.B, law.C, law.D)]
-        return OutputFeedback(A=rows[0], B=rows[1], C=rows[2], D=rows[3]), question(model, width=p)
+        law = loop.once("law", lambda: controller.linear_law(model))
+        A, B, C, D = (nested(np.asarray(M)) for M in (law.A, law.B, law.C, law.D))
+        return OutputFeedback(A=A, B=B, C=C, D=D), question(model, width=p)
     if isinstance(controller, AgedFeedback):
         laws = laws_of(loop, controller, max(model.tau_max, 0 if loop.sc is None else int(loop.sc.label.max())) + 1)
         return AgedRows(laws=laws, selection=controller.start(model).selection), question(model, width=p)
     if isinstance(controller, HistoryGains):
         from design.controllers.historical import Historical
 
-        K = loop.said.once("history", lambda: np.array(controller.history(), dtype=float))
+        K = loop.once("history", lambda: np.array(controller.history(), dtype=float))
         if None in model.nodes.delays:
             return None
-        return Historical(gains=_nested(K), uses=controller.uses), over_nodes(model, memory=K.shape[1] - 1)
+        return Historical(gains=nested(K), uses=controller.uses), over_nodes(model, memory=K.shape[1] - 1)
     if isinstance(controller, ModeSchedule):
+        from design.requests.scheduled import scheduled_of
 
-        gain = loop.said.once("schedule", controller.schedule_of_modes)
-        return scheduled_by(gain), mode_question(model, gain)
+        gain = loop.once("schedule", controller.schedule_of_modes)
+        return scheduled_of(gain), mode_question(model, gain)
     if isinstance(controller, WallController):
         from design.controllers.virtual_wall import VirtualWall
 
@@ -154,10 +152,6 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
         twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
         return twin, wall_question(model, samples)
     return None
-
-
-def _nested(K: np.ndarray) -> tuple:  # type: ignore[type-arg]
-    return tuple(_nested(part) for part in K) if K.ndim > 1 else tuple(map(float, K))
 
 
 def _at_rest(asked: Question) -> Question:
@@ -194,13 +188,6 @@ def _wall(starts: tuple[Start, Start], asked: Question, loop: CertificationProbl
 
 MOST_SLOTS = 1500
 """Slots in which stays are long enough that a gain changes, as far as that goes."""
-
-
-def scheduled_by(gain: ScheduledGain) -> Scheduled:
-    """Return the controller that runs a schedule."""
-    from design.requests.scheduled import Scheduled
-
-    return Scheduled(gain=_nested(gain.gain), starts_s=_nested(gain.starts_s), schedule=gain.schedule)
 
 
 def mode_question(model: LoopModel, gain: ScheduledGain) -> Question:

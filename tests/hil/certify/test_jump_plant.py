@@ -15,7 +15,6 @@ import hil
 from design.as_printed import examples
 from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
-from hil.certify.certifier import Said
 from hil.certify.certify import judge
 from hil.certify.jump_loop import jump_step, process_of, system_of
 from hil.compose.loop import compose
@@ -203,7 +202,7 @@ def test_a_detected_mode_that_no_run_comes_to_is_left_out() -> None:
     loop = jump_loop(np.random.default_rng(0), system, process, np.array([[[-1.0]], [[99.0]]]), 0.05, 0)
     assert judge(loop).certified
     unsure = dataclasses.replace(loop.plant, process=dataclasses.replace(process, initial=(), initial_detected=()))  # type: ignore[type-var]
-    assert judge(replace(loop, plant=unsure, said=Said())).state == "refused"
+    assert judge(replace(loop, plant=unsure, said={})).state == "refused"
     with pytest.raises(ValueError, match="initial: 3, expected a mode from 1 to 2"):
         JumpRates(rates=tables[0], initial=(3,))
 
