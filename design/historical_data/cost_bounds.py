@@ -14,6 +14,7 @@ import numpy.typing as npt
 from design.controllers.sensor_nodes import SensorNodes
 from design.errors import Infeasible, NotStable
 from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, cycle
+from design.historical_data.sensor_schedule import undecided_because
 
 RARE: Final = 1e-5
 """Branches of this probability are left."""
@@ -52,7 +53,7 @@ def hearing_of(nodes: SensorNodes) -> Hearing | None:
         nodes: the sensor nodes.
     """
     turns, delays = nodes.turns, [delay for delay in nodes.delays if delay is not None]
-    if nodes.mixed or nodes.unforeseen or nodes.silent or len(delays) < len(nodes.delays):
+    if undecided_because(nodes) or nodes.silent:
         return None
 
     def brought(node: int, age: int) -> Seen:
@@ -69,8 +70,6 @@ def hearing_of(nodes: SensorNodes) -> Hearing | None:
             tuple(e for node, age in turns.cycle[(i - delays[0]) % phases] for e in brought(node, age)) for i in range(phases)
         )
         return Hearing(transition=cycle(phases), start=np.full(phases, 1.0 / phases), seen=seen, loss=turns.loss)
-    if delays[0] and not np.allclose(np.array(turns.initial) @ np.array(turns.transition), turns.initial, atol=1e-12):
-        return None
     return Hearing(
         transition=np.array(turns.transition), start=np.array(turns.initial),
         seen=tuple(brought(node, 0) for node in range(len(nodes.names))), loss=turns.loss,
