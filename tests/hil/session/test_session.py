@@ -53,19 +53,11 @@ def test_another_seed_gives_another_file(tmp_path: Path) -> None:
 
 
 def test_json_summary_has_everything_that_is_promised(tmp_path: Path) -> None:
-    done = hil_command("run", "dc-motor-hinf", "--json", cwd=tmp_path)
-    summary = json.loads(done.stdout)
-    assert {"experiment", "seed", "clock", "link", "slots", "duration_s", "wall_s"} <= set(summary)
-    assert {"sse", "sse_after_5s", "overshoot", "settling_time_s", "steady_state_error", "max_abs_u"} <= set(summary["metrics"])
-    for side in ("sc", "ca"):
-        wanted = {"law", "mode_counts", "transition_counts", "p_value", "lost", "late", "duplicated"}
-        assert wanted <= set(summary["network"][side])
-        assert sum(summary["network"][side]["mode_counts"]) == summary["slots"] == 1000
-        assert 1e-6 < summary["network"][side]["p_value"] <= 1
-    assert {"valid", "scheduler", "lateness_us", "round_trip_us", "overruns"} <= set(summary["timing"])
-    assert summary["timing"]["valid"] is True and summary["safety"] is None and summary["duration_s"] == 50.0
-    assert {"path", "sha256", "messages", "dropped"} <= set(summary["log"])
-    assert summary["log"]["dropped"] == 0
+    """Beside what `hil.measure.summary.summarise` says, which is printed in tests/data/summaries.json."""
+    summary = json.loads(hil_command("run", "dc-motor-hinf", "--json", cwd=tmp_path).stdout)
+    assert {"wall_s", "log", "link_counters", "controller_counters", "problems", "gains", "accepted_from"} <= set(summary)
+    assert {"path", "sha256", "messages", "dropped"} == set(summary["log"]) and summary["log"]["dropped"] == 0
+    assert (summary["slots"], summary["duration_s"], summary["safety"]) == (1000, 50.0, None)
 
 
 def writable(run: Run, topic: str) -> Any:
