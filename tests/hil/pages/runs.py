@@ -6,6 +6,7 @@ And their pages, of which no certificate is computed, and what ran where (versio
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any, Final
@@ -159,7 +160,16 @@ def live() -> dict[str, list[str]]:
             "acts": acts.now(0, True), "span": side.span()}
     layouts = {"foxglove": foxglove(shown.run.schemas).splitlines(), "plotjuggler": plotjuggler(shown.run.schemas).splitlines()}
     drawn_lines = [f"{trace}: {rounded(values.astype(float))}" for trace, values in zip(side.traces, drawn)]
-    return layouts | {name: _json(one) for name, one in said.items()} | {"picture": drawn_lines}
+    offers = {name: _json(_offered(name)) for name in ("dc-motor-smith", "dc-motor-packets", "dc-motor-busy-can", "omni-push")}
+    return layouts | offers | {name: _json(one) for name, one in said.items()} | {"picture": drawn_lines}
+
+
+def _offered(name: str) -> Any:
+    """Return what a page is given of an experiment that is seen, that takes changes in real time, and in virtual time."""
+    sides, loop = (Side(), Side(acts=True), Side(PacedClock(), acts=True)), compose(load_experiment(name), certify=False)
+    for side in sides:
+        side.begin(loop, {})
+    return about(sides, name)
 
 
 def _taken(desk: Desk, wish: Wish) -> list[Any]:
@@ -175,4 +185,4 @@ def _taken(desk: Desk, wish: Wish) -> list[Any]:
 
 def _json(value: Any) -> list[str]:
     plain = json.loads(json.dumps(value), parse_float=lambda text: float(f"{float(text):.6g}"))
-    return json.dumps(plain, indent=0, ensure_ascii=False).splitlines()
+    return re.split(r', (?=")', json.dumps(plain, ensure_ascii=False))

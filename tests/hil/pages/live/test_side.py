@@ -1,17 +1,20 @@
-"""A run that is watched takes changes for slots that have not begun, in their order, and each once."""
+"""A run that is watched takes changes for slots that have not begun, in their order, and each once; and what its page offers."""
 
 from __future__ import annotations
 
 import pytest
 
+from hil.api.experiment_source import load_experiment
 from hil.compose.changed import changed
 from hil.compose.loop import compose
-from hil.experiment import load_experiment
+from hil.experiment import Experiment
 from hil.log.topics import channels_of
+from hil.pages.live.about import about, controllers, controllers_of
 from hil.pages.live.desk import Desk
 from hil.pages.live.side import Side
 from hil.rig.loop import Loop
 from hil.runtime.changes import Change
+from hil.runtime.clock import PacedClock
 
 FIRST, SECOND = (Change(path=path, value=1, loop=None) for path in ("a", "b"))
 
@@ -49,3 +52,30 @@ def test_a_change_that_takes_many_slots_to_compose_is_armed_all_the_same(monkeyp
         assert slot == asked[-1] > side.next_slot() - 40 and len(asked) <= 3 and due(slot)
     finally:
         desk.close()
+
+
+def test_a_plant_that_is_a_table_of_lists_may_change_entry_by_entry() -> None:
+    side, plant = Side(PacedClock(), acts=True), {"kind": "state-space", "A": [[0.0]], "B": [[1.0, 2.0]], "C": [[1.0]]}
+    changes = {"plant": plant | {"saturation": [3.0, 4.0]}, "controller": {"kind": "local", "gain": [[0.1]] * 2}}
+    made = load_experiment("dc-motor-h2", reference=[], disturbance=[], limits={}, **changes)
+    side.begin(compose(made, certify=False), {})
+    assert about([side], "here")["runs"][0]["fields"] == {"plant.saturation.0": 3.0, "plant.saturation.1": 4.0}
+
+
+def test_the_page_waits_for_no_other_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a page is drawn from loads nothing; the controllers that it offers come behind it."""
+    side = Side(PacedClock(), acts=True)
+    assert about([side], "here")["runs"] == [{"name": "", "traces": [], "waits": ""}] and controllers_of(side) == {}
+    side.begin(compose(load_experiment("dc-motor-hinf")), {})
+    loaded: list[str] = []
+
+    def load(name: str) -> Experiment:
+        loaded.append(name)
+        return load_experiment(name)
+
+    monkeypatch.setattr(f"{about.__module__}.load_experiment", load)
+    controllers.cache_clear()
+    assert about([side], "here")["runs"][0]["name"] == "dc-motor-hinf" and not loaded
+    offered = controllers_of(side)
+    assert "dc-motor-h2" in offered and "dc-motor-h2" in loaded
+    assert not {"dc-motor-h2-fast", "dc-motor-two-nodes", "omni-push"} & set(offered)  # another period, outputs, plant
