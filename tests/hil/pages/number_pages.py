@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -56,10 +57,13 @@ def points(*found: dict[str, np.ndarray], at: Points, cautions: Sequence[int] = 
     return ParameterSweep(experiment="motor", points=at, columns=found, quantities=quantities, cautions=said)
 
 
+ONCE: Final = columns(10.0) | {"sse": np.where(SEEDS == 3, 9.0, np.nan)}
 SIX: Final = [columns(10.0 + i * i) for i in range(6)]
 FOUND: Final[dict[str, Comparison | ParameterSweep]] = {
     "near": comparison(a=columns(10.0), b=columns(10.4, far=0.7), c=columns(9.0)),
     "far": comparison(a=columns(10.0), b=columns(400.0, stopped=2)), "signed": comparison(a=columns(-0.5), b=columns(-300.0)),
+    "pair": comparison(a=ONCE, b=ONCE), "others": comparison(a=columns(10.0), b=ONCE),
+    "no direction": replace(comparison(a=columns(10.0), b=columns(9.0)), quantities=OTHERS[1:]),
     "stopped": comparison(a=columns(10.0, stopped=7), b=columns(10.0)), "alone": comparison(a=columns(10.0)),
     "one": points(*SIX[:3], at=grid(["period=25ms,50ms,10ms"])), "part": points(*SIX[:2], at=grid(["period=1,2,3"])),
     "words": points(*SIX, at=grid(["network.sc.law=markov,'iid',c,d,e,f"]), cautions=range(6)),
