@@ -9,18 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import (
-    BarGroup,
-    Bars,
-    Figure,
-    Histogram,
-    Marker,
-    Scene,
-    Section,
-    Series,
-    Shape,
-    Tile,
-)
+from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Marker, Scene, Section, Series, Shape, Tile
 from hil.pages.html.page import Page
 from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene, nice_ticks
 from tests.hil.pages.whole_pages import GOOD, SECTIONS
