@@ -18,12 +18,14 @@ from hil.files import PAGE
 from hil.measure import measure, network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
+from hil.pages.html.page import Page
 from hil.pages.run_page import render_report
-from hil.pages.sections import plain_section, sections_of
+from hil.pages.sections import plain_section
 from hil.rig import delay_chains, normal_form
 from hil.rig.loop import Loop
 from hil.session.replay import avatar
 from plants.dc_motor import DCMotor
+from tests.hil.pages.whole_pages import SECTIONS, lines
 from transport.laws.age import ConstantAge
 
 MINE = """
@@ -200,14 +202,10 @@ def test_a_text_with_methods_of_its_own_is_escaped(page: Any) -> None:
     assert "&lt;i&gt;" in found and "&lt;script&gt;alert(1)" in found and "<i>" not in found and "<script>alert" not in found
 
 
-def test_all_blocks_of_ours_pass_as_they_are() -> None:
-    """What a user may draw is what our own sections draw."""
-    for name in ("omni-slide", "multisensor-published", "dc-motor-bursty"):
-        session = hil.run(name, duration=1)
-        view = view_of(session.run, session.experiment)
-        for section in sections_of(view):
-            copy = plain_section(section)
-            assert (copy.title, copy.place, len(copy.blocks)) == (section.title, section.place, len(section.blocks))
+def test_all_blocks_pass_as_they_are() -> None:
+    for section in SECTIONS:
+        copied, own = (str(lines(Page("t", [each]).html())) for each in (plain_section(section), section))
+        assert copied.replace(".0", "") == own.replace(".0", ""), "counts are floats in a copy"
 
 
 def test_the_check_says_whether_a_measure_draws(mine: Path, capsys: pytest.CaptureFixture[str]) -> None:
