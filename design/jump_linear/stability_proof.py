@@ -249,12 +249,12 @@ def _searched(A: Array, transition: Array, most: int) -> tuple[Side, float, int]
         S, X = S + X, moved(X)
         size = _norm(X)
         if size < HALF and (side := judged(S)).stable is not None:
-            return side._replace(bound=min(side.bound, (2.0 * size) ** (1.0 / k))), 1.0, k + 1  # twice: beyond its rounding
+            return side._replace(bound=min(side.bound, (2.0 * size) ** (1.0 / k))), 1.0, k  # twice: beyond its rounding
         if k < look and size < LARGEST:
             continue
         look, growth = int(SPACING * k) + 1, max(1.0, (size / _norm(then)) ** (1.0 / (k - at)))
         if size < LARGEST and _least(unit - 2.0 * then + X) > SLACK and (side := judged(2.0 * early - S)).stable is not None:
-            return side, growth, k + 1
+            return side, growth, k
         if not lost * float(np.abs(S).max()) < SLACK:  # what more products add is lost in rounding
             return OPEN, growth, k
         if k >= 2 * at:

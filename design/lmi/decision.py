@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from design.errors import FieldError, Infeasible
+from design.errors import Infeasible, check_above_zero
 from design.lmi import solver
 from design.lmi.exact import ExactProof, Rebuildable, as_float, as_fraction, prove, prove_inequalities, rounded
 from design.lmi.program import LmiProgram, LmiSolution, verify
@@ -173,8 +173,7 @@ def smallest_gamma(build: Callable[[float], LmiProgram], what: str) -> Attenuati
 
 def at_gamma(build: Callable[[float], LmiProgram], gamma: float, what: str) -> Attenuation:
     """A verified solution at the given gamma. Raises Infeasible as ``smallest_gamma`` does."""
-    if not math.isfinite(gamma) or gamma <= 0:
-        raise FieldError("gamma", f"{gamma!r} is not a finite positive number")
+    check_above_zero(gamma=gamma)
     found = decide(with_gamma(build(1.0 / gamma), 1.0))
     if not found.holds:
         raise Infeasible(f"{what} at gamma = {gamma:g}: {found.explain()}", value=found.margin, proved=found.refused)

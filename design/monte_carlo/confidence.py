@@ -39,7 +39,7 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 
 FloatArray = npt.NDArray[np.float64]
 Statistic = Literal["mean", "sd"]
@@ -195,8 +195,7 @@ class StopRule:
     growth: float = 1.5
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.half_width) or self.half_width <= 0:
-            raise FieldError("half_width", f"{self.half_width!r} is not positive")
+        check_above_zero(half_width=self.half_width)
         if self.statistic not in get_args(Statistic):
             raise FieldError("statistic", f"{self.statistic!r} is not one of {get_args(Statistic)}")
         if not 0 < self.level < 1:

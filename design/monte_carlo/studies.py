@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 from design.monte_carlo.jump_loop import JumpLoop, MatrixFlow, Segments, segments
 from design.monte_carlo.parallel_runs import ONE_CORE, Workers, in_chunks, inside_chunk
 
@@ -40,10 +40,7 @@ class _Study:
     band: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("duration_s", "dt_s"):
-            value = getattr(self, name)
-            if not math.isfinite(value) or value <= 0:
-                raise FieldError(name, f"{value!r} is not a finite positive time")
+        check_above_zero(duration_s=self.duration_s, dt_s=self.dt_s)
         if abs(self.duration_s / self.dt_s - self.steps) > 1e-9 * self.steps or self.steps < 1:
             raise FieldError("duration_s", f"{self.duration_s!r} is no multiple of dt_s = {self.dt_s!r}")
         if self.seed < 0:

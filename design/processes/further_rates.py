@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.processes import elementary
-from design.processes.rates import FloatArray, Rate, check_positive
+from design.processes.rates import FloatArray, Rate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,10 +40,8 @@ class BathtubRate(Rate):
     wear_span_s: float
 
     def __post_init__(self) -> None:
-        for name in ("infant", "useful", "wear", "wear_start_s"):
-            check_positive(name, getattr(self, name), zero=True)
-        check_positive("infant_time_s", self.infant_time_s)
-        check_positive("wear_span_s", self.wear_span_s)
+        check_at_least_zero(infant=self.infant, useful=self.useful, wear=self.wear, wear_start_s=self.wear_start_s)
+        check_above_zero(infant_time_s=self.infant_time_s, wear_span_s=self.wear_span_s)
 
     @property
     def breaks(self) -> tuple[float, ...]:
@@ -93,7 +91,7 @@ class KOutOfNRate(Rate):
     rate: float
 
     def __post_init__(self) -> None:
-        check_positive("rate", self.rate)
+        check_above_zero(rate=self.rate)
         if not 1 <= self.needed <= self.installed:
             raise FieldError("needed", f"{self.needed} of {self.installed} components is not between 1 and all")
 
@@ -134,7 +132,7 @@ class ColdStandbyRate(Rate):
     rate: float
 
     def __post_init__(self) -> None:
-        check_positive("rate", self.rate)
+        check_above_zero(rate=self.rate)
         if self.installed < 1:
             raise FieldError("installed", f"{self.installed} components, expected at least 1")
 
@@ -201,8 +199,8 @@ class UserRate:
     _total: FloatArray = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        check_positive("lower", self.lower, zero=True)
-        check_positive("horizon_s", self.horizon_s)
+        check_at_least_zero(lower=self.lower)
+        check_above_zero(horizon_s=self.horizon_s)
         if not math.isfinite(self.upper) or self.upper < self.lower:
             raise FieldError("upper", f"{self.upper!r} is below lower = {self.lower!r}: the bounds cross")
         inner = [b for b in sorted(self.breaks) if 0 < b < self.horizon_s]

@@ -26,7 +26,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.processes import elementary
 
 FloatArray = npt.NDArray[np.float64]
@@ -59,11 +59,6 @@ class TendingRate(Protocol):
     @property
     def limit(self) -> float:
         """lim lambda(h) for h to infinity (1/s): 0, a number or ``inf``; nan where it is not known."""
-
-
-def check_positive(name: str, value: float, *, zero: bool = False) -> None:
-    if not math.isfinite(value) or value < 0 or (value == 0 and not zero):
-        raise FieldError(name, f"{value!r} is not a finite {'non-negative' if zero else 'positive'} number")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -99,8 +94,7 @@ class PiecewiseLinearRate:
             raise FieldError("values", f"{values.size} values for {times.size} nodes")
         if not np.isfinite(times).all() or times[0] != 0.0 or (np.diff(times) < 0).any():
             raise FieldError("times_s", f"expected finite nodes 0 = t_0 <= t_1 <= ..., got {self.times_s}")
-        for index, value in enumerate(values):
-            check_positive(f"values[{index}]", float(value), zero=True)
+        check_at_least_zero(**{f"values[{index}]": value for index, value in enumerate(values.tolist())})
         width = np.append(np.diff(times), np.inf)
         keep = width > 0
         rise = np.append(np.diff(values), 0.0)
@@ -186,8 +180,8 @@ def clip_rate(lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinear
     >>> clip_rate(0.1, 4.6)([0.0, 1.0, 9.0]).tolist()
     [0.1, 1.0, 4.6]
     """
-    check_positive("lower", lower, zero=True)
-    check_positive("slope", slope)
+    check_at_least_zero(lower=lower)
+    check_above_zero(slope=slope)
     if not math.isfinite(upper) or upper <= lower:
         raise FieldError("upper", f"{upper!r} is not above lower = {lower!r}: the rate crosses its bounds")
     times, values = (0.0, lower / slope, upper / slope), (lower, lower, upper)
@@ -208,8 +202,7 @@ class WeibullRate(Rate):
     shape: float
 
     def __post_init__(self) -> None:
-        check_positive("scale_s", self.scale_s)
-        check_positive("shape", self.shape)
+        check_above_zero(scale_s=self.scale_s, shape=self.shape)
 
     @property
     def settled(self) -> float:
@@ -235,7 +228,7 @@ class ScaledRate:
     factor: float
 
     def __post_init__(self) -> None:
-        check_positive("factor", self.factor)
+        check_above_zero(factor=self.factor)
 
     @property
     def breaks(self) -> tuple[float, ...]:

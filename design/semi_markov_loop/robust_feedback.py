@@ -26,7 +26,7 @@ from typing import Protocol
 import numpy as np
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
-from design.errors import FieldError, Infeasible
+from design.errors import FieldError, Infeasible, check_at_least_zero
 from design.lmi.decision import decide
 from design.lmi.exact import as_float
 from design.lmi.program import (
@@ -153,8 +153,7 @@ class FeedbackRequest:
 
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve the inequalities. Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
-        if not np.isfinite(decay) or decay < 0:
-            raise FieldError("decay", f"{decay!r} is not a finite non-negative rate")
+        check_at_least_zero(decay=decay)
         system.check(self.process)
         check_stabilisable(system, self.process)
         for condition in (self.condition, 0.1 * self.condition):  # a smaller box is easier to prove empty

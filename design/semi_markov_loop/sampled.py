@@ -28,7 +28,7 @@ import msgspec
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError
+from design.errors import FieldError, check_above_zero
 from design.lmi.program import LmiSolution
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -74,34 +74,68 @@ def sampled_verdict(
     Raises:
         ValueError: shapes that do not fit, a period or delay out of range.
     """
-    if not math.isfinite(period_s) or period_s <= 0:
-        raise FieldError("period_s", f"{period_s!r} is not a finite positive time")
-    late = [_constant(name, delay) for name, delay in (("tau", tau), ("d", d))]
-    if late[0] is None or late[1] is None:
-        return random_delay_verdict(system, process, gain, period_s, *(_chain(delay) for delay in (tau, d)))
+    check_above_zero(period_s=period_s)
+    late = _constant(tau=tau, d=d)
+    if isinstance(system, DelayedJumpSystem) and not (system.ad.any() and system.delay_max_s):
+        system = JumpSystem(a=system.a + system.ad, b=system.b)
+    if why := _not_covered(system, process, gain, random=late is None):
+        return _undecided(why)
+    system.check(process, gain)
     try:
         if isinstance(system, DelayedJumpSystem):
-            if system.ad.any() and system.delay_max_s:
-                return _delayed(system, process, gain, period_s, late[0], late[1], least_delay_s)
-            system = JumpSystem(a=system.a + system.ad, b=system.b)
+            if isinstance(process, SemiMarkov) and late is not None:
+                return _delayed(system, process, gain, period_s, *late, least_delay_s)
+            beside = "random delays of the network" if late is None else "a detected mode"
+            return _undecided(f"a delay inside the plant together with {beside} is not decided")
+        if late is None:
+            return random_delay_verdict(system, process, gain, period_s, *(_chain(delay) for delay in (tau, d)))
         if isinstance(process, FaultDetection):
-            return _detection(system, process, gain, period_s, late[0], late[1])
-        if system.sensors is not None:
-            return _undecided("sensors that fail in a mode that is seen belong into the gains")
-        return _renewal(system, process, gain, period_s, late[0], late[1])
+            return _detection(system, process, gain, period_s, *late)
+        return _renewal(system, process, gain, period_s, *late)
     except TooLarge as error:
-        if isinstance(system, DelayedJumpSystem) or system.uncertainty is not None:
+        if isinstance(system, DelayedJumpSystem) or system.uncertainty is not None or late is None:
             return _undecided(str(error))
-        return _growing(system, process, gain, period_s, late[0], late[1]) or _undecided(str(error))
+        return _growing(system, process, gain, period_s, *late) or _undecided(str(error))
 
 
-def _constant(name: str, delay: int | DelayChain) -> int | None:
-    if isinstance(delay, DelayChain):
-        values = np.unique(delay.delay)
-        return int(values[0]) if values.size == 1 else None
-    if delay < 0:
-        raise FieldError(name, f"{delay} periods, expected none or more")
-    return int(delay)
+def _not_covered(
+    system: JumpSystem | DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, *, random: bool
+) -> str:
+    """Why no proof here covers such a loop, over random delays of the network or none; empty where one does."""
+    plain, detected = isinstance(system, JumpSystem), isinstance(process, FaultDetection)
+    uncertain, faulty = ((False, False) if isinstance(system, DelayedJumpSystem) else
+                         (system.uncertainty is not None, system.sensors is not None))  # fmt: skip
+    linear, by_age = gain.schedule != "hold", not np.array_equal(gain.gain, np.broadcast_to(gain.gain[:, :1], gain.gain.shape))
+    processes = [process.failure, *process.detection] if isinstance(process, FaultDetection) else [process]
+    endless = [
+        mode for one in processes for mode in range(one.modes)
+        if not np.isfinite(one.bounds(mode, 0.0, math.inf)[1]).all()
+    ]  # fmt: skip
+    reasons = (
+        (random and uncertain, "uncertain matrices together with random delays of the network are not decided"),
+        (random and faulty, "sensors that fail together with random delays of the network are not decided"),
+        (random and by_age, "a gain that depends on the sojourn time is not decided over random delays"),
+        (not random and detected and uncertain, "an uncertainty beside a detected mode is not decided"),
+        (not random and detected and "eta" in gain.measured,
+         f"the gain depends on {' and '.join(gain.measured)}; a controller sees the detected mode only"),
+        (not random and linear and detected, "a gain that is linear in the sojourn time is not decided beside a detected mode"),
+        (not random and linear and not plain,
+         "a gain that is linear in the sojourn time is not decided beside a delay inside the plant"),
+        (not detected and faulty, "sensors that fail in a mode that is seen belong into the gains"),
+        (bool(endless), f"the rates out of mode {endless[0] + 1 if endless else 0} have no finite bound"),
+    )  # fmt: skip
+    return next((why for holds, why in reasons if holds), "")
+
+
+def _constant(**delays: int | DelayChain) -> tuple[int, int] | None:
+    """Both delays in periods; None where one of them is random."""
+    found: list[int] = []
+    for name, delay in delays.items():
+        values = np.unique(delay.delay if isinstance(delay, DelayChain) else delay)
+        if values[0] < 0:
+            raise FieldError(name, f"{delay} periods, expected none or more")
+        found += [int(values[0])] * (values.size == 1)
+    return (found[0], found[1]) if len(found) == 2 else None
 
 
 def _chain(delay: int | DelayChain) -> DelayChain:
@@ -113,10 +147,6 @@ def _undecided(reason: str) -> Verdict:
 
 
 def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
-    system.check(process, gain)
-    for mode in range(process.modes):
-        if not np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all():
-            return _undecided(f"the rates out of mode {mode + 1} have no finite bound")
     modes = list(range(system.modes))
     loop = SampledLoop(system=system, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
     assumed: tuple[str, ...] = _ASSUMED
@@ -238,16 +268,8 @@ def _growing(
 
 
 def _delayed(
-    system: DelayedJumpSystem, process: SemiMarkov | FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int,
-    least_s: float,
+    system: DelayedJumpSystem, process: SemiMarkov, gain: ScheduledGain, period_s: float, tau: int, d: int, least_s: float
 ) -> Verdict:
-    if isinstance(process, FaultDetection):
-        return _undecided("a delay inside the plant together with a detected mode is not decided")
-    system.check(process, gain)
-    if gain.schedule != "hold":
-        return _undecided("a gain that is linear in the sojourn time is not decided beside a delay inside the plant")
-    if not all(np.isfinite(process.bounds(mode, 0.0, math.inf)[1]).all() for mode in range(process.modes)):
-        return _undecided("a rate has no finite bound")
     undelayed = JumpSystem(a=system.a, b=system.b)
     loop = SampledLoop(system=undelayed, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
     proved, number, said = _searched(lambda: delayed_decrease(system, loop))
@@ -268,17 +290,6 @@ def _delayed(
 
 
 def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain, period_s: float, tau: int, d: int) -> Verdict:
-    if system.uncertainty is not None:
-        return _undecided("an uncertainty beside a detected mode is not decided")
-    if gain.measured not in ((), ("r",)):
-        return _undecided(f"the gain depends on {' and '.join(gain.measured)}; a controller sees the detected mode only")
-    system.check(process, gain)
-    if gain.schedule != "hold":
-        return _undecided("a gain that is linear in the sojourn time is not decided beside a detected mode")
-    rows = [(process.failure, i) for i in range(system.modes)]
-    rows += [(one, k) for one in process.detection for k in range(one.modes)]
-    if not all(np.isfinite(one.bounds(mode, 0.0, math.inf)[1]).all() for one, mode in rows):
-        return _undecided("a rate has no finite bound")
     loop = DetectionLoop.of(system, process, gain, period_s=period_s, tau=tau, d=d)
     found = lyapunov_decrease(loop)
     method = "sampled jump loop: Lyapunov function on failure, detection and section"

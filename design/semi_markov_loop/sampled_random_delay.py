@@ -26,7 +26,6 @@ import numpy as np
 from scipy.sparse.linalg import ArpackError, eigs
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop.period_moments import (
@@ -40,7 +39,7 @@ from design.semi_markov_loop.period_moments import (
     svec,
     svec_size,
 )
-from design.semi_markov_loop.system import DelayedJumpSystem, FloatArray, JumpSystem
+from design.semi_markov_loop.system import FloatArray, JumpSystem
 from design.verdict import State, Verdict
 
 LARGEST = 2000
@@ -108,8 +107,8 @@ def moment_matrix(loop: RandomDelayLoop, *, upper: bool) -> FloatArray:
     labels, p = loop.labels, svec_size(loop.size)
     if len(labels) * p > LARGEST:
         raise TooLarge(
-            f"{len(labels)} modes of plant and network, {loop.size} states with delayed ones: "
-            f"{len(labels) * p} second moments, at most {LARGEST}"
+            f"random delays over a plant that jumps: {len(labels)} modes of plant and network, {loop.size} states with delayed "
+            f"ones: {len(labels) * p} second moments, at most {LARGEST}"
         )
     size = loop.size + loop.system.inputs
     if loop.system.modes * svec_size(size) > 1500:
@@ -157,7 +156,7 @@ def proved_radius(matrix: FloatArray, labels: int, guess: float) -> float:
 
 
 def random_delay_verdict(
-    system: JumpSystem | DelayedJumpSystem,
+    system: JumpSystem,
     process: SemiMarkov | FaultDetection,
     gain: ScheduledGain,
     period_s: float,
@@ -168,29 +167,16 @@ def random_delay_verdict(
 
     Exact where the rates are constant; where they change with age it is decided if both sides agree, and undecided with both
     numbers if not.
+
+    Raises:
+        TooLarge: more unknowns than are computed with.
     """
-    if isinstance(system, DelayedJumpSystem) and system.ad.any():
-        return _undecided("a delay inside the plant together with random delays of the network is not decided")
-    if isinstance(system, JumpSystem) and system.uncertainty is not None:
-        return _undecided("uncertain matrices together with random delays of the network are not decided")
-    if isinstance(system, JumpSystem) and system.sensors is not None:
-        return _undecided("sensors that fail together with random delays of the network are not decided")
-    if not np.array_equal(gain.gain, np.broadcast_to(gain.gain[:, :1], gain.gain.shape)):
-        return _undecided("a gain that depends on the sojourn time is not decided over random delays")
-    system.check(process)
     rows, seen, boxes = _modes(system.modes, process, gain)
-    if gain.gain.shape[2:] != (system.inputs, system.states) or max(seen) >= gain.modes:
-        raise FieldError("gain", f"shape {gain.gain.shape} does not fit the plant and its {max(seen) + 1} modes")
-    if not all(np.isfinite(box.high).all() for box in boxes):
-        return _undecided("a rate has no finite bound")
     plant = JumpSystem(a=system.a[rows], b=system.b[rows])
     loop = RandomDelayLoop(
         system=plant, boxes=boxes, gains=gain.gain[:, 0], seen=seen, period_s=period_s, tau=tau, d=d
     )  # fmt: skip
-    try:
-        larger, smaller = moment_matrix(loop, upper=True), moment_matrix(loop, upper=False)
-    except TooLarge as error:
-        return _undecided(f"random delays over a plant that jumps: {error}")
+    larger, smaller = moment_matrix(loop, upper=True), moment_matrix(loop, upper=False)
     upper = proved_radius(larger, len(loop.labels), radius(larger))
     lower = radius(smaller)
     state: State = "undecided"
@@ -214,7 +200,3 @@ def _modes(modes: int, process: SemiMarkov | FaultDetection, gain: ScheduledGain
     pairs = list(itertools.product(range(modes), range(process.detection[0].modes)))
     gains = [gain_mode(gain.measured, process, i, k) for i, k in pairs]
     return [i for i, _ in pairs], gains, [pair_box(process, i, k) for i, k in pairs]
-
-
-def _undecided(reason: str) -> Verdict:
-    return Verdict(kind="mean-square stability", state="undecided", reason=reason, method=METHOD)

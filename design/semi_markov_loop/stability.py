@@ -19,7 +19,7 @@ from functools import partial
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
-from design.errors import FieldError
+from design.errors import FieldError, check_at_least_zero
 from design.lmi.decision import VerifyWith, decide
 from design.lmi.exact import Lift, as_float
 from design.lmi.program import (
@@ -117,8 +117,7 @@ def analyse(
         ValueError: shapes that do not fit, nodes that split a section, rates without finite bounds.
     """
     gain = checked_gain(system, gain, process)
-    if not np.isfinite(decay) or decay < 0:
-        raise FieldError("decay", f"{decay!r} is not a finite non-negative rate")
+    check_at_least_zero(decay=decay)
     if method == "exact":
         return exact_certificate(system, gain, process)
     if method not in ("pwl", "pwc"):

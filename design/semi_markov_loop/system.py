@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.errors import FieldError
+from design.errors import FieldError, check_at_least_zero
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 if TYPE_CHECKING:  # nothing of a solver
@@ -228,5 +228,4 @@ class DelayedJumpSystem(_Sized):
         if (slopes >= 1).any():
             worst = int(np.argmax(slopes))
             raise FieldError(f"delay_slopes[{worst}]", f"{slopes[worst]:g} is not below 1, as (3.2) demands")
-        if not np.isfinite(self.delay_max_s) or self.delay_max_s < 0:
-            raise FieldError("delay_max_s", f"{self.delay_max_s!r} is not a finite non-negative time")
+        check_at_least_zero(delay_max_s=self.delay_max_s)

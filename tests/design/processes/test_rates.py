@@ -112,6 +112,7 @@ LIMITS = [
     (PiecewiseLinearRate(times_s=(0.0, 2.0), values=(1.0, 3.0)), 3.0), (WeibullRate(scale_s=4.0, shape=1.0), 0.25),
     (WeibullRate(scale_s=4.0, shape=0.5), 0.0), (WeibullRate(scale_s=4.0, shape=2.0), math.inf),
     (KOutOfNRate(needed=2, installed=3, rate=0.5), 1.0), (ColdStandbyRate(installed=2, rate=0.5), 0.5),
+    (UserRate(function=np.sqrt, lower=0.0, upper=2.0, horizon_s=4.0), 2.0), (BATHTUB, 3.2),
 ]  # fmt: skip
 
 
