@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 from hil.bench import running
 from hil.errors import HilError
 from hil.log.records import Channel, Schema
-from hil.log.topics import PROBE
+from hil.log.topics.loop import PROBE
 from hil.log.topics.topic import Logged
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance

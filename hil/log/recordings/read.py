@@ -15,7 +15,8 @@ from hil.log.read.run import read_run
 from hil.log.recordings.packet_files import LATEST_S, read_captured_frames, read_latencies, read_ping_capture
 from hil.log.recordings.recording import BACK, THERE, Recording, Way
 from hil.log.run import Run, StructuredArray
-from hil.log.topics import CA, PROBE, SC
+from hil.log.topics import CA, SC
+from hil.log.topics.loop import PROBE
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
 
 CAN_ENDINGS = (".log", ".asc", ".blf")

@@ -14,26 +14,17 @@ from typing import TYPE_CHECKING, Final
 
 from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
-from hil.log.topics.loop import APPLIED as APPLIED
-from hil.log.topics.loop import BUS as BUS
-from hil.log.topics.loop import CA as CA
-from hil.log.topics.loop import CONTROL as CONTROL
-from hil.log.topics.loop import MEASUREMENT as MEASUREMENT
-from hil.log.topics.loop import PASSIVITY as PASSIVITY
-from hil.log.topics.loop import PROBE as PROBE
-from hil.log.topics.loop import REFERENCE as REFERENCE
-from hil.log.topics.loop import ROWS as ROWS
-from hil.log.topics.loop import SC as SC
-from hil.log.topics.loop import SENSOR as SENSOR
-from hil.log.topics.loop import STATE as STATE
-from hil.log.topics.loop import TIMING as TIMING
-from hil.log.topics.topic import Curve as Curve
-from hil.log.topics.topic import Logged as Logged
-from hil.log.topics.topic import MissingTopic as MissingTopic
-from hil.log.topics.topic import Topic as Topic
+from hil.log.topics.loop import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TIMING
+from hil.log.topics.topic import Curve, Logged, MissingTopic, Topic
 
 if TYPE_CHECKING:
     from hil.rig.loop import Loop
+
+__all__ = [
+    "APPLIED", "BUS", "CA", "CONTROL", "FRAME_TOPICS", "MEASUREMENT", "NUMBER_TOPICS", "PASSIVITY", "REFERENCE", "ROWS", "SC",
+    "SENSOR", "STATE", "TIMING", "TOPICS", "Curve", "Logged", "MissingTopic", "Topic", "channels", "channels_of", "in_log_of",
+    "missing", "panels",
+]  # fmt: skip
 
 
 def _registered() -> dict[str, Topic]:
