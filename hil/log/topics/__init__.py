@@ -8,12 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from itertools import chain
 from pkgutil import iter_modules
 from re import findall
 from typing import TYPE_CHECKING, Final
 
 from hil.errors import HilError, nearest
 from hil.log.records import Channel, Schema
+from hil.log.topics import loop
 from hil.log.topics.loop import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TIMING
 from hil.log.topics.topic import Curve, Logged, MissingTopic, Topic
 
@@ -28,11 +30,9 @@ __all__ = [
 
 
 def _registered() -> dict[str, Topic]:
-    found: list[Topic] = []
-    for module in iter_modules(__path__, f"{__name__}."):
-        if module.name != f"{__name__}.topic":
-            found += import_module(module.name).TOPICS
-    return {topic.name: topic for topic in sorted(found, key=lambda topic: (topic.order, topic.name))}
+    names = [module.name for module in iter_modules(__path__, f"{__name__}.")]
+    others = [import_module(name).TOPICS for name in names if name not in (f"{__name__}.loop", f"{__name__}.topic")]
+    return {topic.name: topic for topic in chain(loop.TOPICS, *others)}
 
 
 TOPICS: Final = _registered()

@@ -25,15 +25,15 @@ def _outputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
 
 
 STATE = Topic(
-    name="/plant/state", order=1, schema="PlantState", filled_by="rig, every slot", since="0.1.0", paged=True,
+    name="/plant/state", schema="PlantState", filled_by="rig, every slot", since="0.1.0", paged=True,
     fields=lambda logged: (*floats(logged.states), SLOT), curves=_states,
 )  # fmt: skip
 MEASUREMENT = Topic(
-    name="/plant/measurement", order=2, schema="PlantMeasurement", filled_by="rig, every slot", since="0.1.0", paged=True,
+    name="/plant/measurement", schema="PlantMeasurement", filled_by="rig, every slot", since="0.1.0", paged=True,
     fields=lambda logged: (*floats(logged.outputs), SLOT), curves=_outputs,
 )  # fmt: skip
 REFERENCE = Topic(
-    name="/reference", order=3, schema="Reference", filled_by="rig, every slot", since="0.1.0", paged=True,
+    name="/reference", schema="Reference", filled_by="rig, every slot", since="0.1.0", paged=True,
     fields=lambda logged: (*floats(logged.outputs), SLOT), curves=_outputs,
 )  # fmt: skip
 
@@ -47,12 +47,12 @@ _NODE_DRAW = (*_DRAW[:-1], i32("node", "1", "number of the sensor node"), _DRAW[
 _AGE = (Curve(panel="network, age in samples", field="age", place=5),)
 
 SC = Topic(
-    name="/network/sc", order=6, filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
+    name="/network/sc", filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
     schema=lambda logged: "NodeDraw" if logged.numbered else "NetworkDraw",
     fields=lambda logged: _NODE_DRAW if logged.numbered else _DRAW, curves=lambda names, outputs: _AGE,
 )  # fmt: skip
 CA = Topic(
-    name="/network/ca", order=7, filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
+    name="/network/ca", filled_by="rig, every decision of the medium", since="0.1.0", paged=True,
     schema="NetworkDraw", fields=lambda logged: _DRAW, curves=lambda names, outputs: _AGE,
 )  # fmt: skip
 
@@ -70,11 +70,11 @@ def _frame_fields(logged: Logged) -> tuple[Field, ...]:
 
 
 SENSOR = Topic(
-    name="/link/sensor", order=8, schema=_frame_schema, fields=_frame_fields, filled_by="rig, every sensor frame",
+    name="/link/sensor", schema=_frame_schema, fields=_frame_fields, filled_by="rig, every sensor frame",
     since="0.1.0", paged=True, frames=True,
 )  # fmt: skip
 CONTROL = Topic(
-    name="/link/control", order=9, schema=_frame_schema, fields=_frame_fields, filled_by="rig, every control frame",
+    name="/link/control", schema=_frame_schema, fields=_frame_fields, filled_by="rig, every control frame",
     since="0.1.0", paged=True, frames=True,
 )  # fmt: skip
 
@@ -91,7 +91,7 @@ def _row_fields(logged: Logged) -> tuple[Field, ...]:
 
 
 ROWS = Topic(
-    name="/controller/rows", order=5, schema="ControllerRows", filled_by="rig, when an answer arrives", since="0.1.0", paged=True,
+    name="/controller/rows", schema="ControllerRows", filled_by="rig, when an answer arrives", since="0.1.0", paged=True,
     fields=_row_fields, curves=lambda names, outputs: [Curve(panel="delays, samples", field="tau", place=3)],
 )  # fmt: skip
 
@@ -104,7 +104,7 @@ def _inputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
 
 
 APPLIED = Topic(
-    name="/actuator/applied", order=4, schema="ActuatorApplied", filled_by="rig, every slot", since="0.1.0", paged=True,
+    name="/actuator/applied", schema="ActuatorApplied", filled_by="rig, every slot", since="0.1.0", paged=True,
     fields=lambda logged: (
         *(u := floats(logged.inputs)), *(replace(f, name=f"w_{f.name}", doc="input disturbance") for f in u), SLOT, PACKET_SLOT,
         i32("d", "samples", "age of the packet at the actuator"), i32("row", "1", "index of the row that was applied"),
@@ -113,7 +113,7 @@ APPLIED = Topic(
     curves=_inputs,
 )  # fmt: skip
 PASSIVITY = Topic(
-    name="/actuator/passivity", order=11, schema="ActuatorPassivity", filled_by="rig, with limits.passivity", since="0.2.0",
+    name="/actuator/passivity", schema="ActuatorPassivity", filled_by="rig, with limits.passivity", since="0.2.0",
     logged=lambda logged: logged.passivity, paged=True,
     fields=lambda logged: (
         f64("energy", "J", "given by the motor beyond what damping takes"),
@@ -124,7 +124,7 @@ PASSIVITY = Topic(
 
 
 TIMING = Topic(
-    name="/timing/slot", order=10, schema="SlotTiming", filled_by="rig process, in real time", since="0.1.0", paged=True,
+    name="/timing/slot", schema="SlotTiming", filled_by="rig process, in real time", since="0.1.0", paged=True,
     fields=lambda logged: (
         f64("lateness_us", "us", "wake-up after the nominal time"),
         f64("round_trip_us", "us", "sensor frame out to control frame in, NaN if none came"),
@@ -138,7 +138,7 @@ EXTENDED, REMOTE, FD, SWITCH = 1, 2, 4, 8
 """Bits of ``/link/bus.flags``."""
 
 BUS = Topic(
-    name="/link/bus", order=11, schema="BusFrame", filled_by="rig, every frame on the emulated CAN bus", since="0.1.0",
+    name="/link/bus", schema="BusFrame", filled_by="rig, every frame on the emulated CAN bus", since="0.1.0",
     paged=True, logged=lambda logged: logged.bus,
     fields=lambda logged: (
         i64("queued_ns", "ns", "session time of Transmit: since when it waited"),
@@ -156,7 +156,7 @@ BUS = Topic(
 )  # fmt: skip
 
 PROBE = Topic(
-    name="/probe/packet", order=11, schema="ProbePacket", filled_by="hil probe", since="0.1.0",
+    name="/probe/packet", schema="ProbePacket", filled_by="hil probe", since="0.1.0",
     logged=lambda logged: False,  # no session has it
     fields=lambda logged: (
         i64("sent_ns", "ns", "sensor frame out, since the first one"),
@@ -164,4 +164,4 @@ PROBE = Topic(
         i64("received_ns", "ns", "control frame in, 0 if none came"), SLOT,
     ),
 )  # fmt: skip
-TOPICS = (STATE, MEASUREMENT, REFERENCE, SC, CA, SENSOR, CONTROL, ROWS, APPLIED, PASSIVITY, TIMING, BUS, PROBE)
+TOPICS = (STATE, MEASUREMENT, REFERENCE, APPLIED, ROWS, SC, CA, SENSOR, CONTROL, TIMING, PASSIVITY, BUS, PROBE)

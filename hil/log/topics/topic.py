@@ -79,7 +79,6 @@ class Topic(Struct, frozen=True, kw_only=True):
 
     Args:
         name: of the channel, such as ``/plant/state``.
-        order: place among the topics of a session, which are numbered from 1.
         schema: name of its record, ``CamelCase``; a function where it depends on the session.
         fields: its fields with their units, ordered float64, int64, int32, uint8, uint8[].
         filled_by: which part of a session writes its records, in words.
@@ -93,7 +92,6 @@ class Topic(Struct, frozen=True, kw_only=True):
     """
 
     name: str
-    order: int = 1000
     schema: str | Callable[[Logged], str]
     fields: Callable[[Logged], tuple[Field, ...]]
     filled_by: str
