@@ -10,14 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from math import log
-from struct import Struct
 from typing import Final, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
-from hil.runtime.nodes.plant_watch import ANOTHER, BLOCK, MOST_KEPT, Result, Steps, at_once
+from hil.runtime.nodes.plant_watch import ANOTHER, MOST_KEPT, Blocks, Result, at_once
 from plants.parts.protocols import PlantRun
 from transport.draws import Draw
 from transport.law_tests import law_p_value
@@ -60,31 +59,21 @@ class JumpWatch:
         self._step, self._start, self._period_ns = step, start, period_ns
         self._n = step.flows.shape[1]
         self._m = step.flows.shape[2] - self._n
-        self._width = self._n + 1 + 2 * self._m  # outputs, of which the last is the mode, command and disturbance
-        slot = Struct(f"{self._width}d")
-        self._pack, self._bytes, self._filled = slot.pack_into, slot.size, 0
-        self._seen = bytearray(BLOCK * slot.size)
-        self._past = np.zeros((0, self._width))
-        self._next = self._compared = self._missed = 0
+        # Outputs, of which the last is the mode, command and disturbance.
+        self._blocks = Blocks(self._n + 1 + 2 * self._m, 1, self._compare)
+        self._compared = self._missed = 0
         self._first = -1  # slot of the first of what was kept
         self._kept: list[Array] = []
-        self._steps = Steps()  # of the last block
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
-        self._pack(self._seen, self._filled, *y, *u, *w)
-        self._filled += self._bytes
-        self._steps.go_on()
-        if self._filled == len(self._seen):
-            self._steps.begin(self._block())
+        blocks = self._blocks
+        blocks.pack(blocks.seen, blocks.filled, *y, *u, *w)
+        blocks.taken()
 
-    def _block(self) -> Iterator[None]:
-        """Compare the block that is there: a copy of it is taken at once."""
-        now = np.frombuffer(self._seen)[: self._filled // 8].reshape(-1, self._width)
-        z, begin = np.concatenate([self._past, now]), self._next - len(self._past)
-        self._next, self._filled = self._next + len(now), 0
-        self._past = z[-1:]
-        if self._next > MOST_KEPT and self._kept:
+    def _compare(self, begin: int, z: Array) -> Iterator[None]:
+        """Compare a block; see `Blocks`."""
+        if begin + len(z) > MOST_KEPT and self._kept:
             return
         if not self._suspected():  # else a second run decides
             yield
@@ -142,9 +131,7 @@ class JumpWatch:
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its modes, and by how much, once the run has ended; None if it did not."""
-        if self._filled:
-            self._steps.begin(self._block())
-        self._steps.finish()
+        self._blocks.finish()
         if not self._kept or not self._suspected():
             return None
         own, left = np.concatenate(self._kept), None

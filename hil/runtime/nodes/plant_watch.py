@@ -29,6 +29,59 @@ ANOTHER: Final = 2048
 """Slots with loads or noise of a run with other random numbers, which says what kind of motion they are."""
 
 
+class Blocks:
+    """Takes what slots have come to, and lets a block of them be compared in small steps, one in each slot that follows.
+
+    Args:
+        width: numbers of a slot.
+        history: slots before a block that are compared with it.
+        compare: given the slot of the first row, and the rows of the slots before the block and of its own, (slots, width).
+
+    Attributes:
+        pack, seen, filled: packs what a slot has come to, into these bytes, behind so many.
+    """
+
+    def __init__(self, width: int, history: int, compare: Callable[[int, Array], Iterator[None]]) -> None:
+        slot = Struct(f"{width}d")
+        self.pack, self._bytes, self.filled = slot.pack_into, slot.size, 0
+        self.seen = bytearray(BLOCK * slot.size)  # numbers, not objects: what is kept as objects leaves the cache cold
+        self._past, self._history, self._next = np.zeros((0, width)), history, 0
+        self._compare = compare
+        self._work: Iterator[None] | None = None
+
+    def taken(self) -> None:
+        """Go on to the next slot: what this one has come to is packed."""
+        self.filled += self._bytes
+        if self._work is not None:
+            self._go_on()
+        if self.filled == len(self.seen):
+            self._begin()
+
+    def finish(self) -> None:
+        """Compare what is left, at once."""
+        if self.filled:
+            self._begin()
+        self._catch_up()
+
+    def _begin(self) -> None:
+        """Finish the block before, and take the first step of that which is there: of a copy of it."""
+        self._catch_up()
+        now = np.frombuffer(self.seen)[: self.filled // 8].reshape(-1, self._past.shape[1])
+        z, begin = np.concatenate([self._past, now]), self._next - len(self._past)
+        self._next, self.filled = self._next + len(now), 0
+        self._past = z[-self._history :] if self._history else z[:0]
+        self._work = self._compare(begin, z)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        if self._work is not None and next(self._work, True):  # a step returns None
+            self._work = None
+
+    def _catch_up(self) -> None:
+        while self._work is not None:
+            self._go_on()
+
+
 class PlantWatch:
     """Compares a plant's record with its model.
 
@@ -43,32 +96,21 @@ class PlantWatch:
         self, step: OneStep, start: Callable[[int], PlantRun], disturbance: Callable[[int], Sequence[float]], period_ns: int
     ) -> None:
         self._step, self._start, self._disturbance, self._period_ns = step, start, disturbance, period_ns
-        slot = Struct(f"{step.taps.shape[2]}d")
-        self._pack, self._bytes, self._filled = slot.pack_into, slot.size, 0
-        self._seen = bytearray(BLOCK * slot.size)  # numbers, not objects: what is kept as objects leaves the cache cold
-        self._past = np.zeros((0, step.taps.shape[2]))
+        self._blocks = Blocks(step.taps.shape[2], len(step.taps) - 1, self._compare)
         self._scale = np.zeros(step.taps.shape[1])
-        self._next = 0  # slot of the first of `_seen`
         self._first = -1  # slot of the first of what was kept
         self._kept: list[tuple[Array, Array]] = []
         self._count = 0
-        self._steps = Steps()  # of the last block
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
         """Take what a slot has come to: states, outputs, command and disturbance."""
-        self._pack(self._seen, self._filled, *x, *y, *map(add, u, w))
-        self._filled += self._bytes
-        self._steps.go_on()
-        if self._filled == len(self._seen):
-            self._steps.begin(self._compare())
+        blocks = self._blocks
+        blocks.pack(blocks.seen, blocks.filled, *x, *y, *map(add, u, w))
+        blocks.taken()
 
-    def _compare(self) -> Iterator[None]:
-        """Compare the block that is there: a copy of it is taken at once."""
-        begin, history, count = self._next, len(self._step.taps) - 1, self._filled // self._bytes
-        z = np.concatenate([self._past, np.frombuffer(self._seen)[: self._filled // 8].reshape(count, -1)])
-        self._next += count
-        self._filled = 0
-        self._past = z[-history:] if history else z[:0]
+    def _compare(self, begin: int, z: Array) -> Iterator[None]:
+        """Compare a block; see `Blocks`."""
+        history = len(self._step.taps) - 1
         if len(z) <= history or self._count >= MOST_KEPT:
             return
         yield
@@ -84,15 +126,13 @@ class PlantWatch:
             quiet = (np.abs(left) <= EQUAL * scale).all()
         if self._kept or not quiet:
             if not self._kept:
-                self._first = begin + max(history - begin, 0)
+                self._first = begin + history
             self._kept.append((left, scale))
             self._count += len(left)
 
     def departed(self) -> tuple[int, str] | None:
         """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
-        if self._filled:
-            self._steps.begin(self._compare())
-        self._steps.finish()
+        self._blocks.finish()
         if not self._kept:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
@@ -172,29 +212,6 @@ def _rounded(value: float) -> str:
 
 
 Result = TypeVar("Result")
-
-
-class Steps:
-    """What is left to do of work that is done in small steps, one in each slot: all at once would make a slot late."""
-
-    def __init__(self) -> None:
-        self._work: Iterator[None] | None = None
-
-    def begin(self, work: Iterator[None]) -> None:
-        """Finish what is left, and take the first step of another piece of work."""
-        self.finish()
-        self._work = work
-        self.go_on()
-
-    def go_on(self) -> None:
-        """Take a step, if there is one."""
-        if self._work is not None and next(self._work, True):  # a step returns None
-            self._work = None
-
-    def finish(self) -> None:
-        """Take all steps that are left."""
-        while self._work is not None:
-            self.go_on()
 
 
 def at_once(work: Generator[None, None, Result]) -> Result:
