@@ -212,8 +212,10 @@ def test_a_bridge_is_the_controller_of_an_interface_between_its_programs_and_a_b
                 assert received(other, 1)[0].arbitration_id == 0x102, "an error frame of a program is none of the wire"
             for n in range(8):  # nobody acknowledges any more, and four may wait
                 program.send(message(0x200 + n))
-            full = [each for each in received(program, 4) if each.is_error_frame and each.data[1] == 0x02]
-            assert full and all(each.arbitration_id == 0x004 and len(each.data) == 8 for each in full)
+            full: list[can.Message] = []
+            while len(full) < 4:
+                full += [each for each in received(program, 1) if each.is_error_frame and each.data[1] == 0x02]
+            assert all(each.arbitration_id == 0x004 and len(each.data) == 8 for each in full)
         finally:
             over.set()
             thread.join()

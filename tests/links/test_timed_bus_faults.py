@@ -94,6 +94,7 @@ def test_a_fault_takes_another_participant_off_the_bus_which_receives_nothing_an
         while (each := controller.recv(0.0)) is not None:
             seen.append(each)
         assert kinds(seen) == [BUS_OFF, CONTROLLER | RESTARTED]  # and no 0x100
+        assert (rig.lost, controller.lost, listener.lost) == (0, 0, 0)
 
 
 def test_who_may_restart_comes_back_by_itself_and_who_may_not_stays_off() -> None:

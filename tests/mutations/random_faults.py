@@ -28,7 +28,9 @@ TURNED: dict[type, tuple[type, ...]] = {
 
 Key = tuple[str, str, str, str, int]
 
-SYMMETRIC = {"max", "min", "np.maximum", "np.minimum", "np.array_equal", "math.hypot", "np.hypot", "hmac.compare_digest"}
+SYMMETRIC = {
+    "max", "min", "np.maximum", "np.minimum", "np.array_equal", "math.hypot", "np.hypot", "hmac.compare_digest", "suppress",
+}  # fmt: skip
 """Functions whose arguments have no order."""
 
 

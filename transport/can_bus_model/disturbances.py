@@ -73,7 +73,7 @@ class BitErrors:
         return hit if hit < bits else None
 
 
-def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool = True) -> int:
+def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool) -> int:
     """Return how long the error flags behind a disturbed bit last, one upon the other: 6 to 12 bits.
 
     The sender notices at once and sends six equal bits. The others notice with the sixth equal bit on the wire, or in a field
@@ -86,7 +86,7 @@ def flag_bits(wire: str, bit: int, *, dominant: bool, answered: bool = True) -> 
         answered: whether there is another node that sends a flag.
 
     >>> wire = "0100001" + "01" * 20
-    >>> [flag_bits(wire, bit, dominant=True) for bit in (0, 6, len(wire) - 1)]
+    >>> [flag_bits(wire, bit, dominant=True, answered=True) for bit in (0, 6, len(wire) - 1)]
     [12, 7, 6]
     """
     if not answered or bit >= len(wire) - 13:

@@ -73,8 +73,8 @@ class HilFrames:
     """
 
     def __init__(
-        self, folder: Path, title: str, *, fd: bool, own: bool = False, bus_errors: bool = False,
-        rates: BitRates | None = None, restart_s: float | None = None, stamped: bool = False,
+        self, folder: Path, title: str, *, fd: bool, own: bool, bus_errors: bool, rates: BitRates | None, restart_s: float | None,
+        stamped: bool,
     ) -> None:  # fmt: skip
         self._title, self._fd, self._own, self._bus_errors = title, fd, own, bus_errors
         self._closed = False

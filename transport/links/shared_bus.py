@@ -55,7 +55,7 @@ class BusFile(Closing):
 
     def __init__(self, directory: Path) -> None:
         self._directory = directory
-        self._number, self._file = 0, -1
+        self._file = -1
         try:
             self._open_newest()
         except OSError as error:
@@ -67,7 +67,7 @@ class BusFile(Closing):
     def _open_newest(self) -> None:
         self.close()
         names = [path.name.rpartition(".")[2] for path in self._directory.glob(f"{BUS_FILE}.[0-9]*")]
-        self._number = max((int(name) for name in names if name.isdecimal()), default=0)
+        self._number: int = max((int(name) for name in names if name.isdecimal()), default=0)
         flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
         self._file = os.open(self._path(self._number), flags, 0o600)
 

@@ -49,7 +49,7 @@ class TimedSender:
 
     def __init__(
         self, directory: Path, rates: BitRates, deliver: Told, destroyed: Told, changed: Callable[[State, StateChange], None],
-        others_changed: Callable[[], None], restart_s: float | None = None,
+        others_changed: Callable[[], None], restart_s: float | None,
     ) -> None:  # fmt: skip
         self._deliver, self._destroyed, self._changed, self._restart_s = deliver, destroyed, changed, restart_s
         self._items: dict[int, object] = {}

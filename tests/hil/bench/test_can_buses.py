@@ -58,7 +58,7 @@ def test_a_row_counts_what_came_and_what_was_lost() -> None:
 
 def test_a_pair_counts_frames_and_times_round_trips(monkeypatch: pytest.MonkeyPatch) -> None:
     """Over python-can's bus within one process; an error frame is no answer, and without another end nothing comes."""
-    monkeypatch.setattr(can_buses, "_PATIENCE_S", 5.0)
+    monkeypatch.setattr(can_buses, "_PATIENCE_S", 600.0)
     over, name = threading.Event(), f"pair-{os.getpid()}"
     with _join("virtual", name) as ours, _join("virtual", name) as other:
         received = other.recv
@@ -77,13 +77,13 @@ def test_a_pair_counts_frames_and_times_round_trips(monkeypatch: pytest.MonkeyPa
         timed = _trips(ours, 2, timed=True)
         over.set()
         thread.join()
-        assert len(trips) == 3 and all(0 < each < 5e9 for each in trips)
-        assert (found, again) == (30, 35) and 0 < ns < 5e9
-        assert len(timed) == 4 and all(0 < each < 5e9 for each in timed[:2]) and all(-1e6 < late < 5e9 for late in timed[2:])
+        assert len(trips) == 3 and all(0 < each < 6e11 for each in trips)
+        assert (found, again) == (30, 35) and 0 < ns < 6e11
+        assert len(timed) == 4 and all(0 < each < 6e11 for each in timed[:2]) and all(abs(late) < 6e11 for late in timed[2:])
         monkeypatch.setattr(can_buses, "_PATIENCE_S", 0.01)
         assert _trips(ours, 2, timed=True) == [-1, -1]
         lost, ns = _flood(ours, 2)
-        assert lost == 0 and 1e7 <= ns < 5e9
+        assert lost == 0 and ns >= 1e7
 
 
 def test_each_bus_is_joined_as_its_name_says(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,8 +111,14 @@ def test_a_driving_process_answers_each_line_and_one_without_a_bus_says_why(
     main()
     ready, trips, flood = capsys.readouterr().out.splitlines()
     assert (ready, trips, flood.split()[0]) == ("ready", "-1 -1", "0")
+    answering: list[can.BusABC] = []
+    monkeypatch.setattr(can_buses, "_echo", answering.append)
+    monkeypatch.setattr(sys, "argv", ["", "drive", "virtual", f"drive-{os.getpid()}"])
+    monkeypatch.setattr(sys, "stdin", io.StringIO("trips 1\n"))
+    main()
+    assert capsys.readouterr().out == "ready\n-1\n" and len(answering) == 1, "the other end is a thread, as all is one process"
     monkeypatch.setattr(sys, "argv", ["", "echo", "nosuch", "x"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 1 and "nosuch" in capsys.readouterr().out
-    assert urgent == [60, 59]
+    assert urgent == [60, 60, 59]

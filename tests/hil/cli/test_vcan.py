@@ -95,6 +95,16 @@ def test_a_kernel_with_vcan_gives_the_command_a_network_of_its_own(monkeypatch: 
     assert what_would_run() == (True, "this kernel's own vcan", "")
 
 
+def test_a_kernel_that_makes_no_vcan_is_told_how(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "socket", Can)
+    monkeypatch.setattr(Can, "bind", NoCan.__init__)
+    monkeypatch.setattr(vcan.shutil, "which", lambda program: program)
+    monkeypatch.setattr(supervise, "works", lambda argv: True)
+    monkeypatch.setattr(vcan, "works", lambda argv: False)
+    with pytest.raises(RunnerError, match="this kernel makes no vcan here"):
+        vcan.native(PLAIN)
+
+
 def test_where_namespaces_are_refused_the_vcan0_that_is_there_must_do(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Can)
     monkeypatch.setattr(supervise, "works", lambda argv: False)

@@ -206,11 +206,17 @@ def test_discarding_changes_no_draw() -> None:
     (PacketLaw(latency={"table": [[0, 0], [1, 1.0]]}, queue=50), "queue of 50"),
     (PacketLaw(latency={"table": [[0, 0], [1, 90.0]]}), "discard_older"),
     (PacketLaw(latency={"table": [[0, 0], [1, 0.1]]}, loss=GilbertElliott(p_gb=0.1, p_bg=0.1)), "at most 512"),
+    (
+        PacketLaw(latency=40 * T, loss=GilbertElliott(p_gb=0.1, p_bg=0.1)),
+        f"latencies reach 40 slots, so that its chain has {3 << 20} states, at most 512; discard_older = J bounds it",
+    ),
 ])  # fmt: skip
 def test_a_law_without_a_chain_says_why(law: PacketLaw, reason: str) -> None:
     said = law.age_chain(T, DEADLINE)
     assert isinstance(said, str)
     assert reason in said
+    chances = law.delay_chances(T, DEADLINE)
+    assert chances == said if reason == "recorded trace" else isinstance(chances, str) or len(chances) > 1
 
 
 @pytest.mark.parametrize(("fields", "field"), [

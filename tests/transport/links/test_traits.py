@@ -8,6 +8,7 @@ import pytest
 
 from transport import CanFraming, Link, LinkTraits, Role, TransportError
 from transport.installed import Folder, Point
+from transport.links.opening import worker_channel
 from transport.links.traits import on_zenoh, traits_of
 
 
@@ -82,3 +83,11 @@ def test_a_plug_in_says_what_its_links_are(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(TransportError, match=r"traits gave 'CAN', expected transport\.LinkTraits"):
         traits_of("liar:7")
     assert traits_of("bus:7?auth=frames.key").commanders == "holders of the key frames.key"
+
+
+def test_eight_workers_share_a_bus_and_no_ninth() -> None:
+    assert worker_channel("can:socketcan:vcan0?base=0x300", 7) == "can:socketcan:vcan0?base=0x200"
+    assert worker_channel("zenoh:unixsock-stream/tmp/x", 2) == "zenoh:unixsock-stream/tmp/x-2"
+    assert worker_channel("zenoh:tls/h:7447?keys=k", 1) == "zenoh:tls/h:7448?keys=k"
+    with pytest.raises(TransportError, match="identifiers for 8 workers; start fewer"):
+        worker_channel("can:socketcan:vcan0", 8)

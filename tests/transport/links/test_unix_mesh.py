@@ -9,6 +9,7 @@ import select
 import socket
 import tempfile
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
@@ -354,3 +355,43 @@ def test_one_who_never_reads_does_not_make_what_others_take_unsent(directory: Pa
             said.append(sender.send(datagram))
             assert reader.receive(1.0) is not None
         assert all(said) and sender.dropped > 0
+
+
+def test_who_is_alone_with_another_knows_it_as_long_as_that_is_so(directory: Path) -> None:
+    with Mesh(directory) as first, Mesh(directory) as second:
+        assert first._members.lone is None and second._members.lone is not None
+        first.send(HEAD.pack(0.0, 0))
+        assert first._members.lone is not None
+        with Mesh(directory) as third:
+            for each in (first, second):
+                each.send(HEAD.pack(0.0, 0))
+            assert all(each._members.lone is None for each in (first, second, third))
+        for each in (first, second):
+            while each.receive(0.0) is not None:
+                pass
+            assert each._members.lone is not None
+
+
+def test_who_leaves_while_another_holds_the_lock_takes_its_socket_along(directory: Path) -> None:
+    mesh = Mesh(directory)
+    held = os.open(directory, os.O_RDONLY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    mesh.close()
+    os.close(held)
+    assert not list(directory.glob("*.sock"))
+
+
+def test_one_at_whom_too_many_have_knocked_already_is_left_alone(directory: Path) -> None:
+    directory.mkdir(mode=0o700)
+    path = directory / f"{os.getpid()}-900.sock"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stopped, ExitStack() as stack:
+        stopped.bind(str(path))
+        stopped.listen(0)
+        with pytest.raises(BlockingIOError):
+            while True:
+                knock = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+                knock.setblocking(False)
+                knock.connect(str(path))
+        with Mesh(directory) as mesh:
+            assert mesh.participants == 1
+        assert path.exists()
