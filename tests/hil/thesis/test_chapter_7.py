@@ -161,8 +161,8 @@ def test_the_mean_over_the_filter_is_the_gain_of_the_delay_before() -> None:
 
 
 def test_rows_on_the_estimate_hold_and_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """By one start of each descent, of those by differences by two steps, and by 1000 runs packet by packet."""
-    monkeypatch.setattr("scipy.optimize.minimize", partial(minimize, options={"maxiter": 2}))
+    """By one start of each descent, of those by differences by one step, and by 1000 runs packet by packet."""
+    monkeypatch.setattr("scipy.optimize.minimize", partial(minimize, options={"maxiter": 1}))
     monkeypatch.setattr("hil.thesis.chapter7_delays.packet_by_packet", partial(packet_by_packet, runs=1000))
     monkeypatch.setattr("hil.thesis.chapter7_designs.TrackingProblem", partial(TrackingProblem, starts=1))
     steps: list[tuple[int, int]] = []

@@ -58,6 +58,7 @@ def test_the_other_rules_are_the_ones_stated() -> None:
     assert row(exactly("n", "n", 15), n=15).verdict == "reproduced"
     assert row(exactly("n", "n", 15), n=16).verdict == "not reproduced"
     assert row(exactly("x", "x", "y", 1e-6), x=2.0, y=2.0 + 1e-7).verdict == "reproduced"
+    assert row(exactly("z", "z", 0, 0.06), z=0.0).verdict == "undecided"  # of the size 1: a tenth of it would fulfil it too
     assert row(within("x", "x", 0, 1), x=0.5).verdict == "reproduced"
     assert row(within("x", "x", 0, 1), x=1.0).verdict == "not reproduced"
     for word, verdict in (("certified", "reproduced"), ("refused", "not reproduced"), ("undecided", "undecided")):
