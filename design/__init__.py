@@ -2,9 +2,9 @@
 
 ::
 
-    closed_loop -> mjls -> (second_moment, h2, bounded_real) -> certificate
+    closed_loop -> mjls -> (second_moment, bounded_real) -> certificate
                      \\-> tracking (h2, hinf, mixed synthesis; ccl for comparison; bounds)
-    rates -> semi_markov -> (smjls_analysis, robust_feedback, delayed_hinf, fault_tolerant) -> jump_certificate -> exact_proof
+    rates -> semi_markov -> (stability, robust_feedback, delayed_hinf, fault_tolerant) -> certificate -> lmi.exact
 
 Names are re-exported lazily: a process that keeps time imports `design.controllers` and pays for nothing else.
 """

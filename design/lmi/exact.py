@@ -66,20 +66,12 @@ def as_float(value: npt.ArrayLike) -> Array:
 
 def as_fraction(value: npt.ArrayLike) -> Array:
     """The lift into exact arithmetic: every float becomes the rational number that it is (and stays an array)."""
-    array: Any = np.asarray(value, dtype=object)
-    out = np.empty(array.shape, dtype=object)
-    for index in np.ndindex(array.shape):
-        out[index] = Fraction(array[index])
-    return out
+    return np.asarray(np.vectorize(Fraction, otypes=[object])(np.asarray(value, dtype=object)))
 
 
 def rounded(value: npt.ArrayLike, bits: int) -> Array:
     """The nearest multiples of 2^-bits, as fractions; symmetric stays symmetric."""
-    scaled = np.rint(np.ldexp(np.asarray(value, dtype=float), bits))
-    out = np.empty(scaled.shape, dtype=object)
-    for index in np.ndindex(scaled.shape):
-        out[index] = Fraction(int(scaled[index]), 2**bits)
-    return out
+    return as_fraction(np.ldexp(np.rint(np.ldexp(np.asarray(value, dtype=float), bits)), -bits))
 
 
 def pivots(matrix: Array) -> list[Fraction]:

@@ -288,8 +288,8 @@ class Segments(NamedTuple):
 
 def segments(
     loop: JumpLoop, flow: MatrixFlow, *, duration_s: float, dt_s: float, seed: int, first: int, runs: int
-) -> tuple[Segments, FloatArray]:
-    """All segments of a batch with the states at their first grid points, and the states at the end, shape (n, runs)."""
+) -> Segments:
+    """All segments of a batch with the states at their first grid points."""
     last = round(duration_s / dt_s)
     state = np.repeat(np.asarray(loop.start, dtype=float)[:, None], runs, axis=1)
     parts: list[tuple[IntArray, IntArray, FloatArray, FloatArray, FloatArray]] = []
@@ -314,4 +314,4 @@ def segments(
     points = np.maximum(stop - grid, 0)
     some = points > 0
     x[:, some] = flow.flow(which[some], x[:, some], np.maximum(grid[some] * dt_s - begin[some], 0.0))
-    return Segments(run, which, grid, points, x), state
+    return Segments(run, which, grid, points, x)

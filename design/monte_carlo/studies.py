@@ -54,10 +54,9 @@ class _Study:
         first = chunk * CHUNK
         matrices = self.loop.matrices(seed=self.seed, first=first, runs=CHUNK)
         flow = MatrixFlow(matrices, dt_s=self.dt_s, longest_s=self.duration_s)
-        found, _ = segments(
+        return flow, segments(
             self.loop, flow, duration_s=self.duration_s, dt_s=self.dt_s, seed=self.seed, first=first, runs=CHUNK
         )
-        return flow, found
 
     def settle(self, chunk: int) -> FloatArray:
         """T_s of every run of a chunk, ``inf`` where the last grid point is outside the band."""

@@ -16,7 +16,6 @@ from design.as_printed.examples import (
     chapter2_process,
     chapter2_reference_gain,
     chapter2_system,
-    chapter4_system,
 )
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.monte_carlo.jump_loop import JumpLoop
@@ -167,23 +166,6 @@ def test_vertex_uncertainty_is_drawn_from_the_hull() -> None:
     nominal = chapter2_system("none")
     want = nominal.a[1] + nominal.b[1] @ k + rho[17] * (np.array([[0, 0], [0, 0.7]]) + np.array([[0], [0.1]]) @ k)
     np.testing.assert_allclose(matrix, want, rtol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"start": (1.0,)}, "start: "),
-        ({"start": (1.0, np.nan)}, "start: "),
-        ({"mode": 2}, "mode: 2"),
-        ({"system": chapter2_system("none")}, "uncertain: "),
-        ({"gain": constant_gain(np.zeros((3, 1, 2)))}, r"gain: \(modes, inputs, states\) = \(3, 1, 2\), expected \(2, 1, 2\)"),
-        ({"gain": constant_gain(np.zeros((2, 1, 3)))}, r"gain: .* = \(2, 1, 3\)"),
-        ({"system": chapter4_system(), "process": SemiMarkov(rates=((None,),))}, "process: 1 modes"),
-    ],
-)
-def test_a_loop_that_cannot_be_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match="^" + message):
-        loop(**change)
 
 
 def test_a_study_that_cannot_be_is_refused() -> None:
