@@ -121,12 +121,9 @@ def inverse_block(
 
 
 def _gain_step(
-    system: JumpSystem, process: FaultDetection, certificate: JumpCertificate, eta: Partition, bound: float
+    system: JumpSystem, process: FaultDetection, gain: ScheduledGain, certificate: JumpCertificate, eta: Partition, bound: float
 ) -> ScheduledGain:
-    """The gains of smallest gamma for the Lyapunov matrices of a certificate."""
-    gain = certificate.gain
-    if gain is None:
-        raise FieldError("certificate", "holds no gains")
+    """The gains of smallest gamma for the Lyapunov matrices of a certificate of other gains."""
     program = LmiProgram()
     program.matrix("g2", 1, 1)
     table = [[f"K[{mode},{section}]" for section in range(gain.gain.shape[1])] for mode in range(gain.modes)]
@@ -202,7 +199,7 @@ def fault_tolerant_feedback(
         failing = _failed(system, share)
         best = analyse_fault_tolerant(failing, gain, process, eta_nodes=eta, performance=performance)
         if best.certified and share < 1.0:
-            gain = _gain_step(failing, process, best, eta, gain_bound)
+            gain = _gain_step(failing, process, gain, best, eta, gain_bound)
     if not best.certified:
         raise Infeasible(f"{what}: gains found, but their own check failed: {best.reason}")
     if performance is not None:
@@ -211,7 +208,7 @@ def fault_tolerant_feedback(
         level = best.gamma or math.inf
         if gamma is not None and level <= gamma:
             break
-        gain = _gain_step(system, process, best, eta, gain_bound)
+        gain = _gain_step(system, process, gain, best, eta, gain_bound)
         trial = analyse_fault_tolerant(system, gain, process, eta_nodes=eta)
         if not trial.certified or (trial.gamma or math.inf) >= level:
             break
