@@ -2,9 +2,11 @@
 
 import dataclasses
 import hashlib
+import math
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -86,6 +88,14 @@ class Costly(Integrator):
         return np.array([[-1.0]]), np.eye(1)
 
 
+def jumps(**changed):
+    class Jumps(DelayedVTOL):
+        def jump_system(self):
+            return replace(DelayedVTOL.jump_system(self), **changed)
+
+    return Jumps()
+
+
 def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
     said = check_plant(DelayedStates())
     assert any("is HasStateDelays" in line and "its 5 delayed states" in line for line in said)
@@ -101,6 +111,11 @@ def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
         (Unseeded(), "Unseeded.start: same seed, another state"),
         (Twins(), "Twins.states: a name comes twice"),
         (Wide(), "Wide.model: 1 inputs, expected 2"),
+        (jumps(delay_slopes=(0.1,)), "Jumps.jump_system: 1 delay_slopes, expected 3"),
+        (jumps(min_delay_s=1.0), r"Jumps.jump_system: min_delay_s 1, expected 0 to max_delay_s \(0.3\)"),
+        (jumps(E=(((0.0,),) * 4,) * 2), "Jumps.jump_system: E of 2 modes"),
+        (jumps(C=(((1.0,),),) * 3), r"Jumps.jump_system: C of shape \(1, 1\); the plant measures 4 states and the mode"),
+        (jumps(E=(((math.nan,),) * 4,) * 3), "Jumps.jump_system: E is not finite"),
     ],
 )
 def test_a_plant_that_breaks_a_rule_is_named(plant, message):
