@@ -195,9 +195,6 @@ def main(args: list[str] | None = None) -> Any:
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
         print("\nhil: interrupted", file=sys.stderr)
         sys.exit(e.status if isinstance(e, Terminated) else 130)
-    except BrokenPipeError:
-        _close_stdout()
-        sys.exit(141)
     except OSError as e:
         if e.errno in (errno.EMFILE, errno.ENFILE):
             print("hil: no free file descriptor; raise the limit: ulimit -n 64", file=sys.stderr)

@@ -224,8 +224,8 @@ def _quantity(value: float, signal: Signal) -> str:
 def sparkline(values: list[float]) -> str:
     """Return values as a line of blocks, the largest full.
 
-    >>> sparkline([0.0, 1.0, 2.0])
-    '▁▄█'
+    >>> sparkline([0.0, 1.0, 2.0]), sparkline([0.0, 0.0])
+    ('▁▄█', '▁▁')
     """
     top = max((v for v in values if np.isfinite(v)), default=0.0)
     if top <= 0.0:

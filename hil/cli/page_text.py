@@ -229,6 +229,8 @@ def least_cost(claim: dict[str, Any]) -> str:
 
     >>> least_cost({"bound_full_state": 54.7557, "cost": 55.1974})
     'no controller below 54.756 from this start, over any network; this one 55.197, 0.81 % above'
+    >>> least_cost({"bound_full_state": 54.7557})
+    'no controller below 54.756 from this start, over any network'
     """
     bound, cost = float(claim["bound_full_state"]), claim.get("cost")
     text = f"no controller below {number(bound)} from this start, over any network"

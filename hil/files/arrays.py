@@ -96,8 +96,6 @@ def numbers_from_file(table: dict[str, Any], field: str, folder: str, dimensions
         raise HilError(f"{path}: {error}") from error
     except _BROKEN as error:
         raise HilError(f"{path}: is no whole {suffix} file: {error}") from error
-    if found.dtype.kind not in "fiub":
-        raise HilError(f"{path}: key {key!r}: holds {found.dtype}, expected real numbers")
     if found.size > MOST_NUMBERS:
         raise HilError(f"{path}: key {key!r}: {found.size} numbers; at most {MOST_NUMBERS}")
     if dimensions == 1 and max(found.shape, default=1) == found.size:

@@ -47,6 +47,15 @@ class Twice:
 
     def rows(self, k, tau, y, r):
         return (0.0,), (0.0,)
+
+class Odd(Coin):
+    @property
+    def mode_ages(self):
+        return {}["mode"]
+
+    @property
+    def start(self):
+        return {}["start"]
 """
 
 
@@ -68,6 +77,7 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
     status, out, err = cli("check", *words)
     assert (status, err) == (0, "") and earned in out
     if words[0] == "laws":
+        assert cli("list", *words[:2])[1].startswith("mine:Coin, from mine.py\n")
         assert earned in json.loads(cli("check", *words, "--json")[1])["earned"][1]
 
 
@@ -75,13 +85,14 @@ def test_a_plug_in_says_what_it_has_earned(cli: Hil, words: tuple[str, ...], ear
     ("words", "fault"),
     [
         (("laws", "mine:Coin", "--parameter", "q=0.5"), "hil: law.q: unknown field; there are p"),
-        (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Process, Twice"),
+        (("laws", "mine:Coyn"), "has no 'Coyn'; it has Coin, Odd, Process, Twice"),
         (("laws", "nowhere:Coin"), "there is no nowhere.py in "),
         (("measures", "measures:Number"), "hil: check_measure: measures:Number: a run: of(view) returned 3.0, expected numbers"),
         (("measures", "measures:Leaves"), "of(view): SystemExit: 0 ("),
         (("measures", "measures:Whole", "--parameter", "a=1"), "--parameter: a measure has no keys"),
         (("links", "nope:x"), "no link is called 'nope'"),
         (("controllers", "mine:Coin"), "check_controller: "),
+        (("laws", "mine:Odd"), "hil: law: 'mine:Odd': check_law: start of Odd: KeyError: 'start' ("),
         (("controllers", "mine:Twice"), "check_controller: mine:Twice: 2 rows, expected 1 for 'constant'"),
     ],
 )

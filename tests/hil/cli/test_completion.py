@@ -57,6 +57,14 @@ def test_install_writes_below_the_home_only(cli: Hil, tmp_path: Path, monkeypatc
     assert "_HIL_COMPLETE" in written.read_text()
 
 
+@pytest.mark.parametrize(("shell", "begins"), [("/bin/zsh", "#compdef hil"), ("/bin/tcsh", "_hil_completion() {"), ("", "_hil")])
+def test_the_script_is_for_the_running_shell_and_for_bash_where_it_is_another(
+    cli: Hil, shell: str, begins: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SHELL", shell)
+    assert cli("completion", "show")[1].strip().startswith(begins)
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_takes_the_script(tmp_path: Path) -> None:
     (tmp_path / "hil").write_text(f"#!/bin/sh\nexec {sys.executable} -m hil \"$@\"\n")

@@ -41,6 +41,8 @@ def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
 def test_a_folder_that_takes_no_file_is_reported_before_the_work() -> None:
     with pytest.raises(HilError, match="cannot be written"):
         check_output(Path("/proc/x"))  # root may write there, says access()
+    with pytest.raises(HilError, match="cannot be written: File name too long"):
+        check_output(Path("x" * 300))
 
 
 @pytest.mark.parametrize("command", [["report", "LOG"], ["reproduce", "ch2"], ["compare", "dc-motor-hinf", "--runs", "2"]])

@@ -35,6 +35,8 @@ FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
          "recorded frames have no period, and no bound follows from them"),
         (("can", "analyse", "fd.csv"), "--bitrate: missing; fd.csv says no bit rate"),
         (("can", "analyse", "fd.csv", "--bitrate", "500k"), "--dbitrate: missing; fd.csv has CAN FD messages"),
+        (("can", "analyse", "fd.csv", "--bitrate", "501k", "--dbitrate", "2M"), "--bitrate: 501000"),
+        (("design", "dc-motor", "--row-sojourns", "2", "--information", "tau"), "--row-sojourns: "),
         (("dbc", "--link", "can:hil:a"), "--link and --set: name an experiment"),
         (("dbc", "--set", "period=1"), "--link and --set: name an experiment"),
         (("dbc", "--c", "there", "--decode", "a.log"), "--c and --decode: one at a time"),

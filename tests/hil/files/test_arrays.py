@@ -82,6 +82,24 @@ def test_of_many_keys_twenty_are_named(folder: Path) -> None:
         numbers_from_file({"file": "many.npz"}, "K", str(folder), 1)
 
 
+def test_a_vector_is_a_row_or_a_column_and_what_is_too_much_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert numbers_from_file({"file": "cart.npz", "key": "B"}, "B", str(folder), 1) == [0.0, 1.0]
+    with pytest.raises(HilError, match=r"K\.csv: a \.csv file holds one array, and no key 'K'"):
+        numbers_from_file({"file": "K.csv", "key": "K"}, "K", str(folder), 2)
+    with pytest.raises(HilError, match=r"cart\.mat: has no key 'C\\x00'"):
+        numbers_from_file({"file": "cart.mat", "key": "C\0"}, "K", str(folder), 2)
+    (folder / "four.csv").write_text("1,2\n3,4\n")
+    monkeypatch.setattr(array_files, "MOST_NUMBERS", 4)
+    assert numbers_from_file({"file": "four.csv"}, "K", str(folder), 2) == [[1.0, 2.0], [3.0, 4.0]]
+    monkeypatch.setattr(array_files, "MOST_NUMBERS", 3)
+    with pytest.raises(HilError, match="key 'K': 4 numbers; at most 3"):
+        numbers_from_file({"file": "four.csv"}, "K", str(folder), 2)
+    np.savez_compressed(folder / "zeros.npz", K=np.zeros(1000))
+    monkeypatch.setattr(array_files, "MAX_BYTES", 1000)
+    with pytest.raises(HilError, match="key 'K': more than 1000 bytes"):
+        numbers_from_file({"file": "zeros.npz"}, "K", str(folder), 1)
+
+
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "bomb.mat": (_bomb, r"is no whole \.mat file"),
     "huge.npz": (_huge_npz, r"key 'A': an array of shape \(1000000000000,\); at most 1000000 numbers"),

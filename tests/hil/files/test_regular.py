@@ -21,7 +21,8 @@ def test_what_has_no_end_or_no_beginning_is_refused_at_once(tmp_path: Path) -> N
     (tmp_path / "zero").symlink_to("/dev/zero")
     (tmp_path / "large").write_bytes(b"abcd")
     for name, says in (("pipe", "no regular file, not an x"), ("zero", "no regular file"), (".", "is a folder, not an x"),
-                       ("large", "more than 3 bytes"), ("absent", "No such file"), ("a\0b", "cannot be read")):  # fmt: skip
+                       ("large", "more than 3 bytes"), ("absent", "No such file"), ("a\0b", "cannot be read"),
+                       ("/proc/self/mem", "cannot be read: Input/output error")):  # fmt: skip
         with pytest.raises(HilError, match=says):
             read_regular(tmp_path / name, 3, "an x")
 

@@ -8,6 +8,8 @@ import stat
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from hil.log.read.recover import recover
 from tests.hil.cli.conftest import Hil
@@ -91,6 +93,9 @@ def test_what_is_no_key_is_refused_before_anything_runs(cli: Hil, signed: Path) 
         status, _, err = cli("run", "dc-motor-hinf", "--duration", "1", "-o", "n.mcap", "--sign", key)
         assert status == 2 and said in err and not Path("n.mcap").exists(), err
     assert check(cli, key="frames.key")[0] == 2 and check(cli, key="k/signing.key")[0] == 2
+    other = ec.generate_private_key(ec.SECP256R1()).public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    Path("other.pub").write_bytes(other)
+    assert "other.pub: is no Ed25519 key; expected the signing.pub" in check(cli, key="other.pub")[1]
     status, _, err = cli("keys", "signing", "k")
     assert status == 2 and "has a signing key already" in err
 
