@@ -144,7 +144,7 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
         ([FIXED % GAINS[:2]], "controller.ages: [2, 2], expected counts whose product is 2"),
         ([(FIXED % GAINS).replace("[2, 2]", "[4]")], "controller.ages: [4], expected one number for each of 2 sensor nodes"),
         (["controller={kind='designed', output_weights=[1.0]}"], "controller.output_weights: length 1, expected 2: one"),
-        (["controller={kind='designed', output_weights=[1.0, -1.0]}"], "controller.output_weights[1]: -1, expected"),
+        (["controller={kind='designed', output_weights=[1.0, -1.0]}"], "controller.output_weights[1]: -1.0, expected"),
         (["controller={kind='designed', integral=0.1}"], "controller.integral: 1 inputs cannot make the mean errors of 2"),
         (["controller={kind='designed', sojourns=2}"], "sojourns"),
         (['network.nodes.speed.law={kind="iid-latency"}'], "network.nodes.speed.law"),
