@@ -83,9 +83,8 @@ class Compressor:
 
 def _touching(length: int) -> tuple[bytes, ...]:
     """Return data of which nothing repeats, and data of which much does, so that zstd writes to all of its memory."""
-    number = np.arange(length, dtype=np.uint32) * np.uint32(2654435761)
-    mixed = (number ^ number >> np.uint32(15)) * np.uint32(2246822519)
-    return tuple((mixed >> np.uint32(bits)).astype(np.uint8).tobytes() for bits in (24, 29))
+    rng = np.random.default_rng(0)
+    return rng.bytes(length), rng.integers(0, 8, length, np.uint8).tobytes()
 
 
 class McapWriter:

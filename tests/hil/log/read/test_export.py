@@ -196,6 +196,7 @@ def test_a_can_log_of_a_run_with_a_can_bus_holds_the_frames_of_that_bus(bus_run:
     frames = bus_run.arrays["/link/bus"]
     whole = frames["operation"] == 0
     assert [m.is_error_frame for m in messages] == (~whole).tolist() and not whole.all()
+    assert len({m.channel for m in messages} - {None}) == 1  # of an error, candump's format names none
     got = [(m.arbitration_id, len(m.data), m.is_fd, m.is_extended_id) for m in messages if not m.is_error_frame]
     assert got == [(can_id, length, False, False) for can_id, length in frames[["can_id", "length"]][whole].tolist()]
     seconds = (frames["end_ns"] / 1e9).tolist()

@@ -72,7 +72,9 @@ def test_a_log_torn_in_a_chunk_keeps_every_chunk_before_it(log: bytes, tmp_path:
     assert f"lost: 50 bytes, torn at byte {cut - 50}" in report.text
     assert source.read_bytes() == log[:cut]
     with open(tmp_path / "b.mcap", "rb") as file:  # indexed: mcap's own reader seeks in it
-        summary = make_reader(file, validate_crcs=True).get_summary()
+        reader = make_reader(file, validate_crcs=True)
+        summary = reader.get_summary()
+        assert (reader.get_header().profile, reader.get_header().library) == ("ros2", "hilrig")
     assert summary is not None and summary.statistics is not None
     assert summary.statistics.message_count == report.messages
 
