@@ -13,6 +13,7 @@ from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
 from hil.log.recordings.recording import WORDS, independence_said
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
+from hil.pages.html.numbers import capital
 from hil.pages.html.page import Page
 from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
@@ -89,7 +90,7 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     parameters = [(name, *pair) for name, pair in said["intervals"].items()]
     blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
     blocks.append(Table(columns=("law that was tried", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
-    tested = (f"{line[0].upper()}{line[1:]}" for line in independence_said(fit))
+    tested = map(capital, independence_said(fit))
     intro = f"The law: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
         f"{note}." for note in (*tested, *said["notes"])
     )

@@ -12,6 +12,7 @@ from design.monte_carlo.confidence import Interval
 from hil.measure.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
+from hil.pages.html.numbers import capital
 from hil.pages.html.page import Page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
@@ -94,7 +95,7 @@ def _answer(comparison: Comparison) -> Section:
         columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"),
         rows=[[*row[:-1], _in_one_line(row[-1])] for row in comparison.rows()],
         note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number."
-        f"{none and f' N{none[1:]}.'}" + (f" M{SHORTER[1:]}." if comparison.stopped else ""),
+        + "".join(f" {capital(each)}." for each in (none, SHORTER if comparison.stopped else "") if each),
     )  # fmt: skip
     cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())
     return Section(title="Answer", blocks=(*verdicts, *cautions, table))

@@ -16,7 +16,7 @@ from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView, view_of
 from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, State, Table, Tile
-from hil.pages.html.numbers import text_of
+from hil.pages.html.numbers import capital, text_of
 from hil.pages.html.page import Page
 from hil.pages.sections import sections_of
 from hil.pages.sections.time_panels import output_panels
@@ -91,7 +91,7 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
 
 
 def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
-    label = quantity.title[:1].upper() + quantity.title[1:]
+    label = capital(quantity.title)
     if value is None and quantity.needs and not any(mark.label == quantity.needs for mark in view.marks):
         return Tile(label=label, value=None, unit=quantity.unit, note=f"no {quantity.needs.rpartition(' ')[2]}")
     if value is None and quantity.absent:
@@ -208,7 +208,7 @@ def _together(drawn: Sequence[tuple[str, Figure]]) -> tuple[Block, ...]:
         curve = replace(figure.series[-1], label=name, colour=None, halo=False)
         kinds.setdefault((figure.y_label, figure.y_unit), []).append(curve)
     return tuple(
-        Figure(title=label[:1].upper() + label[1:], y_label=label, y_unit=unit, sync=None, height_px=300,
+        Figure(title=capital(label), y_label=label, y_unit=unit, sync=None, height_px=300,
                series=tuple(replace(each, colour=i) for i, each in enumerate(curves)))
         for (label, unit), curves in kinds.items()
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""How a number is written on a page and in the terminal."""
+"""How a number is written on a page and in the terminal, and how a sentence begins."""
 
 from __future__ import annotations
 
@@ -54,3 +54,12 @@ def _float_text(value: float, digits: int) -> str:
     if "." in text and "e" not in text:
         text = text.rstrip("0").rstrip(".")
     return (text or "0").replace("-", "−")
+
+
+def capital(text: str) -> str:
+    """Return a text that begins with a capital; the rest stays.
+
+    >>> capital("no run of dc-motor-H2")
+    'No run of dc-motor-H2'
+    """
+    return text[:1].upper() + text[1:]

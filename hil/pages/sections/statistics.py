@@ -15,7 +15,7 @@ from hil.measure.network_paths import NetworkPath, expected_frequencies, expecte
 from hil.measure.summary import POINTS, page_summary
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Section, Table
-from hil.pages.html.numbers import text_of
+from hil.pages.html.numbers import capital, text_of
 from transport.law_tests import is_testable
 from transport.laws import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards
@@ -241,8 +241,3 @@ def _histogram(values: npt.NDArray[np.float64], marks: Mapping[str, float | None
         y_log=True,
         colour=colour,
     )
-
-
-def capital(text: str) -> str:
-    """Return a text that begins with a capital; the rest stays."""
-    return text[:1].upper() + text[1:]

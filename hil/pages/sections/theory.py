@@ -13,6 +13,7 @@ from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
 from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
+from hil.pages.html.numbers import capital
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import composed
@@ -109,7 +110,7 @@ def _sums(loop: Loop, predicted: PredictedTracking, error: np.ndarray[Any, Any],
         columns=(head, f"{whose} mean", f"{whose} sd", "this run"),
         rows=rows,
         note="Squared error of the tracked outputs against the value stepped to, summed over the samples, times T: Table 7.2."
-        + (f" {tails[0].upper()}{tails[1:]}." if tails else ""),
+        + (f" {capital(tails)}." if tails else ""),
     )
 
 

@@ -21,8 +21,9 @@ from hil.measure.network_paths import network_paths
 from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
 from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
+from hil.pages.html.numbers import capital
 from hil.pages.html.payload import Float, reduced
-from hil.pages.sections.statistics import DIRECTIONS, MEASURED, capital, network_table
+from hil.pages.sections.statistics import DIRECTIONS, MEASURED, network_table
 
 Records: TypeAlias = npt.NDArray[np.void]
 All: TypeAlias = Callable[[Records], npt.NDArray[np.bool_]]
