@@ -17,6 +17,7 @@ from hil.log import topics
 from hil.log.append_column import pieces, release, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
+from hil.log.topics.loop import inputs_among
 from hil.measure.signals import Followed, Signals, bare, tracked_among
 from hil.rig.normal_form import rig_of
 from hil.rig.spec import RigSpec
@@ -190,15 +191,11 @@ def seconds(array: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
 
 
 def signal_names(run: Run, topic: str) -> list[str]:
-    """Return the float fields of a topic that are signals (for the actuator: the inputs, not the disturbances).
-
-    For `/actuator/applied` a field `w_x` stands beside every `x`.
-    """
+    """Return the float fields of a topic that are signals (for the actuator: the inputs, not the disturbances)."""
     if topic not in run.arrays:
         return []
     array = run.arrays[topic]
-    names = [n for n in array.dtype.names or () if array.dtype[n].kind == "f"]
-    return [n for n in names if not (n.startswith("w_") and n[2:] in names)]
+    return inputs_among([n for n in array.dtype.names or () if array.dtype[n].kind == "f"])
 
 
 def matrix(array: npt.NDArray[np.void], names: list[str]) -> npt.NDArray[np.float64]:

@@ -213,12 +213,7 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
     if failed:
         outcome["measure_failed"] = "; ".join(failed.values())
     summary["wall_s"] = round(wall_s, 3)
-    summary["log"] = {
-        "path": str(sink.path),
-        "sha256": "",
-        "messages": sink.messages,
-        "dropped": sink.dropped,
-    }
+    summary["log"] = {"path": str(sink.path), "sha256": "", "messages": sink.messages, "dropped": sink.dropped}
     problems = messages_of(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)

@@ -96,10 +96,13 @@ ROWS = Topic(
 )  # fmt: skip
 
 
+def inputs_among(names: Sequence[str]) -> list[str]:
+    """Return the inputs among the float fields of `/actuator/applied`: beside every `x` stands its disturbance, `w_x`."""
+    return [name for name in names if not (name.startswith("w_") and name[2:] in names)]
+
+
 def _inputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
-    """Plot every input with its disturbance; beside every `x` stands a field `w_x`."""
-    inputs = [name for name in names if not (name.startswith("w_") and name[2:] in names)]
-    own = [Curve(panel=name, field=field, place=2) for name in inputs for field in (name, f"w_{name}")]
+    own = [Curve(panel=name, field=field, place=2) for name in inputs_among(names) for field in (name, f"w_{name}")]
     return [*own, Curve(panel="delays, samples", field="d", place=4)]
 
 

@@ -103,7 +103,7 @@ def test_a_reader_says_what_a_log_lacks(tmp_path: Path) -> None:
 
 
 BARE = Logged(
-    states=(Signal("angle", "rad"), Signal("speed", "rad/s")), inputs=(Signal("voltage", "V"), Signal("Brake torque", "N m")),
+    states=(Signal("angle", "rad"), Signal("speed", "rad/s")), inputs=(Signal("voltage", "V"), Signal("W tension", "N")),
     outputs=(Signal("angle", "rad"), Signal("mode", "1")), n_rows=2,
 )  # fmt: skip
 WHOLE = replace(BARE, numbered=True, passivity=True, on_can=True, bus=True, n_rows=0)
