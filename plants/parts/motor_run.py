@@ -28,7 +28,7 @@ def _held(gain: float, damping: float, dt_ns: int) -> Held:
 
 
 class _FreeAxis:
-    """The axis without dry friction; its step is computed once for every length."""
+    """The axis without dry friction; its step is computed once for every length. Compiled, one class for many too is slower."""
 
     __slots__ = ("_damping", "_dt_ns", "_gain", "_step")
 
@@ -52,11 +52,14 @@ class FreeAxes:
     """
 
     def __init__(self, gain: float, damping: float) -> None:
-        self._gain, self._damping = gain, damping
+        self._gain, self._damping, self._dt_ns = gain, damping, 0
+        self._step: Held = (0.0, 0.0, 1.0, 0.0)
 
     def hold(self, angle: Matrix, speed: Matrix, drive: Matrix, dt_ns: int) -> tuple[Matrix, Matrix]:
         """Return angles (rad) and speeds (rad/s), (runs,), after dt_ns of held drives (V)."""
-        a, b, c, d = _held(self._gain, self._damping, dt_ns)
+        if dt_ns != self._dt_ns:
+            self._step, self._dt_ns = _held(self._gain, self._damping, dt_ns), dt_ns
+        a, b, c, d = self._step
         return angle + a * speed + b * drive, c * speed + d * drive
 
 
