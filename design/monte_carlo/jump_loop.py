@@ -27,7 +27,7 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.monte_carlo.parallel_runs import JUMPS, PARAMETERS, DrawTable, uniforms
-from design.processes.elementary import log
+from design.processes.elementary import log, product
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
@@ -100,7 +100,7 @@ class JumpLoop:
     def matrices(self, *, seed: int, first: int, runs: int) -> FloatArray:
         """M for every (mode, section) and, if uncertain, every run: shape (n, n, W), see ``index``."""
         gain, a, b = self.gain.gain, self.system.a, self.system.b
-        nominal = a[:, None] + _product(b[:, None], gain)  # (modes, sections, n, n)
+        nominal = a[:, None] + product(b[:, None], gain)  # (modes, sections, n, n)
         if not self.uncertain:
             return np.ascontiguousarray(np.moveaxis(nominal.reshape(-1, *a.shape[1:]), 0, -1))
         spread = self._directions(gain)  # (parameters, modes, sections, n, n)
@@ -118,10 +118,10 @@ class JumpLoop:
     def _directions(self, gain: FloatArray) -> FloatArray:
         uncertainty = self.system.uncertainty
         if isinstance(uncertainty, NormBounded):
-            shape = uncertainty.fa[:, None] + _product(uncertainty.fb[:, None], gain)  # (modes, sections, q, n)
+            shape = uncertainty.fa[:, None] + product(uncertainty.fb[:, None], gain)  # (modes, sections, q, n)
             return np.asarray(np.einsum("imq,igqn->qigmn", uncertainty.e, shape))
         assert isinstance(uncertainty, VertexUncertainty)
-        return np.asarray(uncertainty.da[:, :, None] + _product(uncertainty.db[:, :, None], gain))
+        return np.asarray(uncertainty.da[:, :, None] + product(uncertainty.db[:, :, None], gain))
 
     def _weights(self, parameters: int, *, seed: int, first: int, runs: int) -> FloatArray:
         pages = -(-parameters // (4 * PARAMETER_PAGE))
@@ -132,14 +132,6 @@ class JumpLoop:
             return 2.0 * drawn - 1.0
         share = -log(drawn)  # normalised exponentials are uniform on the simplex
         return np.asarray(share / share.sum(axis=0))
-
-
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a @ b of stacks of small matrices, summed in one order on every machine."""
-    out = a[..., :, 0, None] * b[..., None, 0, :]
-    for k in range(1, a.shape[-1]):
-        out = out + a[..., :, k, None] * b[..., None, k, :]
-    return np.asarray(out)
 
 
 ORDER = 10

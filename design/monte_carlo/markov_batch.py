@@ -21,7 +21,7 @@ import numpy.typing as npt
 from design.errors import FieldError
 from design.jump_linear.mjls import MJLS
 from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, FloatArray, Workers, in_chunks, inside_chunk
-from design.processes.elementary import normal_quantile
+from design.processes.elementary import normal_quantile, product
 
 IntArray = npt.NDArray[np.intp]
 
@@ -82,10 +82,10 @@ class _Task:
                 if not at.size:
                     continue
                 here = x[:, at]
-                after[:, at], z[:, at] = _product(A[i], here), _product(C[i], here)
+                after[:, at], z[:, at] = product(A[i], here), product(C[i], here)
                 if w is not None:
-                    after[:, at] += _product(B[i], w[:, at])
-                    z[:, at] += _product(D[i], w[:, at])
+                    after[:, at] += product(B[i], w[:, at])
+                    z[:, at] += product(D[i], w[:, at])
             square = (z * z).sum(axis=0)
             energy += square
             np.maximum(peak, square, out=peak)
@@ -95,14 +95,6 @@ class _Task:
 
     def _noise(self, table: DrawTable, k: int, q: int) -> FloatArray:
         return normal_quantile(np.stack([table.row(k * q + c) for c in range(q)]))
-
-
-def _product(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a @ b, summed in one order on every machine: BLAS would give each column's last bits by where it stands."""
-    out = a[:, 0, None] * b[0]
-    for k in range(1, len(b)):
-        out += a[:, k, None] * b[k]
-    return np.asarray(out)
 
 
 def simulate_mjls(

@@ -128,3 +128,11 @@ def _ratio(of: tuple[tuple[float, ...], tuple[float, ...]], r: FloatArray) -> Fl
     for b in of[1][1:]:
         below = below * r + b
     return np.asarray(above / below)
+
+
+def product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return a @ b of stacks of small matrices, summed in one order: of BLAS a column's last bits depend on where it stands."""
+    out = a[..., :, 0, None] * b[..., None, 0, :]
+    for k in range(1, a.shape[-1]):
+        out = out + a[..., :, k, None] * b[..., None, k, :]
+    return np.asarray(out)
