@@ -69,19 +69,20 @@ def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: C
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
-        if shared.table.kind == "can" and bus is not None:
+        if shared.table.kind == "can":
+            assert bus is not None
             own = sorted(shared.nodes)
             parts.append((own, bus.uplink([channels[i] for i in own])))
-            continue
-        if shared.table.kind != "can-arbitration":
+        elif shared.table.kind == "can-arbitration":
+            own = sorted(shared.nodes, key=lambda node: loop.rig.sensors[node].can_id)  # a lower identifier wins
+            rng = rng_for(seed, f"medium.{shared.name}")
+            parts.append((own, ArbitratedBus([channels[i] for i in own], shared.table.frames, shared.table.loss, rng)))
+        else:
             turning.append(shared)
-            continue
-        nodes = sorted(shared.nodes, key=lambda node: loop.rig.sensors[node].can_id)  # a lower identifier wins
-        rng = rng_for(seed, f"medium.{shared.name}")
-        parts.append((nodes, ArbitratedBus([channels[i] for i in nodes], shared.table.frames, shared.table.loss, rng)))
     on_a_bus = {node for nodes, _ in parts for node in nodes}
     others = [i for i in range(len(channels)) if i not in on_a_bus]
-    schedules = [([others.index(node) for node in shared.nodes], _turns(shared, others, seed)) for shared in turning]
+    taking_turns = [[others.index(node) for node in shared.nodes] for shared in turning]
+    schedules = [(own, _turns(shared, own, seed)) for shared, own in zip(turning, taking_turns)]
     parts.append((others, ScheduledMedium([channels[i] for i in others], schedules)))
     return SplitMedium(parts) if on_a_bus else parts[0][1]
 
@@ -100,9 +101,8 @@ def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
     return SampleClock(every=table.every, phase=None if table.random_phase else table.phase, jitter=table.jitter, rng=rng)
 
 
-def _turns(shared: SharedMedium, others: Sequence[int], seed: int) -> Turns:
+def _turns(shared: SharedMedium, nodes: Sequence[int], seed: int) -> Turns:
     table, rng = shared.table, rng_for(seed, f"medium.{shared.name}")
-    nodes = [others.index(node) for node in shared.nodes]
     if table.kind == "round-robin":
         return RoundRobin(nodes, table.phase, table.loss, rng)
     return RandomTurns(nodes, table.transition(), table.shares(), table.loss, rng)
