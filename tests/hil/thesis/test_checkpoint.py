@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -112,7 +113,9 @@ def test_a_file_of_another_kind_is_refused_and_left(tmp_path: Path, line: str | 
         with state.open("a") as file:
             file.write(f'{{"chapter": "c", "stage": "s", "part": {line}}}\n')
     before = None if line is None else state.read_bytes()
-    with pytest.raises(HilError, match="state"):
+    with pytest.raises(HilError, match="state") as refused:
+        KeptStages(state)
+    with pytest.raises(HilError, match=re.escape(str(refused.value))):  # and not that it is in use
         KeptStages(state)
     assert line is None or state.read_bytes() == before
 

@@ -149,7 +149,7 @@ def said(of: Any) -> str:
 
 
 def drawn(values: Mapping[str, Any]) -> dict[str, list[float]]:
-    """Return the words of every line, band and group of bars, and the mean square of each, or of the width of a band.
+    """Return the words of every line, end of a band and group of bars, and the mean square of each.
 
     Of known gains: those that a stage designs itself are left out. Lines of the same words are one.
     """
@@ -162,8 +162,9 @@ def drawn(values: Mapping[str, Any]) -> dict[str, list[float]]:
                 lines = [(f"{len(panel.counts)} counts", np.sqrt(panel.counts * panel.edges[1:]))]
             else:
                 lines = [(f"{said(each)}, {len(each.x)} to {each.x[-1]:g}", np.asarray(each.y)) for each in panel.series]
-                bands = [(f"{said(each)}, {len(each.x)} to {each.x[-1]:g}", each) for each in panel.bands]
-                lines += [(words, np.asarray(band.upper) - np.asarray(band.lower)) for words, band in bands]
+                for each in panel.bands:
+                    words = f"{said(each)}, {len(each.x)} to {each.x[-1]:g}"
+                    lines += [(f"{words}, below", np.asarray(each.lower)), (f"{words}, above", np.asarray(each.upper))]
             for words, y in lines:
                 if not words.startswith("label ours") and not panel.title.startswith("ours"):
                     found.setdefault(f"{said(plot)}: {said(panel)}: {words}", []).append(float(np.square(y).mean()))
