@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import os
 import pickle
-import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from io import BytesIO
-from typing import IO, Any, Final, Literal
+from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
@@ -23,6 +22,9 @@ from hil.log.write.sinks import Sink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
+
+if TYPE_CHECKING:
+    import socket
 
 LATE: Final = "change late"
 """Kind of the event that logs one that came behind its slot, in real time."""
@@ -98,7 +100,9 @@ class Lines:
         if not self._there:
             return -1
         self._close(name)
-        ours, theirs = socket.socketpair()
+        from socket import socketpair  # of real time
+
+        ours, theirs = socketpair()
         ours.setblocking(False)
         self._lines[name] = ours, theirs, bytearray()
         return theirs.fileno()

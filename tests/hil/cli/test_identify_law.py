@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from design.requests.tracking import solve_tracking
-from hil.design_questions.design_problem import problem_for, tracking_target
-from hil.design_questions.measured_network import measured, over_network, region_verdict
+from hil.design_questions.measured_network import measured
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.recordings.read import read_recording
@@ -18,7 +16,6 @@ from hil.log.recordings.recording import packet_records
 from hil.pages.analyses import _section
 from hil.pages.html.figures import Figure
 from tests.hil.cli.conftest import Hil
-from tests.transport.law_fit.synthetic_laws import DEADLINE, LAWS, T, record_of
 from transport.law_fit import fit_law
 from transport.law_fit.packet_record import PacketRecord
 
@@ -113,41 +110,6 @@ def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp
     assert not (tmp_path / "law.toml").exists()
 
 
-def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
-    """Two commands: the second designs for what the first measured, and certifies all that it leaves possible."""
-    law = "{kind='packet',latency={dist='uniform',loc='1 ms',scale='50 ms'},loss=0.01}"
-    run = ["run", "dc-motor-packets", "--set", f"network.sc.law={law}", "--set", f"network.ca.law={law}"]
-    assert cli(*run, "--set", "allow_uncertified=true", "--duration", "300", "-o", "link.mcap")[0] in (0, 3)
-    status, out, err = cli("design", "dc-motor", "--network", "link.mcap", "--starts", "1", "--json")
-    assert status == 0, err
-    said = json.loads(out)
-    assert said["verdict"]["state"] == "certified"
-    assert said["network"]["sc"]["class"] == said["network"]["ca"]["class"] == "independent"
-    region = said["network"]["region"]
-    assert region["state"] == "certified" and "6000 packets leave possible" in region["reason"]
-    assert said["verdict"]["number"] <= region["tail_radius"] < 1.0
-    assumed = [each for each in region["assumptions"] if "come independently of each other" in each]
-    assert [each[:22] for each in assumed] == ["packets of network.sc ", "packets of network.ca "]
-    assert all("a correlation of neighbours below 0.065 is often missed; behind a late or lost one" in each for each in assumed)
-    assert cli(*run, "--set", "allow_uncertified=true", "--duration", "20", "-o", "short.mcap")[0] in (0, 3)
-    status, out, err = cli("design", "dc-motor", "--network", "short.mcap", "--starts", "1", "--json")
-    assert status == 0, err
-    region = json.loads(out)["network"]["region"]
-    assert region["state"] == "undecided"
-    assert 400 < int(region["reason"].partition("about ")[2].split()[0]) < 6000
-
-
-def test_ages_that_never_came_and_friction_are_named_beside_a_region() -> None:
-    """Counted ages say nothing of an older one; and what the plant has beyond its model is in no verdict on a region."""
-    fit = fit_law(record_of(LAWS[13][1], 6000, [1]), T, DEADLINE)
-    way = measured(fit, holds_input=False)
-    assert fit.law_class == "markov"
-    target = over_network(tracking_target("dc-motor"), way, way)
-    design = solve_tracking(problem_for(target, starts=1))
-    found = region_verdict(target, design, way, way)
-    assert found.certified and f"no age is above {way.at.max_age}, the largest in the record" in found.assumptions
-    rubbing = target._replace(of=load_experiment("dc-motor-h2-friction").plant)
-    assert region_verdict(rubbing, design, way, way).state == "undecided"
 
 
 def test_a_design_needs_both_directions(cli: Hil, tmp_path: Path) -> None:

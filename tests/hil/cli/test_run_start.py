@@ -36,7 +36,7 @@ def test_garbage_is_looked_for_again_and_not_among_modules(tmp_path: Path) -> No
     assert enabled and 5000 < frozen > others, "what the modules left is set aside"
     unneeded = {"importlib.metadata", "importlib.resources", "email", "scipy", "pandas", "matplotlib", "rich", "can", "zenoh"}
     unneeded |= {"control", "csv", "difflib", "socket", "mcap", "threadpoolctl", "html", "shutil", "tempfile"}
-    unneeded |= {"hil.notebook", "click.shell_completion", "hil.rig.named_files"}
+    unneeded |= {"hil.notebook", "click.shell_completion"}
     unneeded |= {"plants.parts.flow", "transport.laws.semi_markov", "design.controllers.scheduled_gain"}
     unneeded |= {"hil.runtime.real.supervisor", "hil.runtime.real.child", "hil.runtime.real.rig_process"}  # of real time
     unneeded |= {"design.requests.tracking", "transport.laws.latency", "transport.can_bus_model.bus"}  # of other experiments
@@ -55,7 +55,7 @@ def test_who_calls_the_command_line_keeps_its_own_way_with_garbage(cli: Hil, loo
 
 COMPARED = """
 import hil, hil.cli.design, hil.cli.design_answers
-hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1)
+hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1)
 print(json.dumps(sorted(sys.modules)))
 """
 

@@ -157,7 +157,7 @@ def test_a_log_is_its_users_alone_unless_asked_otherwise(cli: Hil, tmp_path: Pat
         "can analyse dc-motor-busy-can --duration 1",
         "laws dc-motor-wifi",
         "problems",
-        "sweep dc-motor-hinf --runs 2",
+        "sweep dc-motor-hinf --runs 2 --duration 5",
         "list",
     ],
 )

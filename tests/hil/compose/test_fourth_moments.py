@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import hil
 from hil.compose.judged import caution, fourth_moments_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment
+from hil.measure.view import view_of
+from hil.pages.html.figures import Table
+from hil.pages.many_runs import compare_page
+from hil.pages.sections.theory import section as theory_section
+from hil.runtime.virtual import simulate
+from hil.sweeps.comparison import compare
+from tests.hil.cli.conftest import Hil
+from tests.hil.cli.conftest import cli as cli
 
 STABLE_WITHOUT_VARIANCE = ["controller.gain=[[-0.32]]", "duration=3 s"]
 """Over the network of dc-motor-local: second moments fall (radius below 1), fourth moments grow."""
@@ -30,3 +40,17 @@ def test_what_grows_for_a_thousand_slots_and_then_falls_is_bounded() -> None:
 def test_a_loop_whose_means_converge_has_no_caution() -> None:
     assert hil.sweep("dc-motor-hinf", runs=2, jobs=1, duration=1).caution == ""
     assert hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1).cautions == {}
+
+
+def test_sweep_compare_and_page_say_it(cli: Hil) -> None:
+    said = ("--runs", "2", "--jobs", "1", *(word for change in STABLE_WITHOUT_VARIANCE for word in ("--set", change)))
+    assert "converges badly" in " ".join(cli("sweep", "dc-motor-local", *said)[1].split())
+    assert "converges badly" in json.loads(cli("sweep", "dc-motor-local", *said, "--json")[1])["caution"]
+    loaded = load_experiment("dc-motor-local", STABLE_WITHOUT_VARIANCE)
+    compared = compare({"a": loaded, "b": loaded}, 2, jobs=1)
+    assert set(compared.cautions) == {"a", "b"} and "converges badly" in compare_page(compared)
+    loop = compose(loaded)
+    section = theory_section(view_of(simulate(loop, 0), loop.experiment))
+    assert section is not None
+    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    assert "converges badly" in table.note
