@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from cryptography.x509 import load_pem_x509_certificates
 
 from hil.cli import doctor, one_end
 from hil.errors import HilError
@@ -40,6 +41,10 @@ def test_what_the_other_end_would_refuse_says_why(folder: Path, tmp_path: Path, 
         check(folder, role, days=-1)
     with pytest.raises(TransportError, match=f"{role}.pem: is called {role}, the other end lets in only alice"):
         check(folder, role, name="alice")
+    files = f"{folder}/ca.pem", f"{folder}/{role}.pem", role
+    for end in ("not_valid_before_utc", "not_valid_after_utc"):  # in time are both ends of its time
+        (own,) = load_pem_x509_certificates((folder / f"{role}.pem").read_bytes())[:1]
+        check_certificate(*files, getattr(own, end))
     make_keys(tmp_path / "other")
     shutil.copy(tmp_path / "other/ca.pem", folder)
     with pytest.raises(TransportError, match=f"{role}.pem: is a certificate of another authority than .*ca.pem"):

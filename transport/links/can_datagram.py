@@ -113,6 +113,8 @@ def destroyed(frame: CanFrame, bit: int, *, sender: bool) -> ErrorFrame:
     >>> error = destroyed(CanFrame(identifier=0x123), 36, sender=True)
     >>> hex(error.kind), error.data.hex(" ")
     ('0xa8', '00 00 90 19 00 00 00 00')
+    >>> destroyed(CanFrame(identifier=0x123), 36, sender=False).data.hex(" ")
+    '00 00 00 19 00 00 00 00'
     """
     where, kind = location(frame, bit), PROTOCOL | BUS_ERROR
     if not sender:

@@ -42,11 +42,6 @@ QUEUE_LIMIT: Final = 256
 LARGEST: Final = 4096
 """Bytes of a packet (`transport.wire`); a longer payload is counted as malformed."""
 
-ONE_THREAD: Final = (
-    "(app: (worker_threads: 1), " + ", ".join(f"{part}: (handover: app)" for part in ("acc", "net", "tx", "rx")) + ")"
-)
-"""All of zenoh's work in one thread: a packet wakes the same thread to send, to receive and for its socket, not three."""
-
 ENCODING: Final = "application/octet-stream;hilrig"
 """Encoding of every packet; its version stands in the packet."""
 
@@ -75,7 +70,6 @@ class ZenohLink(Closing):
     """
 
     def __init__(self, uri: str, role: Role, endpoint: str, name: str, who: Access, claims: Sequence[Closing] = ()) -> None:
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
         import zenoh
 
         self.uri = uri

@@ -9,7 +9,6 @@ answered with the ``ros2msg`` text of every topic, as JSON. It only publishes: n
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -18,7 +17,7 @@ from typing import Any, Final
 
 from transport.links import Closing, TransportError, split_uri
 from transport.links.private_directory import private_directory
-from transport.links.zenoh_link import NAME, ONE_THREAD, answer, config, zenoh_directory
+from transport.links.zenoh_link import NAME, answer, config, zenoh_directory
 from transport.links.zenoh_refusals import require_zenoh
 
 _LOOPBACK: Final = re.compile(r"tcp/(127\.\d+\.\d+\.\d+|\[::1\]|localhost):\d{1,5}")
@@ -42,7 +41,6 @@ class SignalPublisher(Closing):
     def __init__(self, uri: str, schemas: Mapping[str, tuple[str, str]]) -> None:
         endpoint, name = _endpoint(uri)
         require_zenoh(uri)
-        os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
         import zenoh
 
         self._error, self._closed = zenoh.ZError, False

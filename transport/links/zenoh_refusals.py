@@ -24,9 +24,14 @@ from transport.links import LinkCounters, TransportError
 
 INSTALL = "pip install 'hilrig[zenoh]'"
 
+ONE_THREAD: Final = (
+    "(app: (worker_threads: 1), " + ", ".join(f"{part}: (handover: app)" for part in ("acc", "net", "tx", "rx")) + ")"
+)
+"""All of zenoh's work in one thread: a packet wakes the same thread to send, to receive and for its socket, not three."""
+
 
 def require_zenoh(uri: str) -> None:
-    """Refuse a link over zenoh where zenoh is not installed.
+    """Refuse a link over zenoh where zenoh is not installed; have it work in `ONE_THREAD`.
 
     Raises:
         TransportError: with the command that installs it.
@@ -37,6 +42,7 @@ def require_zenoh(uri: str) -> None:
         if error.name != "zenoh":
             raise
         raise TransportError(f"link {uri!r}: zenoh is not installed: {INSTALL}") from None
+    os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
 
 
 class CallbackThreads:

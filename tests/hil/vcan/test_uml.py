@@ -14,7 +14,8 @@ from pathlib import Path
 import pytest
 
 from hil.vcan import uml
-from hil.vcan.supervise import RUNNER_FAILED
+from hil.vcan.kernel import Kernel
+from hil.vcan.supervise import RUNNER_FAILED, Wanted
 
 KERNEL = f"""#!{sys.executable}
 import os, sys
@@ -138,3 +139,18 @@ def test_a_closed_or_empty_stdin_is_none() -> None:
     with descriptor(0, read):
         assert uml._has_stdin()
     os.close(write)
+
+
+def test_without_namespaces_a_kernel_works_in_a_folder_that_goes_with_us(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*namespaces: str, allow_user: bool) -> list[str]:
+        raise uml.RunnerError("no")
+
+    gone: list[tuple[object, ...]] = []
+    monkeypatch.setattr(uml, "unshare", refused)
+    monkeypatch.setattr(uml, "_roomy_directory", lambda: "/roomy")
+    monkeypatch.setattr(uml.atexit, "register", lambda *words, **_: gone.append(words))
+    *command, text = uml.argv(Wanted(command=("true",)), lambda wanted: Kernel(path=Path("/bin/true"), backend="uml"))
+    said = json.loads(text)
+    assert command == [sys.executable, "-ISc", uml.BOOT, str(uml.ROOT)] and said["memory"] == "/roomy"
+    assert gone == [(uml.shutil.rmtree, said["work"])] and not list(Path(said["work"]).iterdir())
+    Path(said["work"]).rmdir()

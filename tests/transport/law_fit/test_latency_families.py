@@ -79,3 +79,9 @@ def test_what_always_takes_the_same_time_has_one_number() -> None:
     assert (fit.name, fit.spec, fit.parameters, fit.log_likelihood) == ("constant", 0.25, 1, 0.0)
     at = np.array([0.2, 0.25, 0.3])
     assert fit.cdf(at).tolist() == [0.0, 1.0, 1.0] and fit.below(at).tolist() == [0.0, 0.0, 1.0]
+
+
+def test_a_record_in_which_one_value_comes_again_and_again_has_a_table_of_shares() -> None:
+    values = np.append(np.full(600, 1e-3), 1e-3 + stats.gamma(2.0, scale=1e-3).rvs(1400, random_state=3))
+    (fit,) = [each for each in fit_latencies(values, NONE) if each.name == "table"]
+    assert fit.parameters == 1400 and fit.cdf(np.array([1e-3])) == pytest.approx(0.3) and fit.below(np.array([1e-3])) == [0.0]

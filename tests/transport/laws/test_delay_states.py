@@ -130,3 +130,16 @@ def test_nothing_is_assumed_of_a_sojourn_law_that_does_not_bound_its_tail():
 
     chain = augmented_chain(Law())
     assert (chain.low[-1, 0], chain.high[-1, 0], chain.low[-1, -1], chain.high[-1, -1]) == (0.0, 1.0, 0.0, 1.0)
+
+
+class Split:
+    """A chain of two modes that are never left, of which nothing says where it begins."""
+
+    mode_ages = (0, 1)
+
+    def transition_matrix(self):
+        return np.eye(2)
+
+
+def test_a_chain_of_several_parts_begins_anywhere():
+    assert delay_states(Split()).initial.tolist() == [0.5, 0.5]
