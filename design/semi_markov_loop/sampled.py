@@ -7,15 +7,17 @@ the samples only, and counts the sojourn h from its first sight in whole periods
 
 - one process: ``sojourn_renewal``, the second moments from one seen change to the next, between two sides; certifies and refuses;
   where the sides are far apart, ``sojourn_cells`` has ages in parts of a period;
-- an uncertain plant: the same upper side, then ``sampled_uncertain``, a Lyapunov function over age and phase; it certifies, and a
+- an uncertain plant: the same upper side, then ``sampled_phase``, a Lyapunov function over age and phase; it certifies, and a
   constant plant within the bounds that is not stable refuses;
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
 - random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
-- a loop too large for either: ``sampled_growth``, a quadratic form that grows while the mode stays; refuses only;
-- a state delay inside the plant: ``sampled_delayed_state``, a Lyapunov function over the phase of a period, for every delay
-  within its bounds; it certifies. One of them is 0: where the loop without a delay grows, that refuses.
+- a loop too large for either: ``sampled_detection`` has a quadratic form that grows while the mode stays; refuses only;
+- a state delay inside the plant: ``sampled_phase``, a Lyapunov function over the phase of a period, for every delay within its
+  bounds; it certifies. One of them is 0: where the loop without a delay grows, that refuses.
 
-What neither decides is undecided, with the reason. References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
+What neither decides is undecided, with the reason, and so is what ``_not_covered`` lists.
+
+References: thesis (2.16)-(2.17), (4.1)-(4.3), sampled.
 """
 
 from __future__ import annotations
