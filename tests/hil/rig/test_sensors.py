@@ -21,7 +21,7 @@ from hil.rig.sensors import bus_cycle
 from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify
-from tests.transport.medium.test_arbitration import bus, received
+from tests.transport.medium.test_scheduled import bus, received
 from transport.medium import SampleClock
 
 ONE = "controller={kind='historical', gains=[[[[0.0, 0.0, -2.0, 0.0]]]]}"
