@@ -21,6 +21,7 @@ from hil.errors import HilError
 from hil.log.read.mcap_walk import MAGIC, walk
 from hil.log.read.recover import recover
 from hil.log.read.run import Run, read_run
+from hil.log.write.mcap_writer import McapWriter
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import assert_same_arrays, provenance, record_chunks
 from tests.waiting import LIMIT_S
@@ -92,6 +93,17 @@ def test_a_time_stamp_of_64_bits_is_kept(tmp_path: Path) -> None:
     with open(tmp_path / "b.mcap", "rb") as file:
         times = [message.log_time for _, _, message in make_reader(file, validate_crcs=True).iter_messages()]
     assert times == [5, latest]
+
+
+def test_a_message_of_a_channel_that_nobody_named_is_lost_and_counted(tmp_path: Path) -> None:
+    with open(tmp_path / "foreign.mcap", "wb") as file:
+        writer = McapWriter(file, profile="", library="")
+        named = writer.register_channel("/clock", "json", writer.register_schema("Clock", "jsonschema", b"{}"))
+        for channel in (named, named + 7, named):
+            writer.messages_of(channel)(0, b"{}")
+        writer.finish()
+    report = recover(tmp_path / "foreign.mcap", tmp_path / "b.mcap")
+    assert (report.messages, report.lost_messages) == (2, 1)
 
 
 def test_a_damaged_chunk_costs_only_itself(log: bytes, tmp_path: Path) -> None:
