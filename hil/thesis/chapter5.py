@@ -219,7 +219,7 @@ def figures() -> dict[str, Any]:
     runs, panels = {}, []
     for number, name in (("5.3", "newest"), ("5.4", "published")):
         loop = compose(load_experiment(f"multisensor-{name}", [f"duration={SLOTS * 0.05}"]))
-        states = simulate(loop, 0).arrays["/plant/state"]
+        states = simulate(loop, loop.experiment.seed).arrays["/plant/state"]
         x = runs[number] = np.column_stack([states[f"x{i + 1}"] for i in range(4)])
         series = tuple(Series(label=f"x{i + 1}", x=np.arange(SLOTS), y=x[:, i], colour=i) for i in range(4))
         panels.append(Figure(title=f"{number}: {name} gains", series=series, x_label="k", x_unit="", y_label="x"))

@@ -37,7 +37,7 @@ EARLIER = ((1, 5), (2, 5), (2, 4))
 def equations(plant: DelayedPlant) -> dict[str, Any]:
     """Return the numbers of this stage."""
     loop = compose(load_experiment("multisensor-published", [f"duration={SLOTS * 0.05}"]))
-    run = simulate(loop, 0)
+    run = simulate(loop, loop.experiment.seed)
     spent = Cost().of(view_of(run, loop.experiment))["cost"]
     states = np.column_stack([run.arrays["/plant/state"][f"x{i + 1}"] for i in range(4)])
     gains, nodes, current = historical_gains(), round_robin(4, buffer=3), cycle(4)
