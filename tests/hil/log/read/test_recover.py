@@ -95,6 +95,11 @@ def test_a_time_stamp_of_64_bits_is_kept(tmp_path: Path) -> None:
     assert times == [5, latest]
 
 
+def test_a_log_with_something_behind_its_end_was_not_closed(log: bytes, tmp_path: Path) -> None:
+    report = recover(written(tmp_path / "a.mcap", log[:-8] + b"more"), tmp_path / "b.mcap")
+    assert (report.closed, report.lost_bytes, report.chunks) == (False, 4, 10) and "lost: the summary" in report.text
+
+
 def test_a_message_of_a_channel_that_nobody_named_is_lost_and_counted(tmp_path: Path) -> None:
     with open(tmp_path / "foreign.mcap", "wb") as file:
         writer = McapWriter(file, profile="", library="")

@@ -46,6 +46,7 @@ def test_tables_of_latencies_and_of_time_stamps(tmp_path: Path) -> None:
     expected = np.where(LOST, np.nan, LATENCY)
     plain = table(tmp_path / "a.csv", "latency_ms", ["lost" if np.isnan(v) else repr(v * 1e3) for v in expected.tolist()])
     np.testing.assert_allclose(only([plain]), expected, rtol=1e-12)
+    assert read_recording([plain]).ways["sc"].sent_s.tolist() == [*range(N)]
     stamped = table(tmp_path / "b.csv", "sent_s [s],received_s [s]", [
         f"{s!r},{'' if np.isnan(v) else repr(s + v)}" for s, v in zip(SENT.tolist(), expected.tolist())
     ])  # fmt: skip
@@ -338,6 +339,9 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
     assert "pcapng" in fails([pcapng])
     (tmp_path / "usb.pcap").write_bytes(struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 189))
     assert "link type 189, expected one of 0, 1, 12, 14, 101, 108, 113, 228, 229, 276" in fails([tmp_path / "usb.pcap"])
+    long = capture(tmp_path / "long.pcap").read_bytes()
+    (tmp_path / "long.pcap").write_bytes(long[:32] + struct.pack("<I", (1 << 18) + 1) + long[36:])
+    assert "long.pcap: a packet of 262145 bytes at byte 24, at most 262144" in fails([tmp_path / "long.pcap"])
     for cut in (0, 10, 23):
         (tmp_path / "cut.pcap").write_bytes(bytes(cut))
         assert "no pcap capture" in fails([tmp_path / "cut.pcap"])
