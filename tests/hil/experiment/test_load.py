@@ -24,7 +24,8 @@ from hil.experiment import (
     shipped,
 )
 from hil.experiment.schema import experiment_schema
-from hil.experiment.table import plain
+from hil.experiment.table import UnavailablePlugin, plain
+from hil.plugins import registry
 from hil.rig.named_files import with_law_files
 from tests.warm_hil import hil_command
 from transport.laws.age import ConstantAge
@@ -356,3 +357,20 @@ def test_an_object_of_python_stands_in_a_resolved_experiment_by_its_class() -> N
         pass
 
     assert plain({"plant": [Own(), 3, None]}) == {"plant": [f"{__name__}.{Own.__qualname__}", 3, None]}
+
+
+def test_a_log_runs_no_module_and_a_file_makes_no_object_of_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "mine.py").write_text("raise SystemExit('a log has run it')")
+    monkeypatch.chdir(tmp_path)
+    resolved = load_experiment("dc-motor-hinf").resolved()
+    for kind in ("mine:Plant", registry.object_kind(SimpleNamespace)):
+        named = resolved | {"plant": {"kind": kind, "gain": 1.0}}
+        absent, why = experiment_from_resolved(named, "", "log").plant, f"{kind}, which the log does not hold"
+        assert absent == UnavailablePlugin(field="plant", kind=kind, why=why, said={"gain": 1.0})
+        with pytest.raises(HilError, match="which the log does not hold"):
+            absent.model()
+    with pytest.raises(ExperimentError, match=r"plant\.kind: 'object .*cannot be made from .* file; give the object"):
+        parse_experiment(changed('kind = "dc-motor"', f'kind = "{registry.object_kind(SimpleNamespace)}"'))
+    law = {"sc": resolved["network"]["sc"] | {"law": {"kind": "mine:Law"}}}
+    with pytest.raises(ExperimentError, match=r"network\.sc\.law\.kind: 'mine:Law' cannot be made .*; say where its file stands"):
+        experiment_from_resolved(resolved | {"network": resolved["network"] | law}, "", "log")

@@ -127,6 +127,10 @@ def test_counts_must_cover_the_tables_and_the_law() -> None:
         SendAll(gains=((one, one), (one, one))).start(model)
     with pytest.raises(ValueError, match="but the delay reaches 2"):
         delay_chain(BURSTY, (2, 2))
+    with pytest.raises(ValueError, match=r"\[2, 0, 2\], but the delay reaches 2"):
+        delay_chain(BURSTY, (2, 0, 2))
+    later = SemiMarkovAge(matrix=BURSTY.matrix, sojourn=BURSTY.sojourn, ages=(1, 2, 3))
+    assert delay_chain(later, (2, 2, 2, 2)) is not None, "a delay that never comes may have tables"
     assert delay_chain(MarkovAge(matrix=((0.5, 0.5), (0.7, 0.3))), (1, 1)) is not None
 
 
