@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def test_the_motor_of_a_session_over_a_network_is_found_with_its_disturbance(cli
     assert said["estimates"]["gain"]["value"] == pytest.approx(172.38, rel=1e-9)
     assert said["estimates"]["pole"]["value"] == pytest.approx(3.5287, rel=1e-9)
     assert said["logged"] == {"gain": 172.38, "pole": 3.5287}
+    text = cli("identify", "plant", "motor.mcap")[1]
+    assert "residuals  none: the model fits to rounding\n" in text and "(Q = " not in text
 
 
 def test_a_motor_with_friction_is_distinguished_from_one_without(cli: Hil) -> None:
@@ -66,7 +69,8 @@ def test_dry_friction_that_white_residuals_hide_is_seen(cli: Hil, tmp_path: Path
 
 def test_what_would_not_be_seen_is_said(cli: Hil, omni_log: Path) -> None:
     status, out, _ = cli("identify", "plant", omni_log)
-    assert status == 0 and "the intervals hold if there is none: as much would not be seen here" in " ".join(out.split())
+    assert status == 0 and re.search(r"residuals white: .* \(Q = \S+ over \d+ lags, p = \S+\)", " ".join(out.split()))
+    assert "the intervals hold if there is none: as much would not be seen here" in " ".join(out.split())
 
 
 def write_table(path: Path, log: Path, clock: str = "t_s", skip: int | None = None) -> None:

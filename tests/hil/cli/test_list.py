@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 
 import pytest
 
+from hil.cli.list import DEEPEST, _keys
 from hil.plugins import registry
 from tests.hil.cli.conftest import Hil
 
@@ -54,6 +56,16 @@ def test_keys_of_a_table_inside_another_are_listed_as_they_are_set(
 ) -> None:
     out = cli("list", *words)[1]
     assert all(key in out for key in keys) and max(map(len, out.splitlines())) <= 80
+
+
+@dataclass
+class Nest:
+    inner: Nest | None = None
+
+
+def test_a_table_that_holds_itself_is_listed_to_the_fourth_table_within(capsys: pytest.CaptureFixture[str]) -> None:
+    _keys(Nest, "")
+    assert capsys.readouterr().out.splitlines() == [f"{'inner.' * level}inner: table" for level in range(DEEPEST + 1)]
 
 
 def test_types_and_defaults_are_those_of_a_file(cli: Hil) -> None:

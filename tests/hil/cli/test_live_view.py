@@ -24,7 +24,7 @@ def written(console: Console) -> str:
 @pytest.fixture(scope="module")
 def recorded() -> tuple[Experiment, MemorySink]:
     experiment = load_experiment("dc-motor-hinf", ['duration="20 s"'])
-    loop = compose(experiment)
+    loop = compose(experiment, certify=False)
     sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
     sink.event(19_000_000_000, "late", "no control packet before the deadline", slot=380, severity="warning")
@@ -42,7 +42,7 @@ def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Ex
     console = terminal()
     view = LiveView(experiment, "real", link="can:hil:rig0", console=console)
     feed(view, sink)
-    pack = channels_of(compose(experiment))["/timing/slot"].schema.pack
+    pack = channels_of(compose(experiment, certify=False))["/timing/slot"].schema.pack
     for k in range(100):
         view.update("/timing/slot", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
     console.print(view.render())
@@ -92,7 +92,7 @@ def test_view_says_how_long_a_design_or_a_proof_takes(
 
 def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_columns() -> None:
     experiment = load_experiment("vtol-fault", ['duration="0.2 s"'])
-    loop = compose(experiment)
+    loop = compose(experiment, certify=False)
     sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
     pictures = {}

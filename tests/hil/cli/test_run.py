@@ -174,6 +174,8 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
         seen.append((what, about))
         return 0
 
+    launched: list[str] = []
+    monkeypatch.setattr("click.launch", launched.append)
     monkeypatch.setattr("hil.pages.live.watch.watch", shown)
     monkeypatch.setattr("hil.pages.live.watch.show_log", shown)
     words = ("--seed", "3", "--duration", "1", "--speed", "2", "--port", "9", "--hold")
@@ -184,7 +186,8 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
     ]
     assert [asked[0].load(again).seed for again in (None, 8)] == [3, 8] and about["port"] == 9
     assert not [*tmp_path.rglob("*.mcap")], "what was tried is let go"
-    assert cli("live", hil_log)[2] == "open http://here\n" and len(seen[1][0].events) > 0
+    assert cli("live", hil_log)[2] == "open http://here\n" and len(seen[1][0].events) > 0 and not launched
+    assert cli("live", hil_log, "--open")[0] == 0 and launched == ["http://here"]
     for more in (("--foxglove", "0"), ("--script", "a.toml")):
         assert "a log is shown alone" in cli("live", hil_log, *more)[2]
 

@@ -6,7 +6,9 @@ import csv
 import json
 import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.passivity.condition import is_passive_over
 from design.passivity.stiffness_map import StiffnessCell
+from design.passivity.stiffness_map import stiffness_map as stiffness_cells
 from hil.cli import main
 from hil.cli.design import command as design
 from hil.cli.design_wall import stiffness_map
@@ -25,6 +28,20 @@ from tests.waiting import LIMIT_S
 
 MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")
 WALL = ("wall", "--period", "0.001", "--delay", "0..4", "--hand", "5")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def each_map_once() -> Iterator[None]:
+    """The cells of one map are computed once for all tests that show them."""
+    found: dict[str, Any] = {}
+
+    def cells(**asked: Any) -> Any:
+        key = repr(asked)
+        return found[key] if key in found else found.setdefault(key, stiffness_cells(**asked))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("design.passivity.stiffness_map.stiffness_map", cells)
+        yield
 
 
 def mapped(*arguments: str) -> Result:

@@ -10,6 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.design import command as design
+from hil.cli.design_answers import _judge
 from hil.cli.laws import command as laws
 from hil.design_questions import loop_on_bus
 from hil.design_questions.loop_on_bus import Judged, Place, places_of, recommended
@@ -72,6 +73,13 @@ def test_places_keep_the_other_messages_where_there_is_room_and_move_them_up_els
     moved = found[1].experiment.network.media["bus"].traffic
     assert [message.can_id for message in moved] == [0x10, 0x31, 0xA0]
     assert found[1].experiment.links.control_can_id == 0x21
+
+
+def test_where_errors_destroy_frames_no_place_is_in_time_for_certain() -> None:
+    errors = ("network.media.bus.bit_error_rate=1e-6", "allow_uncertified=true", "duration=0.5")
+    place = places_of(load_experiment("dc-motor-busy-can", (FEW, *errors)))[0]
+    found = _judge(place)
+    assert (found.bounds_ms, found.in_time) == ((None, None), False)
 
 
 def test_a_place_is_recommended_by_certificate_deadline_cost_and_then_modesty() -> None:

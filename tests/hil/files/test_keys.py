@@ -17,6 +17,8 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hil.errors import HilError
 from hil.files.keys import BEFORE, authority_key, issue_certificate, make_keys, read_certificate, renew_certificates, revoke_names
 from hil.files.signature import Signer, make_signing_key
+from tests.hil.cli.conftest import Hil
+from tests.hil.cli.conftest import cli as cli
 
 LOCAL = [x509.DNSName("localhost"), *(x509.IPAddress(ipaddress.ip_address(each)) for each in ("127.0.0.1", "::1"))]
 BOTH = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -84,6 +86,16 @@ def test_a_folder_that_is_not_new_or_not_ones_own_takes_no_keys(folder: Path, tm
         make_keys(tmp_path / "file")
     with pytest.raises(HilError, match="--host 'ä': neither an address nor a name"):
         make_keys(tmp_path / "new", ["ä"])
+
+
+def test_the_commands_print_each_file_and_how_a_link_takes_it(cli: Hil) -> None:
+    lines = cli("keys", "new", "k")[1].splitlines()
+    names = ("ca.pem", "ca.key", "rig.pem", "rig.key", "controller.pem", "controller.key", "frames.key")
+    assert lines[:7] == [f"k/{name}" for name in names] and lines[7].startswith("zenoh:tls/127.0.0.1:7447?keys=k ")
+    assert lines[8].startswith("can:hil:rig0?auth=k/frames.key ") and len(lines) == 9
+    *files, link = cli("keys", "issue", "k", "bench2")[1].splitlines()
+    assert files == ["k/bench2.pem", "k/bench2.key"]
+    assert link == "zenoh:tls/127.0.0.1:7447?keys=k&controller=bench2   or &rig=bench2, at both ends"
 
 
 def test_a_host_that_is_neither_address_nor_name_is_refused(tmp_path: Path) -> None:
