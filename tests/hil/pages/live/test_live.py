@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
+import signal
 import socket
 import struct
 import threading
@@ -14,6 +16,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -27,9 +30,9 @@ from hil.pages.live import server
 from hil.pages.live.about import Window, picture, thinned
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import Scripted, read_script
-from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS
+from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS, LivePage
 from hil.pages.live.side import Side, Tail
-from hil.pages.live.watch import Asked, _run, watch
+from hil.pages.live.watch import Asked, _run, show_log, watch
 from hil.session import Session, run_session
 from hil.session.replay.recorded import changes_of
 from tests.waiting import until
@@ -298,6 +301,22 @@ def test_no_run_waits_for_browsers_that_stall(page: Page) -> None:
         link.close()
 
 
+def test_a_connection_too_many_is_closed_at_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server, "TIMEOUT_S", 60.0)  # none of the others ends meanwhile
+    desk = Desk([Side()])
+    with LivePage(desk, dict) as live:
+        links, answers = [], []
+        for _ in range(MOST_CONNECTIONS + 1):  # one after the other: few may wait to be taken
+            links.append(socket.create_connection(("127.0.0.1", live.server_port), timeout=30))
+            with suppress(ConnectionError):
+                links[-1].sendall(f"GET /live.css HTTP/1.1\r\nHost: {live.hosts[0]}\r\n\r\n".encode())
+                answers.append(links[-1].recv(1))
+        assert [*filter(None, answers)] == [b"H"] * MOST_CONNECTIONS and live.refused == 1
+        for link in links:
+            link.close()
+    desk.close()
+
+
 def test_two_experiments_run_beside_each_other_on_the_same_delays(tmp_path: Path) -> None:
     number: list[int] = []
     names = ("dc-motor-local-fast", "dc-motor-hinf-fast")
@@ -331,6 +350,21 @@ def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
     rows = np.frombuffer(picture(side.records(), side.traces, Window.over(0, 80, 80)), "<f4").reshape(len(side.traces), 2, 80)
     at = next(i for i, trace in enumerate(side.traces) if trace.topic == "/reference")
     assert rows[at, 0].tolist() == rows[at, 1].tolist() == [0.0] * 20 + [3.0] * 60
+
+
+def test_a_log_is_served_until_a_signal_comes(tmp_path: Path) -> None:
+    run_session(load_experiment("dc-motor-hinf", ["duration=1"]), path=tmp_path / "a.mcap")
+    plain, answers = signal.getsignal(signal.SIGINT), list[int]()
+
+    def look(url: str) -> None:
+        until(lambda: signal.getsignal(signal.SIGINT) != plain, "who waits for a signal")
+        with urlopen(url, timeout=30) as answer:
+            answers.append(answer.status)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    run = read_run(tmp_path / "a.mcap")
+    show_log(run, "a.mcap", opened=lambda url: threading.Thread(target=look, args=(url,), daemon=True).start())
+    assert answers == [200] and signal.getsignal(signal.SIGINT) == plain
 
 
 def test_a_run_may_begin_anew_with_every_seed_of_63_bits() -> None:
