@@ -49,6 +49,7 @@ def test_no_mean_is_given_where_safety_stopped_a_run() -> None:
     problem = next(problem for problem in problems() if problem.name == "motor-bursty")
     found = reached(problem, "{kind='local',gain=[[-0.5]]}", 4)
     assert (found.runs, found.stopped, found.mean, found.said) == (4, 1, None, "safety stopped 1 of 4 runs")
+    assert [reached(problem, problem.tried[0], runs).mean is None for runs in (1, 2)] == [True, False], "one run has no interval"
 
 
 @pytest.fixture
