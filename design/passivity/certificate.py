@@ -87,7 +87,7 @@ def certify_wall(
     details: dict[str, object] = {
         "delays": delays, "damping_n_s_per_m": beta, "static_compliance_m_per_n": coupler.static_compliance_m_per_n,
         "felt_n_per_m": [felt_n_per_m(m, coupler) for m in wall.touched],
-        "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]) if beta > 0.0 else 0.0,
+        "ceiling_n_per_m": ceiling_n_per_m(period_s, beta, delays[-1]),
     }  # fmt: skip
     places = [(i, d) for i in range(len(wall.touched)) for d in delays]
     radii = [loop.radius(wall.touched[i], sc_at := min(d, sides[0][-1]), d - sc_at) for i, d in places]  # the sum alone matters
