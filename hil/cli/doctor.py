@@ -71,10 +71,6 @@ def _vcan() -> Check:
         return "SocketCAN", False, f"no vcan0: {e.strerror}", remedy
 
 
-def _own_vcan() -> Check:
-    return "hil vcan", *what_would_run()
-
-
 def _ours(what: str, found: Callable[[], tuple[bool, str, str]]) -> Check:
     """Return a check that imports more of ours: where a foreign package has its name, "package ownership" reports it."""
     try:
@@ -182,10 +178,6 @@ def _machine() -> tuple[bool, str, str]:
     return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
 
 
-def _loop() -> Check:
-    return "loop", True, f"{loop_form()}; both forms compute the same bits", ""
-
-
 def _who(uri: str | None) -> tuple[bool, str, str]:
     from transport.links.traits import traits_of
 
@@ -234,9 +226,9 @@ def command(link: str | None) -> None:
     certificates = None if link is None else _certificates_of(link)
     shown = [] if certificates is None else [_ours("certificates", partial(_certificates, certificates))]
     checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
-              _vcan(), _own_vcan(), _zenoh(),
+              _vcan(), ("hil vcan", *what_would_run()), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),
-              _ours("kind of machine", _machine), _loop(),
+              _ours("kind of machine", _machine), ("loop", True, f"{loop_form()}; both forms compute the same bits", ""),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     answer([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], show, checks)

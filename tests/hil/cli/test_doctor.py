@@ -27,8 +27,9 @@ def test_round_trips_over_zenoh_are_measured() -> None:
 
 
 def test_what_is_fine_has_no_remedy() -> None:
-    checks = [doctor._vcan(), doctor._own_vcan(), doctor._zenoh(), doctor._scheduler(), doctor._idle(), doctor._clock(),
-              doctor._cpus(), doctor._packages(), doctor._loop(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
+    checks = [doctor._vcan(), ("hil vcan", *doctor.what_would_run()), doctor._zenoh(),
+              doctor._scheduler(), doctor._idle(), doctor._clock(),
+              doctor._cpus(), doctor._packages(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
     for what, fine, finding, remedy in checks:
         assert finding and bool(remedy) is not fine, what
 
