@@ -303,7 +303,5 @@ def segments(
     x = np.concatenate([part[4] for part in parts], axis=1)
     grid = np.ceil(begin / dt_s).astype(np.intp)
     stop = np.where(end >= duration_s, last + 1, np.ceil(end / dt_s).astype(np.intp))
-    points = np.maximum(stop - grid, 0)
-    some = points > 0
-    x[:, some] = flow.flow(which[some], x[:, some], np.maximum(grid[some] * dt_s - begin[some], 0.0))
-    return Segments(run, which, grid, points, x)
+    x = flow.flow(which, x, np.maximum(grid * dt_s - begin, 0.0))
+    return Segments(run, which, grid, np.maximum(stop - grid, 0), x)
