@@ -94,7 +94,12 @@ def test_a_fault_takes_another_participant_off_the_bus_which_receives_nothing_an
         while (each := controller.recv(0.0)) is not None:
             seen.append(each)
         assert kinds(seen) == [BUS_OFF, CONTROLLER | RESTARTED]  # and no 0x100
-        assert (rig.lost, controller.lost, listener.lost) == (0, 0, 0)
+
+
+def test_a_word_to_look_is_no_frame_and_counts_as_none_that_was_lost() -> None:
+    with bus() as first, bus() as second:
+        first.frames._poke()
+        assert second.recv(0.0) is None and second.lost == 0
 
 
 def test_who_may_restart_comes_back_by_itself_and_who_may_not_stays_off() -> None:

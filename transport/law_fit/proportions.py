@@ -124,7 +124,7 @@ def fitness(low: Array, high: Array, parameters: int, rng: np.random.Generator) 
     score = _normal(u)
     counts = np.histogram(u, bins=np.linspace(0.0, 1.0, CELLS + 1))[0]
     chi_square = float(((counts - len(u) / CELLS) ** 2).sum() / (len(u) / CELLS))
-    freedom = max(1, CELLS - 1 - min(parameters, CELLS // 2))
+    freedom = CELLS - 1 - min(parameters, CELLS // 2)
     plain, sizes, root_n = correlations(score), correlations(_normal(np.abs(2.0 * u - 1.0))), len(u) ** 0.5
     neighbours = min(_thirds(u), *(2.0 * float(stats.norm.sf(abs(r[0]) * root_n)) for r in (plain, sizes)))
     lags = min(_ljung_box(r[: max(1, len(u) // 50)], len(u)) for r in (plain, sizes))
