@@ -46,6 +46,7 @@ def test_a_second_run_takes_another_name_and_no_log_is_overwritten(cli: Hil, tmp
     for _ in range(2):
         assert cli("run", "dc-motor-hinf", "--duration", "1")[0] == 0
     _, second = sorted(tmp_path.glob("runs/*.mcap"))
+    assert {path.name for path in tmp_path.glob("runs/*")} == {f"dc-motor-hinf-virtual-seed0{n}.mcap" for n in ("", "-2")}
     before = second.read_bytes()
     status, _, err = cli("run", "dc-motor-hinf", "--duration", "2", "-o", second)
     assert status == 2 and "exists already" in err and second.read_bytes() == before
