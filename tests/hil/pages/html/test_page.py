@@ -1,4 +1,4 @@
-"""A page is one file that asks for nothing and runs nothing of a text; what is drawn lies in its box, and no word on another."""
+"""A page is one file that asks for nothing and runs nothing of a text, and hands over all numbers of what it draws."""
 
 import json
 import re
@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Marker, Scene, Section, Series, Shape, Tile
+from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Matrix, Scene, Section, Series, Shape, Table, Tile
 from hil.pages.html.page import Page
-from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene, nice_ticks
+from hil.pages.html.svg import draw_bars
 from tests.hil.pages.whole_pages import GOOD, SECTIONS
 
 HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&"\''
@@ -90,65 +90,73 @@ def test_series_of_unequal_length_is_refused_by_its_label() -> None:
         Page("t", [Section(title="s", blocks=(figure,))]).html()
 
 
-PICTURES = {
-    "bars": draw_bars(Bars(title="delays", categories=("0", "1"), groups=(BarGroup(label="sc", values=np.array([3.0, 1.0])),))),
-    "histogram": draw_histogram(Histogram(title="lateness", edges=np.arange(4.0), counts=np.array([1.0, 5.0, 2.0]))),
-}
-MARKS = tuple(Marker(x=x, label=f"mark {x:g}", state="bad") for x in (2.0, 2.05, 2.1, 7.9, 8.0))
-EDGES, COUNTS = np.array([1.0, 2.0, 4.0, 8.0]), np.array([3.0, 0.0, 40.0])
-SQUARE = Shape(points=[(-1.0, 0.0), (3.0, 0.0), (3.0, 2.0), (np.nan, np.nan), (-1.0, 2.0)], label="way")
-FULL = PICTURES | {
-    "whiskers": draw_bars(Bars(
-        title="d", categories=("a", "b", "c"), x_label="node", y_label="delay", y_unit="ms",
-        groups=(BarGroup(label="sc", values=np.array([3.0, 1.0, 2.0]), whiskers=[(2.0, 4.0), (0.5, 1.5), (-1.0, 5.0)]),
-                BarGroup(label="ca", values=np.array([1.0, np.nan, 4.0]), hollow=True)),
-    )),
-    "marks": draw_histogram(
-        Histogram(title="l", edges=EDGES, counts=COUNTS, x_label="late", x_unit="us", y_label="n", markers=MARKS)
-    ),
-    "log marks": draw_histogram(Histogram(title="l", edges=EDGES, counts=COUNTS, x_log=True, y_log=True, markers=MARKS)),
-    "decades": draw_histogram(Histogram(title="l", edges=np.geomspace(0.5, 2e4, 4), counts=COUNTS, x_log=True)),
-    "scene": draw_scene(Scene(title="s", shapes=(SQUARE,), x_label="x", y_label="y", axes=True)),
-    "flat scene": draw_scene(Scene(title="s", shapes=(SQUARE,), labels=((-1.0, 0.0, "west"), (3.0, 2.0, "east")), axes=False)),
-}  # fmt: skip
+def test_equal_arrays_are_stored_once() -> None:
+    x = np.linspace(0, 1, 1001)
+    one = Figure(title="f", series=(Series(label="a", x=x, y=x**2),))
+    sizes = [len(Page("t", [Section(title="s", blocks=(one,) * n)]).html()) for n in (1, 2)]
+    assert sizes[1] - sizes[0] < 1000
 
 
-def words(svg: str) -> list[tuple[str, float, float, float, str]]:
-    """Class, left, right and baseline of each text that stands upright, letters of 5.5 px, and the text."""
-    found = []
-    level = re.sub(r'<g transform="[^"]*">.*?</g>', "", svg)
-    for kind, x, y, anchor, text in re.findall(r'<text class="([^"]*)" x="(\S+)" y="(\S+)" text-anchor="(\w+)">([^<]*)<', level):
-        width = 5.5 * len(text)
-        left = float(x) - {"start": 0.0, "middle": 0.5, "end": 1.0}[anchor] * width
-        found.append((kind, left, left + width, float(y), text))
-    return found
+def test_not_finite_values_become_gaps() -> None:
+    figure = Figure(title="f", series=(Series(label="a", x=[0, 1, 2, 3], y=[1.0, np.inf, np.nan, 2.0]),))
+    assert "Infinity" not in Page("t", [Section(title="s", blocks=(figure,))]).html().split('id="hil-data"')[1][:900]
 
 
-@pytest.mark.parametrize("name", FULL)
-def test_words_and_lines_stay_in_their_picture_and_no_word_lies_on_another(name: str) -> None:
-    svg = FULL[name]
-    width, height = map(float, re.findall(r'viewBox="0 0 (\d+) (\d+)"', svg)[0])
-    found = words(svg)
-    for _, left, right, y, text in found:
-        assert left >= -1.0 and right <= width + 1.0 and 8.0 <= y <= height - 2.0, text
-    for i, (_, left, right, y, text) in enumerate(found):
-        for _, other, end, z, said in found[:i]:
-            assert abs(y - z) >= 8.0 or right <= other or end <= left, (text, said)
-    for drawn in re.findall(r' d="([^"]*)"', svg):
-        for x, y in re.findall(r"[ML](\S+?) ([\d.-]+)", drawn):
-            assert 0.0 <= float(x) <= width and 0.0 <= float(y) <= height, drawn
-    upright = r'<g transform="translate\((\S+) (\S+)\) rotate\(-90\)"><text class="axis-label" x="0.0" y="0.0"'
-    up = re.findall(upright, svg)
-    assert len(up) == 1 or name == "flat scene"
-    assert all(8.0 <= float(x) <= 20.0 and 0.3 * height < float(y) < 0.7 * height for x, y in up)
+@pytest.mark.parametrize("y_log", [False, True])
+@pytest.mark.parametrize("x_log", [False, True])
+def test_histogram_draws_every_filled_bin(x_log: bool, y_log: bool) -> None:
+    histogram = Histogram(title="h", edges=[1.0, 2.0, 3.0, 40.0], counts=[3, 0, 400], x_log=x_log, y_log=y_log)
+    assert Page("t", [Section(title="s", blocks=(histogram,))]).html().partition("<script")[0].count("<rect") == 2
 
 
-@pytest.mark.parametrize(
-    ("low", "high", "wanted", "ticks"),
-    [
-        (0.0, 1.0, 5, [0.0, 0.2, 0.4, 0.6, 0.8, 1.0]), (0.0, 4.2, 5, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]),
-        (-3.0, 7.0, 4, [-5.0, -2.5, 0.0, 2.5, 5.0, 7.5]), (0.0, 30.0, 5, [0.0, 10.0, 20.0, 30.0]), (2.0, 2.0, 5, [2.0]),
-    ],
-)  # fmt: skip
-def test_ticks_enclose_a_range_in_round_steps(low: float, high: float, wanted: int, ticks: list[float]) -> None:
-    assert nice_ticks(low, high, wanted) == pytest.approx(ticks)
+def test_whiskers_end_at_their_values_and_not_below_the_axis() -> None:
+    groups = (BarGroup(label="law", values=[0.5, 0.5], whiskers=[(0.25, 0.75), (-1.0, 0.75)]),)
+    drawn = draw_bars(Bars(title="b", categories=["a", "b"], groups=groups))
+    (inner, cut) = [float(low) for low in re.findall(r'class="whisker" d="M[\d.]+ ([\d.]+)V', drawn)]
+    bar = re.search(r'y="([\d.]+)" width="[\d.]+" height="([\d.]+)"', drawn)
+    assert bar is not None
+    top, foot = float(bar[1]), float(bar[1]) + float(bar[2])
+    assert (inner, cut) == pytest.approx(((top + foot) / 2, foot), abs=0.11)  # a tenth of a pixel is written
+
+
+def test_empty_blocks_are_drawn_empty() -> None:
+    blocks = (
+        Figure(title="f", series=(Series(label="a", x=[], y=[]),)),
+        Bars(title="b", categories=[], groups=()),
+        Histogram(title="h", edges=[], counts=[]),
+        Table(columns=["a"], rows=[]),
+    )
+    assert "<table" in Page("t", [Section(title="s", blocks=blocks)]).html()
+
+
+def test_plots_without_a_script_hand_over_all_of_their_numbers() -> None:
+    whiskers = [(0.2, 0.5), (0.1, 0.2)]
+    blocks = (
+        Histogram(title="h", edges=np.array([0.0, 0.1, 0.3]), counts=np.array([1_234_567_891, 0]), x_label="late", x_unit="us"),
+        Bars(title="b", categories=["a", "b"], groups=(BarGroup(label="law", values=[0.25, np.nan], whiskers=whiskers),)),
+        Matrix(title="m", rows=["0"], columns=["0", "1"], values=[[0.1, None]], expected=[[0.2, 0.3]], row_label="from"),
+        Scene(title="s", shapes=(Shape(points=[(0.0, 1.0), (np.nan, 2.0)], label="way"),), x_label="y (mm)"),
+    )
+    page = Page("t", [Section(title="s", blocks=blocks)]).html()
+    tables = json.loads(page.split('id="hil-data">')[1].partition("</script")[0])["tables"]
+    assert [page.count(f'data-numbers="{i}"') for i in range(5)] == [1, 1, 1, 1, 0]
+    columns = [{column["name"]: column["values"] for column in table} for table in tables]
+    assert columns[0] == {"late (us), from": [0.0, 0.1], "late (us), to": [0.1, 0.3], "count": [1_234_567_891, 0]}
+    assert columns[1] == {"category": ["a", "b"], "law": [0.25, None], "law, low": [0.2, 0.1], "law, high": [0.5, 0.2]}
+    assert columns[2] == {"from": ["0"], "0": [0.1], "0, expected": [0.2], "1": [None], "1, expected": [0.3]}
+    assert columns[3] == {"shape": ["way", "way"], "y (mm)": [0.0, None], "y": [1.0, 2.0]}
+
+
+def test_a_figure_hands_its_script_ticks_range_and_scales_where_it_has_them() -> None:
+    def drawn(**about: Any) -> dict[str, Any]:
+        x = np.linspace(1.0, 3.0, 5)
+        figure = Figure(title="f", series=(Series(label="s", x=x, y=x),), x_label="mode", x_unit="1", **about)
+        page = Page("p", [Section(title="s", blocks=(figure,))]).html()
+        data = re.search(r'<script[^>]*id="hil-data"[^>]*>(.*?)</script>', page, re.S)
+        assert data is not None
+        return json.loads(data[1])["figures"][0]  # type: ignore[no-any-return]
+
+    plain, full = drawn(), drawn(x_ticks=(1.0, 2.0), y_range=(0.0, 4.0), x_log=True, y_log=True, integer_y=True)
+    keys = ("xTicks", "yRange", "xLog", "yLog", "integerY")
+    assert [plain[key] for key in keys] == [None, None, False, False, False]
+    assert [full[key] for key in keys] == [[1.0, 2.0], [0.0, 4.0], True, True, True]
