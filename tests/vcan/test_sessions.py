@@ -77,7 +77,6 @@ def test_session_in_real_time_equals_the_one_process_run_up_to_the_first_late_sl
     done = session(uri, tmp_path)
     late = done.summary["timing"]["first_late_slot"]
     assert done.status == 0 or late is not None, done.summary  # a machine that stalls for long may trip the watchdog
-    assert late is None or late > 0
     assert_equals_the_virtual_run(done.run, SLOTS if late is None else late)
     assert done.summary["log"]["dropped"] == 0
 
