@@ -85,7 +85,7 @@ def test_disturbed_frames_of_a_socketcan_program_end_in_bus_off_which_candump_sh
 
 def test_a_controller_that_may_restart_comes_back_and_the_frame_gets_through(bus: str) -> None:
     with bridged(bus, "--restart-ms", "10") as other, can.Bus(bus, interface="socketcan") as program:
-        other.frames.plan([BusFault(0, monotonic_ns() + 300_000_000, identifier=0x123)], 0, [])
+        other.frames.plan([BusFault(0, monotonic_ns() + 1_000_000_000, identifier=0x123)], 0, [])
         program.send(can.Message(arbitration_id=0x123, data=b"12345678", is_extended_id=False))
         found = error_frames(program, said(RESTARTED))
         assert [each.arbitration_id & BUS_OFF for each in found if each.arbitration_id in (BUS_OFF, 0x104)] == [BUS_OFF, 0]
