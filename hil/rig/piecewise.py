@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping
-from typing import Final
-
-_FAR: Final = 1 << 60
-"""Slots beyond every run."""
 
 
 class Piecewise:
-    """Looked up where a piece begins, and kept until it ends.
+    """Values by slot: that of the last change.
 
     Args:
         start: value until the first change.
@@ -25,14 +21,7 @@ class Piecewise:
     def __init__(self, start: tuple[float, ...], changes: Mapping[int, tuple[float, ...]]) -> None:
         self._edges = sorted(changes)
         self._values = [start, *(changes[k] for k in self._edges)]
-        self._begin = self._end = 0
-        self._value = start
 
     def at(self, k: int) -> tuple[float, ...]:
         """Return the value in slot k."""
-        if not self._begin <= k < self._end:
-            edges, piece = self._edges, bisect_right(self._edges, k)
-            self._begin = edges[piece - 1] if piece else -_FAR
-            self._end = edges[piece] if piece < len(edges) else _FAR
-            self._value = self._values[piece]
-        return self._value
+        return self._values[bisect_right(self._edges, k)]

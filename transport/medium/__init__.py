@@ -193,7 +193,7 @@ class SampleClock:
         self._next = self._base + self._drawn()
 
     def _drawn(self) -> int:
-        return int(self._rng.integers(self._jitter + 1)) if self._jitter and self._rng is not None else 0
+        return int(self._rng.integers(self._jitter + 1)) if self._rng is not None else 0
 
     def due(self, k: int) -> bool:
         """Return whether slot k has a sample to send; called in order, in every slot."""

@@ -103,6 +103,7 @@ def test_a_users_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     assert any("is a JumpPlant" in sentence for sentence in check_plant(TwoSpeedTank()))
     loop = tank_loop()
     assert loop.verdict.certified and loop.verdict.details["continuous_time"] == "certified"
+    assert not any("not met" in each for each in loop.verdict.assumptions), "a run in which both modes are seen"
     assert max(abs(k) for mode in loop.controller.gain for section in mode for row in section for k in row) <= 4.0 + 1e-9
     level = simulate(loop, 1).arrays["/plant/state"]["level"]
     assert abs(level[-1]) < 0.1 * abs(level[0])
@@ -132,6 +133,39 @@ def test_a_jump_plant_whose_matrices_do_not_fit_is_named() -> None:
 
     with pytest.raises(PlantError, match=r"Odd\.jump_system: B of shape \(1, 2\)"):
         check_plant(Odd())
+
+
+def test_a_jump_plant_that_no_theory_covers_gets_no_gains_and_the_reason() -> None:
+    @dataclasses.dataclass(frozen=True, kw_only=True)
+    class Both(TwoSpeedTank):  # type: ignore[misc]
+        def jump_system(self) -> Any:
+            own = TwoSpeedTank().jump_system()
+            late = {"Ad": own.A, "max_delay_s": 0.1, "delay_slopes": (0.0, 0.0)}
+            return dataclasses.replace(own, changes=((own.A, own.B),), **late)
+
+    with pytest.raises(ExperimentError, match=r"controller\.kind: no design covers this plant: changes: no theory covers"):
+        tank_loop(plant=Both())
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class _Unstated:
+    """A tank that shows its mode and states no modes: both are alike."""
+
+    tank: Any = dataclasses.field(default_factory=lambda: TwoSpeedTank(growth=(0.2, 0.2), effect=(1.0, 1.0)))
+    inputs, outputs, states = TwoSpeedTank.inputs, TwoSpeedTank.outputs, TwoSpeedTank.states
+
+    def model(self) -> Any:
+        return self.tank.model()
+
+    def start(self, rng: np.random.Generator) -> Any:
+        return self.tank.start(rng)
+
+
+def test_gains_by_mode_over_a_plant_that_states_no_modes_are_undecided() -> None:
+    one = (((-1.0,),),)
+    gains = Scheduled(gain=(one, one), starts_s=((0.0,),) * 2)
+    verdict = tank_loop(plant=_Unstated(), controller=gains, allow_uncertified=True).verdict
+    assert verdict.state == "undecided" and "[plant] _Unstated states no modes (jump_system()" in verdict.reason
 
 
 def test_a_least_delay_above_the_largest_is_refused_and_one_within_keeps_the_loop_undecided() -> None:

@@ -54,11 +54,11 @@ class Timer:
         self.now_ns += 50
         return self.now_ns
 
-    def drive(self, clock: RealClock, waits: int) -> None:
-        """Wait for an instant 200 us ahead, so many times; note by how much the timer was set ahead."""
+    def drive(self, clock: RealClock, waits: int, ahead_ns: int = 200_000) -> None:
+        """Wait for an instant so far ahead, so many times; note by how much the timer was set ahead."""
         clock._sleep = self._sleep  # type: ignore[assignment]
         for _ in range(waits):
-            self.at = self.now_ns + 200_000
+            self.at = self.now_ns + ahead_ns
             clock.wait_until(self.at)
             assert self.now_ns >= self.at
 
@@ -86,6 +86,14 @@ def test_a_timer_that_comes_early_is_set_ahead_ever_less(monkeypatch: pytest.Mon
     clock._lead_ns = 5_000
     timer.drive(clock, 80)
     assert timer.leads == [max(5_000 - 100 * k, 0) for k in range(80)]
+
+
+def test_what_is_nearer_than_the_lead_is_waited_for_without_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    timer, clock = Timer(0), RealClock(0)
+    monkeypatch.setattr("hil.runtime.clock.time", timer)
+    clock._lead_ns = 20_000
+    timer.drive(clock, 5, ahead_ns=15_000)
+    assert timer.leads == [] and clock._lead_ns == 20_000, "a timer that was not set says nothing of how late it comes"
 
 
 def test_a_signal_ends_the_wait_however_long_it_would_be() -> None:

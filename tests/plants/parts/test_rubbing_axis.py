@@ -84,6 +84,14 @@ def test_stopping_has_its_closed_form():
     assert angle == pytest.approx((v0 - deceleration * rest) / POLE, rel=1e-13)
 
 
+def test_one_rounding_before_it_stops_it_does_not_turn_back():
+    """There what is computed of the speed is often below zero."""
+    for v0 in np.linspace(0.01, 1.0, 100).tolist():
+        rest = math.log1p(POLE * v0 / (GAIN * SIMPLE.coulomb_v)) / POLE
+        for span in (rest, math.nextafter(rest, 0.0), rest * (1 - 4e-16)):
+            assert axis(SIMPLE).move(0.0, v0, 0.0, span)[1] >= 0.0
+
+
 def test_a_reversal_passes_zero_once():
     """Sampled a thousand times through the reversal, the speed changes its sign once: no chattering."""
     rubbing, angle, speed = axis(STRIBECK), 0.0, 1.0
