@@ -254,7 +254,6 @@ def _stdout_to_stderr() -> Iterator[TextIO]:
         if not _is_descriptor(out, 1):  # a test or a notebook took its place
             yield out
             return
-        out.flush()
         kept = os.dup(1)
         os.dup2(2 if _is_descriptor(sys.stderr, 2) else nowhere.fileno(), 1)
         try:

@@ -45,12 +45,13 @@ def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
     return Plot(title="What partitioning buys", panels=(bars,), intro=intro)
 
 
-THEOREMS = ("hazard 0.01, then 200 from 0.4967 s", "the thesis's own rates (2.26), M = 12 uniform sections")
+LOW, HIGH, FROM_S = 0.01, 200.0, 0.4967
+THEOREMS = (f"hazard {LOW:g}, then {HIGH:g} from {FROM_S:g} s", "the thesis's own rates (2.26), M = 12 uniform sections")
 
 
 def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
     """Systems that the printed conditions accept and that diverge."""
-    step = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))
+    step = PiecewiseLinearRate(times_s=(0.0, FROM_S, FROM_S), values=(LOW, LOW, HIGH))
     process = SemiMarkov(rates=((None, step), (step, None)))
     first = _autonomous([[-0.6, -1], [10, -0.6]], [[-0.6, -10], [1, -0.6]])
     second = _autonomous([[-0.7606, -0.2], [3.2, -0.7606]], [[-0.7606, -3.2], [0.2, -0.7606]])
@@ -61,7 +62,7 @@ def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
     low, high = box.bounds(0, 0.0, math.inf)
     corner = (None, constant_rate(float(high[1])), constant_rate(float(low[2])))
     worst = SemiMarkov(rates=(corner, (back, None, None), (back, None, None)))
-    cases = ((first, process, ((0.0, 0.4967),) * 2), (second, chapter2_process(), uniform(chapter2_process(), 12)))
+    cases = ((first, process, ((0.0, FROM_S),) * 2), (second, chapter2_process(), uniform(chapter2_process(), 12)))
     accepted = [printed_stability(system, None, law, nodes=nodes) for system, law, nodes in cases]
     accepted.append(printed_stability(three, None, box, nodes=((0.0,),) * 3))
     return {

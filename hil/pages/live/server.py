@@ -72,7 +72,7 @@ class LivePage(ThreadingHTTPServer):
     block_on_close = False  # a browser that keeps its connection open keeps nothing else open
     allow_reuse_address = True
 
-    def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int = 0) -> None:
+    def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int) -> None:
         self.desk, self.about = desk, about
         self.token = secrets.token_urlsafe(18)
         self.refused = 0

@@ -78,7 +78,7 @@ def _softness(view: RunView, loop: Loop) -> str:
     tip, force = view.signals.tracked[0], next(iter(view.signals.inputs))
     depth = float(np.nanmax(whole(view.run.arrays[MEASUREMENT], tip), initial=0.0))
     most = float(np.nanmax(-whole(view.run.arrays[APPLIED], force), initial=0.0))
-    if depth <= 0.0 or most <= 0.0:
+    if most <= 0.0:
         return ""
     behind = loop.model.tau_max + loop.model.d_max
     return (

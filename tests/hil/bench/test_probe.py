@@ -101,6 +101,21 @@ def test_of_two_answers_the_first_counts() -> None:
     assert one_clock and all(trip.sent_ns <= trip.answered_ns <= trip.received_ns for trip in trips)
 
 
+class Late(Liar):
+    """An end that is started a moment after the other: it has not heard the first greeting."""
+
+    heard = False
+
+    def send(self, packet: bytes) -> None:
+        if self.heard:
+            super().send(packet)
+        self.heard = True
+
+
+def test_an_end_that_comes_later_is_met() -> None:
+    assert all(trip.received_ns for trip in probe(Late(lambda n: monotonic_ns()), 2000.0, 0.02).trips)
+
+
 class Twins(Liar):
     """Two processes that answer on one link, as on a real bus with two machines; each reads its clock when it answers."""
 

@@ -82,16 +82,16 @@ def with_mode(states: StructuredArray, value: float) -> StructuredArray:
 
 
 def test_a_table_with_units_a_gap_and_an_empty_entry_is_read(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text("\ufefft_s [s],u [V],y\n0.0,1,2\n0.1,,3\n0.2,6,7\n0.4,4,5\n")
+    (tmp_path / "t.csv").write_text("\ufefft_ns [ns],u [V],y\n0,1,2\n100000000,,3\n200000000,6,7\n4e8,4,5\n")
     period_s, columns = read_signal_table(tmp_path / "t.csv", ("y", "u"))
     assert period_s == pytest.approx(0.1)
     np.testing.assert_array_equal(columns, [[2, 1], [3, np.nan], [7, 6], [np.nan, np.nan], [5, 4]])
 
 
-@pytest.mark.parametrize("begin", [-2.5, 7.0, 1000.0])
-def test_a_table_may_begin_at_any_time(tmp_path: Path, begin: float) -> None:
+@pytest.mark.parametrize(("clock", "begin"), [("time", -2.5), ("t", 7.0), ("t_s", 1000.0)])
+def test_a_table_may_begin_at_any_time(tmp_path: Path, clock: str, begin: float) -> None:
     rows = "".join(f"{begin + 0.1 * k:.9f},{k}\n" for k in (0, 1, 2, 5, 6))
-    (tmp_path / "t.csv").write_text(f"time,y\n{rows}")
+    (tmp_path / "t.csv").write_text(f"{clock},y\n{rows}")
     period_s, columns = read_signal_table(tmp_path / "t.csv", ("y",))
     assert period_s == pytest.approx(0.1, rel=1e-9)
     np.testing.assert_array_equal(columns[:, 0], [0, 1, 2, np.nan, np.nan, 5, 6])

@@ -175,6 +175,7 @@ def test_certificate_of_a_changed_run_is_that_of_all_that_ran(tmp_path: Path) ->
     (tmp_path / "a.mcap").unlink()
     lost = certificate_of(run_with(tmp_path, (60, "network.ca.law", LOSSY), (70, "network.ca.law", MOSTLY_LATE)))
     assert lost["state"] == "refused" and lost["reason"].startswith("certified until slot 60, where network.ca.law was changed")
+    assert kept["stable"] and not lost["stable"]
     (tmp_path / "a.mcap").unlink()
     assert "changed" not in certificate_of(run_with(tmp_path, (50, "reference", [1.0])))["reason"]
 

@@ -14,6 +14,7 @@ import hil
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from hil.plugins.checks import check_law
+from transport.draws import SENT, Draw
 
 OVER: dict[str, Any] = {"duration": 2, "allow_uncertified": True}
 
@@ -152,3 +153,23 @@ def test_a_law_of_python_runs_in_real_time() -> None:
 
 def test_a_check_says_what_the_law_has_earned() -> None:
     assert "Coin is a ChainLaw: loops over it can be certified, designed for and predicted" in check_law(Coin())
+
+
+class InTurn(Packets):
+    """A packet law that draws for one slot after the other, as they are asked for in a loop: of others it has no numbers."""
+
+    reordering, queue = True, 1
+
+    def start(self, rng: np.random.Generator, period_s: float, deadline_s: float) -> Any:  # type: ignore[override]
+        class Running:
+            slots = iter(range(10**6))
+
+            def draw(_self, k: int) -> list[Draw]:
+                assert k == next(_self.slots)
+                return [Draw(k, k, 0, 0, 1e-3, SENT)]
+
+        return Running()
+
+
+def test_a_packet_law_is_asked_for_slot_after_slot_as_in_a_loop() -> None:
+    assert check_law(InTurn())[0] == "InTurn is a PerPacketLaw: it can run in a loop"  # type: ignore[arg-type]

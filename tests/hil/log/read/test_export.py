@@ -82,6 +82,14 @@ def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
     assert frames == run.arrays["/link/control"]["data"].tolist()
 
 
+def test_of_no_frame_numpy_reads_no_byte(run: Run, tmp_path: Path) -> None:
+    export(replace(run, arrays={"/link/control": run.arrays["/link/control"][:0]}), tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz", allow_pickle=False) as found:
+        assert {name: array.shape for name, array in found.items()} == {
+            "link_control_data": (0, 0), "link_control_length": (0,), "link_control": (0,),
+        }  # fmt: skip
+
+
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".log", ".blf"])
 def test_an_export_replaces_nothing_unasked(log: Path, run: Run, tmp_path: Path, ending: str) -> None:
     mine = tmp_path / ("x.plant_state.csv" if ending == ".csv" else f"x{ending}")

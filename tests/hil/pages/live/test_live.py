@@ -304,7 +304,7 @@ def test_no_run_waits_for_browsers_that_stall(page: Page) -> None:
 def test_a_connection_too_many_is_closed_at_once_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(server, "TIMEOUT_S", 60.0)  # none of the others ends meanwhile
     desk = Desk([Side()])
-    with LivePage(desk, dict) as live:
+    with LivePage(desk, dict, 0) as live:
         links, answers = [], []
         for _ in range(MOST_CONNECTIONS + 1):  # one after the other: few may wait to be taken
             links.append(socket.create_connection(("127.0.0.1", live.server_port), timeout=30))

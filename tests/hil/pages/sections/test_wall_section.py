@@ -81,6 +81,10 @@ def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     assert run.certificate["digest"] in table and 'class="pairs"' in table
 
 
+def test_before_the_first_force_nothing_is_said_of_the_largest():
+    assert section("omni-slide", "duration=0.3")[1].intro.startswith("The avatar")
+
+
 def test_a_push_has_no_way_and_a_motor_no_wall():
     assert not [b for b in section("omni-push", "duration=2")[1].blocks if isinstance(b, Scene)]
     assert section("dc-motor-hinf", "duration=2")[1] is None
