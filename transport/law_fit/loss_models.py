@@ -98,10 +98,10 @@ def _in_bursts(lost: Lost) -> bool:
 
 
 def _channel(lost: Lost, likelihood: Callable[[Array], Array]) -> LossFit:
-    n, p = len(lost), float(lost.mean())
+    p = float(lost.mean())
     again = float((lost[1:] & lost[:-1]).sum() / max(1, lost[:-1].sum()))  # Pr(lost | the one before was)
     leave = min(0.9, max(1e-3, 1.0 - again))
-    enter = min(0.5, max(2.0 / n, p * leave / (1.0 - p)))
+    enter = min(0.5, p * leave / (1.0 - p))
 
     def cost(angles: Array) -> Array:
         return -likelihood(values_of(angles))

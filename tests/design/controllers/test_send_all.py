@@ -46,3 +46,14 @@ def test_a_clamped_integral_stays_within_its_limit_and_comes_back_at_once() -> N
 def test_a_limit_that_clamps_nothing_is_refused(fields: dict[str, object], said: str) -> None:
     with pytest.raises(FieldError, match=said):
         SendAll(gains=nested(np.array([[[[-2.0, 10.0]]]])), selection="constant", **fields).start(INTEGRATOR)  # type: ignore[arg-type]
+
+
+def test_a_tau_without_tables_takes_those_of_the_next_one() -> None:
+    """Where tau = 0 never comes in a design, its two tables are those of 1 and 2 slots at tau = 1."""
+    gains = nested(np.array([[[[-2.0]]], [[[-3.0]]]]))
+    loop = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.1, tau_max=1, d_max=0)
+    running = SendAll(gains=gains, sojourns=(0, 2), selection="constant").start(loop)
+    assert [running.rows(k, tau, (1.0,), (0.0,))[0][0] for k, tau in enumerate((0, 1))] == [-2.0, -2.0]  # type: ignore[union-attr,call-arg,arg-type]
+    for sojourns in ((0, 1), (-1, 3)):
+        with pytest.raises(FieldError, match=r"sojourns: .*, expected counts whose sum is the number of tables, 2"):
+            SendAll(gains=gains, sojourns=sojourns)

@@ -6,7 +6,7 @@ from scipy.stats import binom
 
 from design.errors import DesignError
 from design.identification.axis import Record, covariance, expected_errors, sensitivities
-from design.identification.output_error import identify_axis, residual_test
+from design.identification.output_error import _start, identify_axis, residual_test
 from tests.design.identification.axis_runs import DAMPING, INERTIA, square_records
 
 NOISE = 1e-3
@@ -91,6 +91,12 @@ def test_records_of_one_axis_are_fitted_together_whatever_they_start_from():
     both = identify_axis([first, moved])
     assert both.inertia.covers(INERTIA) and both.inertia.error < identify_axis([first]).inertia.error
     assert both.starts[1][0] == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_start_that_grows_beyond_every_number_is_not_taken():
+    """exp(100 * 22) over the record's 22 s."""
+    records = square_records(period_s=0.05, slots=440, noise_sd=NOISE, seed=8)
+    assert _start(records, (1.0, -100.0)) == _start(records, None)
 
 
 def test_missing_outputs_are_left_out_and_a_missing_input_is_refused():

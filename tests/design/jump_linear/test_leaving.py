@@ -53,6 +53,8 @@ def test_responses_of_later_slots_add_and_the_end_of_the_sum_is_counted() -> Non
     assert short.probability((0, np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
     half = short.probability((0, np.array([0.05])), degree=2, left=0.5)
     assert half == pytest.approx(0.1**2 / (1.0 - 0.99**2), rel=1e-9), "half of the limits, twice the state"
+    first = scalar(0.99, slots=1)
+    assert first.probability((0, np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
 
 
 def test_a_loop_at_the_edge_has_no_region() -> None:

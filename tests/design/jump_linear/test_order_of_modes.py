@@ -1,4 +1,4 @@
-"""Radius and cost by one class of a periodic chain are those of all modes."""
+"""Radius and cost by one class of a periodic chain are those of all modes; growth in every order is bounded from above."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 
 from design.errors import NotStable
 from design.jump_linear import order_of_modes
-from design.jump_linear.order_of_modes import cyclic_classes, periodic_cost, periodic_radius
+from design.jump_linear.order_of_modes import cyclic_classes, growth_in_every_order, periodic_cost, periodic_radius
 from design.jump_linear.second_moment import backward, mean_square_radius
 
 
@@ -55,3 +55,18 @@ def test_what_arpack_has_not_found_is_not_its_answer(monkeypatch: pytest.MonkeyP
     assert periodic_radius(A, transition) == pytest.approx(whole, rel=1e-9)
     monkeypatch.setattr(order_of_modes, "EIG_DENSE_AFTER", 10)
     assert whole <= periodic_radius(A, transition) < 1.0 and np.isnan(periodic_radius(A, transition, bounded=False))
+
+
+def test_the_growth_is_rounded_up() -> None:
+    """Of one mode 0.3 it is 0.09; what rounding may have taken is added."""
+    found = growth_in_every_order(np.full((1, 1, 1), 0.3), np.ones((1, 1), dtype=bool))
+    assert 0.09 + 1e-12 < found.growth < 0.09 + 1e-9
+
+
+@pytest.mark.parametrize(("most", "solver"), [(2, "Clarabel"), (1, "")])
+def test_a_solver_is_asked_for_no_more_modes_than_it_can_do(most: int, solver: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The P of the chain prove 1.09 of two modes whose products grow by 0.866 at least; a solver's prove 0.88."""
+    monkeypatch.setattr(order_of_modes, "MOST_OF_SOLVER", most)
+    A = np.array([[[-0.4, -0.2], [0.3, 0.8]], [[-0.1, 1.1], [-0.5, 0.3]]])
+    found = growth_in_every_order(A, np.ones((2, 2), dtype=bool))
+    assert found.solver == solver and (found.growth < 1.0) is bool(solver)

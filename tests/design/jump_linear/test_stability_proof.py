@@ -134,6 +134,13 @@ def test_it_is_the_largest_eigenvalue_of_the_whole_matrix(modes: int, stay: floa
         assert mean_square_radius(A, P) == pytest.approx(whole, rel=1e-8)
 
 
+def test_a_secant_finds_it_where_halving_would_need_thirty_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stability_proof, "MOST_SOLUTIONS", 15)
+    A, P = long_stay(150, 0.8, 2, 0)
+    whole = float(np.abs(np.linalg.eigvals(operator_matrix(A, P))).max())
+    assert mean_square_radius(A, P) == pytest.approx(whole, rel=1e-8)
+
+
 def test_a_chain_of_a_thousand_modes_is_decided_by_one_factorisation() -> None:
     """A scalar plant over a heavy tail: ARPACK had no answer in 900 s."""
     A, P = long_stay(1001, 0.9, 1, 1)

@@ -177,6 +177,7 @@ def test_stopping_at_the_first_narrow_ordinary_interval_misses_more_often() -> N
 def test_too_few_values_give_no_narrow_interval() -> None:
     assert mean_interval([1.0]).half_width == np.inf
     assert deviation_interval([1.0, 2.0, 3.0]).high == np.inf
+    assert deviation_interval([1.0, 3.0]) == Interval(pytest.approx(2.0**0.5), 0.0, np.inf, 0.95, 2)
     for found in (mean_interval([2.0] * 10), deviation_interval([2.0] * 10), difference_interval([1.0] * 5, [2.0] * 5)):
         assert found.half_width == np.inf
     assert difference_interval([1.0] * 6, [2.0] * 6) == Interval(1.0, 1.0, 1.0, 0.95, 6)

@@ -20,6 +20,10 @@ FOLLOW = 'controller={kind="model-following", material_chain=[[0.4, 0.3, 0.3], [
 
 @pytest.fixture(scope="module")
 def running():
+    return start()
+
+
+def start():
     law = follow_wall(Wall(), DEVICE, period_s=PERIOD_S, sc=3, ca=3, material_chain=LAMBDA)
     model = LoopModel(A=np.eye(2), B=np.ones((2, 1)), C=np.zeros((3, 2)), period_s=PERIOD_S, tau_max=3, d_max=3)
     return law.start(model)
@@ -69,6 +73,16 @@ def test_the_rig_moves_as_the_matrices_say_while_the_target_is_in_contact(sc, ca
         state[:2] += DEVICE.discretise(PERIOD_S)[1]
         depth.append(float(state[0]))
     assert x == pytest.approx(depth, abs=2e-6)
+
+
+def test_every_slot_passes_once_whether_it_is_answered_or_not():
+    running = start()
+    state, last = np.zeros(running.order), -1
+    for k in (0, 1, 4):
+        for _ in range(k - last):
+            force, state = running.linear(state, 0.01, Wall().material)
+        assert running.rows(k, 3, (0.01, 0.0, 0.0), ()) == ((force,),) and force != 0.0
+        last = k
 
 
 def test_it_is_refused_through_the_door_with_the_hand_that_decides():

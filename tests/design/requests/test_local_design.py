@@ -82,6 +82,11 @@ def test_delays_that_the_design_does_not_know_can_undo_it() -> None:
     assert certify_system(over.system(late)).state == "refused"
 
 
+def test_the_game_is_alike_in_every_unit_of_the_output() -> None:
+    """gamma is in output units per unit of the disturbance: in units a hundred times as large it is a hundredth, F the same."""
+    np.testing.assert_allclose(game_feedback(A, B, 0.01 * C, 0.01), game_feedback(A, B, C, 1.0), rtol=1e-3)
+
+
 @pytest.mark.parametrize(
     ("change", "field"), [({"D": ((1.0, 2.0),)}, "D"), ({"A": ((1.0,),)}, "B"), ({"C": ((float("nan"), 0.0),)}, "C")]
 )

@@ -222,6 +222,15 @@ def test_what_cannot_be_counted_has_no_region() -> None:
     assert "mode" in str(confidence_region(fit, 1))
 
 
+def test_losses_by_chance_are_one_proportion_and_no_loss_is_none() -> None:
+    lost = np.random.default_rng(0).random(1000) < 0.1
+    (fit,) = fit_loss(lost, whole=False)
+    assert (fit.kind, fit.spec(), fit.intervals) == ("independent", lost.mean(), {"loss": wilson(int(lost.sum()), 1000)})
+    (none,) = fit_loss(np.zeros(1000, dtype=bool), whole=True)
+    assert (none.kind, none.spec(), none.intervals) == ("none", 0.0, {"loss": wilson(0, 1000)})
+    assert none.log_likelihood == none.parameters == 0 and not none.predicted.any()
+
+
 def test_the_loss_that_a_channel_predicts_is_that_of_all_paths_of_its_states() -> None:
     lost = np.random.default_rng(2).random(400) < np.repeat([0.1, 0.8, 0.1, 0.7], 100)
     fit = next(each for each in fit_loss(lost, whole=True) if each.kind == "gilbert-elliott")
