@@ -7,12 +7,16 @@ import re
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.terminal import Working, answer, json_option, print_each_folded, visible
 from hil.errors import HilError
+
+if TYPE_CHECKING:
+    from hil.cli.new_external import ExternalController
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
 PARTS = ("plant", "controller", "law", "measure", "experiment")
@@ -54,11 +58,11 @@ def new(
         raise HilError("--for: of a program, with --language python or c; a plug-in runs in the experiment that names it")
     if language is not None and part != "controller":
         raise HilError(f"--language: of a controller, not of a {part}: hil new controller {module} --language {language}")
-    experiment, note = rig or "dc-motor-hinf", ""
+    of, note = None, ""
     if language is None:
         files = files_of(part, module)
     else:
-        files, note = _program(module, language, experiment, kind or "can", keyed)
+        of, files, note = _program(module, language, rig or "dc-motor-hinf", kind or "can", keyed)
     texts = {folder / file: text for file, text in files.items()}
     shared = [path for path, text in texts.items() if module not in path.name and _holds(path, text)]  # of another program
     texts = {path: text for path, text in texts.items() if path not in shared}
@@ -74,8 +78,8 @@ def new(
     print("\n".join(f"wrote {visible(str(path))}" for path in texts))
     if note:
         print(note, file=sys.stderr)
-    if language is not None:
-        commands = _starts(next(iter(texts)), language, experiment, kind or "can", keyed)
+    if of is not None:
+        commands = _starts(next(iter(texts)), of, compiled=language == "c")
         print("\n" + "\n".join(f"  {visible(line)}" for line in commands))
         return
     print(f"\n  hil run {visible(str(folder / f'{module}.toml'))}\n  pytest {visible(str(folder / f'test_{module}.py'))}")
@@ -89,19 +93,19 @@ def _holds(path: Path, text: str) -> bool:
     return False
 
 
-def _starts(path: Path, language: str, experiment: str, kind: str, keyed: bool) -> list[str]:
+def _starts(path: Path, of: ExternalController, *, compiled: bool) -> list[str]:
     """Return the commands that start a program and its rig."""
-    at = "tcp/127.0.0.1:7447" if kind == "zenoh" else "vcan0" if language == "c" else "rig0"
-    uri = f"zenoh:{at}" if kind == "zenoh" else f"can:{'socketcan' if language == 'c' else 'hil'}:{at}"
+    at = "tcp/127.0.0.1:7447" if of.kind == "zenoh" else "vcan0" if compiled else "rig0"
+    uri = f"zenoh:{at}" if of.kind == "zenoh" else f"can:{'socketcan' if compiled else 'hil'}:{at}"
     folder, stem = path.parent, path.stem
-    compiled = [f"cc -std=c99 -O2 -o {folder / stem} {path} {folder / 'hilrig.c'}"] if language == "c" else []
-    start = f"{'./' if folder == Path() else ''}{folder / stem}" if language == "c" else f"python {path}"
-    end = f"# with the key: the first lines of {path}" if keyed else "# in another terminal"
-    return [*compiled, f"hil rig {experiment} --link {uri}", f"{start} {at}   {end}"]
+    build = [f"cc -std=c99 -O2 -o {folder / stem} {path} {folder / 'hilrig.c'}"] if compiled else []
+    start = f"{'./' if folder == Path() else ''}{folder / stem}" if compiled else f"python {path}"
+    end = f"# with the key: the first lines of {path}" if of.keyed else "# in another terminal"
+    return [*build, f"hil rig {of.argument} --link {of.rig_link(uri)}", f"{start} {at}   {end}"]
 
 
-def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> tuple[dict[str, str], str]:
-    """Return the files of a controller as a program of its own, and what to say of it; see `hil.cli.new_external`."""
+def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> tuple[ExternalController, dict[str, str], str]:
+    """Return a controller as a program of its own, its files, and what to say of it; see `hil.cli.new_external`."""
     from hil.cli.new_external import external_controller, program_files
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
@@ -111,7 +115,7 @@ def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) ->
         loop = compose(named)
     of = external_controller(loop, argument, kind, keyed)  # type: ignore[arg-type]  # click knows the words
     note = f"note: {of.law.why_none}: the program answers zeros until you write its law" if of.law.why_none else ""
-    return program_files(of, stem, language), note  # type: ignore[arg-type]
+    return of, program_files(of, stem, language), note  # type: ignore[arg-type]
 
 
 def files_of(part: str, module: str) -> dict[str, str]:

@@ -7,8 +7,10 @@ goes on.
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -29,12 +31,16 @@ from hil.errors import HilError
 from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of, rig_dbc
+from transport.links import split_uri
+from transport.links.traits import with_options
 from transport.packets import SELECTIONS
 from transport.wire import MAX_VALUES
 
 Language = Literal["python", "c"]
 LinkKind = Literal["can", "zenoh"]
 HERE: Final = {"can": "can:hil:rig0", "zenoh": "zenoh:tcp/127.0.0.1:7447"}
+FRAMING: Final = ("fd", "base", "nodes", "ids", "control")
+"""Options of a CAN link that say its frames and their identifiers, which a program has as numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +54,7 @@ class ExternalController:
         kind: of the link.
         keyed: whether every packet has a message authentication code.
         argument: the experiment, as the command line names it.
+        options: of the rig's link, which the program takes for granted.
     """
 
     loop: Loop
@@ -56,6 +63,15 @@ class ExternalController:
     kind: LinkKind
     keyed: bool
     argument: str
+    options: Mapping[str, str]
+
+    def rig_link(self, uri: str) -> str:
+        """Return the link of the rig beside the program, as a shell takes it.
+
+        Args:
+            uri: where both meet, without options.
+        """
+        return quote(in_comment(with_options(uri, self.options)))
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:
@@ -82,15 +98,16 @@ def external_controller(loop: Loop, argument: str, kind: LinkKind, keyed: bool) 
     """
     rig, law = loop.rig, law_tables(loop)
     own = rig.links.uri
-    auth = "auth=frames.key" if keyed else ""  # the file is not read: only its place in the packet counts
     uri = own if own.startswith(f"{kind}:") and kind == "can" and "auth=" not in own else HERE[kind]
-    link = link_of(rig, uri + ("?" if "?" not in uri else "&") * keyed + auth)
+    key = {"auth": "KEYFILE"} if keyed else {}  # the file is not read: only its place in the packet counts
+    link, said = link_of(rig, with_options(uri, key)), split_uri(uri)[2]
     _, rows, inputs, _ = law.gains.shape
     if rows * inputs > MAX_VALUES:
         raise HilError(f"controller: {rows} rows of {inputs} inputs, a packet carries {MAX_VALUES} values")
     if kind == "can" and link.identifiers is None:
         raise HilError("network.nodes: more nodes than a CAN link has identifiers for; use --link zenoh")
-    return ExternalController(loop=loop, law=law, link=link, kind=kind, keyed=keyed, argument=argument)
+    options = {name: said[name] for name in FRAMING if name in said} | key
+    return ExternalController(loop=loop, law=law, link=link, kind=kind, keyed=keyed, argument=argument, options=options)
 
 
 def program_files(of: ExternalController, stem: str, language: Language) -> dict[str, str]:
@@ -111,7 +128,7 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
     from hil.cli.can import c_codec, database_of
     from hil.cli.new_external_c import c_tables
 
-    values = _words(of, stem, "KEYFILE INTERFACE|-" if of.keyed else "INTERFACE|-") | {
+    values = _words(of, stem, "KEYFILE " * of.keyed + "INTERFACE|-", "can:socketcan:INTERFACE") | {
         "SHA256_H": ", ".join(f"0x{_root_bits(p, 2):08x}u" for p in PRIMES[:8]),
         "SHA256_K": ", ".join(f"0x{_root_bits(p, 3):08x}u" for p in PRIMES),
         "CMAC_TOO": ", AES-128 and its CMAC" if of.keyed else "",
@@ -136,15 +153,12 @@ def in_comment(text: str) -> str:
     return "".join(c if c.isprintable() and c not in "\"'\\*" else "_" for c in text)
 
 
-def _words(of: ExternalController, stem: str, usage: str) -> dict[str, Any]:
+def _words(of: ExternalController, stem: str, usage: str, uri: str) -> dict[str, Any]:
     e = of.loop.experiment
-    framing = of.link.traits.can
-    options = "" if of.kind != "can" or framing is None or framing.fd else "?fd=0"
     return {
         "CONTROLLER": f"'{in_comment(e.kinds.get('controller', '?'))}'", "EXPERIMENT": in_comment(e.name),
         "ARGUMENT": in_comment(of.argument), "STEM": stem,
-        "FILE": f"{stem}.py", "USAGE": usage, "OPTIONS": options,
-        "AUTH": ("&" if options else "?") + "auth=KEYFILE" if of.keyed else "",
+        "FILE": f"{stem}.py", "USAGE": usage, "LINK": of.rig_link(uri),
         "WHY": in_comment(of.law.why_none), "FIRST": 2 if of.keyed else 1,
     }  # fmt: skip
 
@@ -153,7 +167,7 @@ def _python_values(of: ExternalController, stem: str) -> dict[str, Any]:
     law, loop, sensors, ids = of.law, of.loop, of.sensors, of.link.identifiers
     usage = {"can": "CHANNEL [INTERFACE]", "zenoh": "ENDPOINT [NAME]"}[of.kind]
     selection = SELECTIONS.index(loop.selection)
-    values = _words(of, stem, "KEYFILE " * of.keyed + usage)
+    values = _words(of, stem, "KEYFILE " * of.keyed + usage, HERE[of.kind])
     return values | {
         "PERIOD_NS": loop.experiment.period_ns, "SELECTION": selection, "SELECTION_NAME": loop.selection,
         "ROWS": law.gains.shape[1], "INPUTS": law.gains.shape[2], "OUTPUTS": law.omega.shape[1], "SAMPLES": law.samples,

@@ -12,7 +12,9 @@ import pytest
 
 from hil.cli.guide import pages
 from hil.cli.new import PARTS, files_of
-from hil.experiment import shipped
+from hil.experiment import load_experiment, shipped
+from hil.rig.normal_form import rig_of
+from hil.rig.session_link import link_of
 from tests.hil.cli.conftest import Hil
 from tests.warm_hil import hil_command
 
@@ -68,12 +70,27 @@ def test_a_program_of_its_own_is_written_for_an_experiment_and_says_what_it_lack
     status, out, err = cli("new", "controller", "drive", *words)
     assert status == 0 and not err and "wrote drive.py" in out
     text = Path("drive.py").read_text()
-    assert "hil rig dc-motor-h2 --link zenoh:tcp/127.0.0.1:7447?auth=KEYFILE" in text and "[[-0.198]]" in text
+    assert "hil rig dc-motor-h2 --link 'zenoh:tcp/127.0.0.1:7447?auth=KEYFILE'" in text and "[[-0.198]]" in text
     assert "@" not in text.replace("@property", "") and "#?" not in text and not re.search("^(import|from) hil", text, re.M)
     status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
     assert status == 0 and "answers zeros until you write its law" in err and Path("packet_codes.h").is_file()
     status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
     assert status == 2 and "exists already" in err and "note:" not in err  # of a program that is not written, nothing is said
+
+
+@pytest.mark.parametrize(("language", "at"), [("python", "can:hil:rig0"), ("c", "can:socketcan:INTERFACE")])
+def test_the_rig_beside_a_program_has_the_frames_that_the_program_has(cli: Hil, language: str, at: str) -> None:
+    """They were those of a link by default: neither heard the other."""
+    own, options = 'control_can_id = 0x2c0\nuri = "can:hil:rig7?fd=0&timed=1&base=0x200"\n', "fd=0&base=0x200&auth=KEYFILE"
+    Path("classic.toml").write_text(f"{shipped()['vtol-h2'].read_text()}\n[links]\n{own}")
+    status, out, err = cli("new", "controller", "drive", "--language", language, "--for", "classic.toml", "--keyed")
+    assert status == 0, err
+    text = "".join(path.read_text() for path in Path().glob("drive.*"))
+    assert f"hil rig classic.toml --link '{at}?{options}'" in text
+    assert f"hil rig classic.toml --link '{at.replace('INTERFACE', 'vcan0')}?{options}'" in out
+    if language == "python":
+        rig = link_of(rig_of(load_experiment("classic.toml")), f"{at}?{options}").identifiers
+        assert rig is not None and f"SENSORS = {rig.sensors} " in text and f"CONTROL = {rig.control}\n" in text
 
 
 def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(cli: Hil) -> None:
