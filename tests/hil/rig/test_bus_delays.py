@@ -74,7 +74,7 @@ def test_offsets_that_never_come_again_leave_the_bounds_of_any_offsets() -> None
     own = rig(f"network.media.bus.traffic=[{OFTEN}]")
     found = bus_delays(own, can_bus_of(own), 1)
     assert not isinstance(found, str) and len(found.sensor) == 1
-    assert found.sensor == ((0, 0),) and found.control == ((0, 0),)
+    assert found.sensor == ((0, 0),) and found.control == ((0, 0),) and found.worst_ns == (3_656_000, 3_656_000)
 
 
 @pytest.mark.parametrize(
