@@ -31,16 +31,13 @@ from hil.errors import HilError
 from hil.rig.loop import Loop
 from hil.rig.sensors import Sensor
 from hil.rig.session_link import SessionLink, link_of, rig_dbc
-from transport.links import split_uri
-from transport.links.traits import with_options
+from transport.links.traits import framing_options, with_options
 from transport.packets import SELECTIONS
 from transport.wire import MAX_VALUES
 
 Language = Literal["python", "c"]
 LinkKind = Literal["can", "zenoh"]
 HERE: Final = {"can": "can:hil:rig0", "zenoh": "zenoh:tcp/127.0.0.1:7447"}
-FRAMING: Final = ("fd", "base", "nodes", "ids", "control")
-"""Options of a CAN link that say its frames and their identifiers, which a program has as numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,14 +97,14 @@ def external_controller(loop: Loop, argument: str, kind: LinkKind, keyed: bool) 
     own = rig.links.uri
     uri = own if own.startswith(f"{kind}:") and kind == "can" and "auth=" not in own else HERE[kind]
     key = {"auth": "KEYFILE"} if keyed else {}  # the file is not read: only its place in the packet counts
-    link, said = link_of(rig, with_options(uri, key)), split_uri(uri)[2]
+    link = link_of(rig, with_options(uri, key))
     _, rows, inputs, _ = law.gains.shape
     if rows * inputs > MAX_VALUES:
         raise HilError(f"controller: {rows} rows of {inputs} inputs, a packet carries {MAX_VALUES} values")
     if kind == "can" and link.identifiers is None:
         raise HilError("network.nodes: more nodes than a CAN link has identifiers for; use --link zenoh")
-    options = {name: said[name] for name in FRAMING if name in said} | key
-    return ExternalController(loop=loop, law=law, link=link, kind=kind, keyed=keyed, argument=argument, options=options)
+    return ExternalController(loop=loop, law=law, link=link, kind=kind, keyed=keyed, argument=argument,
+                              options=framing_options(uri) | key)  # fmt: skip
 
 
 def program_files(of: ExternalController, stem: str, language: Language) -> dict[str, str]:

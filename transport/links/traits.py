@@ -210,6 +210,16 @@ def with_options(uri: str, options: Mapping[str, str]) -> str:
     return "?".join(filter(None, (address, "&".join(filter(None, (query, *more))))))
 
 
+def framing_options(uri: str) -> dict[str, str]:
+    """Return the options that say which frames a CAN link has, and on which identifiers.
+
+    >>> framing_options("can:hil:rig0?fd=0&hop_limit=1&base=0x200")
+    {'fd': '0', 'base': '0x200'}
+    """
+    options = split_uri(uri)[2]
+    return {name: options[name] for name in ("fd", "base", "nodes", "ids", "control") if name in options}
+
+
 def _can(uri: str) -> LinkTraits:
     _, address, options = split_uri(uri)
     framing = CanFraming(
