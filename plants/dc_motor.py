@@ -140,14 +140,14 @@ class DCMotor:
 
     def motion(self) -> StateSpace:
         """Return the model by which it moves: viscous friction moves the pole."""
-        return self._linear(self._damping)
+        return self._linear(self.damping)
 
     def _linear(self, damping: float) -> StateSpace:
         measured = [[1.0, 0.0], [0.0, 1.0]][: len(self.outputs)]
         return StateSpace(A=[[0.0, 1.0], [0.0, -damping]], B=[[0.0], [self.gain]], C=measured)
 
     @property
-    def _damping(self) -> float:
+    def damping(self) -> float:
         """All viscous friction, 1/s."""
         return self.pole + self.gain * self.friction.viscous_v_s_per_rad
 

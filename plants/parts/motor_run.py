@@ -70,7 +70,7 @@ class DCMotorRun:
 
     def __init__(self, motor: DCMotor, before: DCMotorRun | None = None) -> None:
         self._axis = (
-            RubbingAxis(motor.gain, motor.pole, motor.friction) if motor.friction.dry else _FreeAxis(motor.gain, motor._damping)
+            RubbingAxis(motor.gain, motor.pole, motor.friction) if motor.friction.dry else _FreeAxis(motor.gain, motor.damping)
         )
         self._drive = None if motor.driver.ideal else motor.driver.drive
         self._through = motor.disturbance_through_driver
@@ -138,7 +138,7 @@ class MotorRuns:
 
     def __init__(self, motor: DCMotor, runs: int) -> None:
         self._axes = (
-            RubbingAxes(motor.gain, motor.pole, motor.friction) if motor.friction.dry else FreeAxes(motor.gain, motor._damping)
+            RubbingAxes(motor.gain, motor.pole, motor.friction) if motor.friction.dry else FreeAxes(motor.gain, motor.damping)
         )
         self._driver, self._through = None if motor.driver.ideal else motor.driver, motor.disturbance_through_driver
         self._step_rad, self._tachometer = motor.encoder.step_rad, motor.tachometer
