@@ -1,4 +1,4 @@
-"""The VTOL helicopter of Chapters 3, 4 and 7: its matrices, and the rig of sec. 7.4.1."""
+"""The VTOL helicopter of Chapters 3, 4 and 7: its matrices, and the rig of Section 7.4.1."""
 
 from __future__ import annotations
 

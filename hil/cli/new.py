@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
+import shlex
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -97,11 +98,11 @@ def _starts(path: Path, of: ExternalController, *, compiled: bool) -> list[str]:
     """Return the commands that start a program and its rig."""
     at = "tcp/127.0.0.1:7447" if of.kind == "zenoh" else "vcan0" if compiled else "rig0"
     uri = f"zenoh:{at}" if of.kind == "zenoh" else f"can:{'socketcan' if compiled else 'hil'}:{at}"
-    folder, stem = path.parent, path.stem
-    build = [f"cc -std=c99 -O2 -o {folder / stem} {path} {folder / 'hilrig.c'}"] if compiled else []
-    start = f"{'./' if folder == Path() else ''}{folder / stem}" if compiled else f"python {path}"
+    program, source, codec = (shlex.quote(str(each)) for each in (path.with_suffix(""), path, path.parent / "hilrig.c"))
+    build = [f"cc -std=c99 -O2 -o {program} {source} {codec}"] if compiled else []
+    start = f"{'./' if path.parent == Path() else ''}{program}" if compiled else f"python {source}"
     end = f"# with the key: the first lines of {path}" if of.keyed else "# in another terminal"
-    return [*build, f"hil rig {of.argument} --link {of.rig_link(uri)}", f"{start} {at}   {end}"]
+    return [*build, f"hil rig {shlex.quote(of.argument)} --link {of.rig_link(uri)}", f"{start} {at}   {end}"]
 
 
 def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> tuple[ExternalController, dict[str, str], str]:

@@ -24,7 +24,8 @@ if TYPE_CHECKING:
     from hil.pages.html.page import Page
 
 
-_NUMBER: Final = re.compile(r"[-+−–.\d][^:,]*$|none$")  # what a cell is that stands right in its column
+_NUMBER: Final = re.compile(r"[-+–.\d][^:,]*$|none$")  # what a cell is that stands right in its column
+_TYPED: Final = str.maketrans({"−": "-", "\u202f": ""})  # a number on a terminal can be pasted
 _STYLES: Final = {"bad": "red", "warning": "yellow"}
 
 
@@ -79,8 +80,8 @@ def _shown(value: Cell) -> Text:
     from hil.pages.html.numbers import text_of
 
     if isinstance(value, Badge):
-        return Text(visible(value.label), style=_STYLES.get(value.state, ""))
-    return Text(visible(text_of(value, 6) if isinstance(value, float) else text_of(value)))
+        return Text(visible(value.label).translate(_TYPED), style=_STYLES.get(value.state, ""))
+    return Text(visible(text_of(value, 6) if isinstance(value, float) else text_of(value)).translate(_TYPED))
 
 
 def print_page(page: Page) -> None:
@@ -88,17 +89,17 @@ def print_page(page: Page) -> None:
     from hil.pages.html.figures import Table, Text
 
     click.secho(visible(page.title), bold=True)
-    print_folded(page.subtitle)
-    print_folded(", ".join(f"{name} {value}" for name, value in page.facts))
+    print_folded(page.subtitle.translate(_TYPED))
+    print_folded(", ".join(f"{name} {value}" for name, value in page.facts).translate(_TYPED))
     for badge in page.badges:
-        print_folded(badge.label)
+        print_folded(badge.label.translate(_TYPED))
     for section in page.sections:
         click.secho(f"\n{visible(section.title)}", bold=True)
         for block in section.blocks:
             if isinstance(block, Table):
                 print_table(block, folds=True)
             elif isinstance(block, Text) and not block.code:
-                print_folded(block.text)
+                print_folded(block.text.translate(_TYPED))
 
 
 def show_page(page: Page, document: object, path: Path | None) -> None:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
 )
-@click.option("--level", type=float, default=0.95, show_default=True, help="Confidence of that interval at the stop.")
+@click.option("--level", type=float, show_default="0.95", help="Confidence of that interval at the stop.")
 @click.option("--resume", type=click.Path(path_type=Path), help="Keep finished runs in this file, go on from it.")
 @click.option("--metric", "own", multiple=True, metavar="MODULE:FUNCTION", help="A number of your own: a function of a RunView.")
 @click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
@@ -54,7 +54,7 @@ def command(
     table: Path | None,
     force: bool,
     until: str | None,
-    level: float,
+    level: float | None,
     resume: Path | None,
     own: tuple[str, ...],
     backend: str,
@@ -85,6 +85,8 @@ def command(
         raise HilError(f"--first-seed: {first_seed} is negative")
     if first_seed + runs > 2**63:
         raise HilError(f"--first-seed: {first_seed}, and the last seed is beyond 2^63 - 1")
+    if level is not None and until is None:
+        raise HilError("--level: only with --until, of whose interval it is the confidence")
     check_jobs(jobs)
     if duration is not None:
         sets = (*sets, f"duration={duration}")
@@ -108,7 +110,7 @@ def command(
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]
-    rule = stop_rule(until, level, metrics) if until is not None else None
+    rule = stop_rule(until, 0.95 if level is None else level, metrics) if until is not None else None
     begun = time.perf_counter()
     with ExitStack() as stack:
         store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
@@ -134,7 +136,7 @@ def command(
             "metric": rule[0],
             "statistic": rule[1].statistic,
             "half_width": rule[1].half_width,
-            "level": level,
+            "level": rule[1].level,
             "reached": found.reached,
             "interval": None if seen is None or not seen.bounded else seen._asdict(),
         }

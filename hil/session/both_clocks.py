@@ -105,7 +105,7 @@ def run_in_real_time(
         sink.discard()
         raise HilError("no free file descriptor to start rig and controller; raise the limit: ulimit -n 64") from error
     sink.drop(real.pump.dropped)
-    out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes}
+    out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes, "malformed_records": real.pump.malformed}
     if real.controller.failed is not None:
         sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller.failed, severity="error")
     elif real.controller_lost:

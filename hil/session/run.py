@@ -20,7 +20,7 @@ from hil.log.topics import channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, TeeSink, published, together
+from hil.log.write.sinks import PayloadWriter, TeeSink, harmless, published, together
 from hil.measure.measure import measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
@@ -126,9 +126,10 @@ def run_session(
     if onlooker is not None:
         taps = together(taps or {}, onlooker.begin(loop, table))
     with (
-        published(signals, table, taps) as observers,
+        published(signals, table, taps) as publishing,
         McapSink(path, table, provenance, now=now, index=index, keep=keep) as sink,
     ):
+        observers = harmless(publishing or {}, sink)
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = run_in_virtual_time(loop, sink, TeeSink(sink, observers) if observers else sink, onlooker)

@@ -21,7 +21,7 @@ from hil.log.write import pipe_sink as pipe
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
 from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Dated, PayloadWriter, Sink, record_to
+from hil.log.write.sinks import Dated, PayloadWriter, Sink, both, record_to
 
 _LENGTH: Final = Struct("<I")
 _MAX_PAYLOAD: Final = 1 << 24
@@ -42,7 +42,6 @@ class PumpReport:
         malformed: frames of no known channel, or of a wrong length.
         torn_bytes: bytes of the last, incomplete frame of a writer that was killed.
         complete: whether the writer ended in good order.
-        faults: taps that raised and were taken off.
         last_ns: session time of the last record.
     """
 
@@ -51,7 +50,6 @@ class PumpReport:
     malformed: int = 0
     torn_bytes: int = 0
     complete: bool = False
-    faults: list[str] = field(default_factory=list)
     last_ns: int = field(default=0, compare=False)
 
 
@@ -70,8 +68,8 @@ def pump(
         fd: reading end of the pipe; stays open.
         sink: gets the records; committed after every read and every look.
         channels: the session's table.
-        taps: topic to a function that also gets time and payload of that topic's records, for a live view. One that raises is
-            taken off and reported.
+        taps: topic to a function that also gets time and payload of that topic's records, for a live view; none may raise, see
+            `hil.log.write.sinks.harmless`.
         stop: asked whenever the pipe is empty; true ends the pump though a process still holds the writing end.
         report: filled in as records come, for who watches; a new one by default.
 
@@ -79,7 +77,7 @@ def pump(
         What came, and what was lost.
     """
     report = report or PumpReport()
-    takers = _Takers(sink, channels, taps or {}, report)
+    takers = _Takers(sink, channels, taps or {})
     waiting, nothing = select.poll(), select.poll()
     waiting.register(fd, select.POLLIN)
     data, room = b"", memoryview(bytearray(_READ_BYTES))  # kept: one for every read would tear the heap
@@ -110,14 +108,12 @@ _Taker = Callable[[int, bytes], int]
 class _Takers:
     """What takes a frame, by its number: one for every channel, and for every block that the writer has declared."""
 
-    def __init__(
-        self, sink: Sink, channels: Mapping[str, Channel], taps: Mapping[str, PayloadWriter], report: PumpReport
-    ) -> None:
+    def __init__(self, sink: Sink, channels: Mapping[str, Channel], taps: Mapping[str, PayloadWriter]) -> None:
         self._channels = {channel.id: channel for channel in channels.values()}
         self._puts: dict[int, PayloadWriter] = {}
         for topic, number in [(EVENTS_TOPIC, pipe.EVENTS_ID), *((channel.topic, channel.id) for channel in channels.values())]:
             put = sink.channel(topic) or _ignore
-            self._puts[number] = _tapped(topic, put, taps[topic], report) if topic in taps else put
+            self._puts[number] = both(taps[topic], put) if topic in taps else put
         self._taken: dict[int, _Taker] = {number: self._single(number) for number in self._puts}
         self.of = self._taken.get
 
@@ -209,22 +205,6 @@ def _take(data: bytes, takers: _Takers, sink: Sink, report: PumpReport) -> bytes
 
 def _ignore(t_ns: int, payload: bytes) -> None:
     """Take a record that is not kept."""
-
-
-def _tapped(topic: str, put: PayloadWriter, tap: PayloadWriter, report: PumpReport) -> PayloadWriter:
-    on = True
-
-    def put_and_tap(t_ns: int, payload: bytes) -> None:
-        nonlocal on
-        put(t_ns, payload)
-        if on:
-            try:
-                tap(t_ns, payload)
-            except Exception as error:  # a live view must not cost the log
-                on = False
-                report.faults.append(f"tap {topic}: {type(error).__name__}: {error}")
-
-    return put_and_tap
 
 
 FRAME = bytes(64)

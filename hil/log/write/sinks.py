@@ -122,7 +122,7 @@ class TeeSink(Sink):
     def channel(self, topic: str) -> PayloadWriter | None:
         """See ``Sink``."""
         put, look = self._sink.channel(topic), self._observers.get(topic)
-        return put or look if put is None or look is None else _both(look, put)
+        return put or look if put is None or look is None else both(look, put)
 
     def commit(self) -> None:
         """See ``Sink``."""
@@ -153,15 +153,43 @@ def published(
         yield together(observers or {}, publisher.observers)
 
 
+def harmless(observers: Mapping[str, PayloadWriter], sink: Sink) -> dict[str, PayloadWriter]:
+    """Return observers that a run never fails by: one that raises is taken off, and an event of the log says so.
+
+    Args:
+        observers: topic to what gets time and payload of its records.
+        sink: takes the event.
+    """
+    return {topic: _taken_off(topic, look, sink) for topic, look in observers.items()}
+
+
+def _taken_off(topic: str, look: PayloadWriter, sink: Sink) -> PayloadWriter:
+    on = True
+
+    def put(t_ns: int, payload: bytes) -> None:
+        nonlocal on
+        if on:
+            try:
+                look(t_ns, payload)
+            except Exception as error:  # whatever a view does
+                on = False
+                message = f"a view gets no more records of {topic}: {type(error).__name__}: {error}"
+                sink.event(t_ns, "view failed", message, severity="warning")
+
+    return put
+
+
 def together(first: Mapping[str, PayloadWriter], second: Mapping[str, PayloadWriter]) -> dict[str, PayloadWriter]:
     """Return what hands the records of every topic to both."""
     found = dict(first)
     for topic, put in second.items():
-        found[topic] = _both(found[topic], put) if topic in found else put
+        found[topic] = both(found[topic], put) if topic in found else put
     return found
 
 
-def _both(first: PayloadWriter, second: PayloadWriter) -> PayloadWriter:
+def both(first: PayloadWriter, second: PayloadWriter) -> PayloadWriter:
+    """Return what hands a record to the second, then to the first."""
+
     def put(t_ns: int, payload: bytes) -> None:
         second(t_ns, payload)
         first(t_ns, payload)

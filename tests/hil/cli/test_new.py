@@ -72,8 +72,10 @@ def test_a_program_of_its_own_is_written_for_an_experiment_and_says_what_it_lack
     text = Path("drive.py").read_text()
     assert "hil rig dc-motor-h2 --link 'zenoh:tcp/127.0.0.1:7447?auth=KEYFILE'" in text and "[[-0.198]]" in text
     assert "@" not in text.replace("@property", "") and "#?" not in text and not re.search("^(import|from) hil", text, re.M)
-    status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
+    Path("a wall.toml").write_text(shipped()["omni-push"].read_text())
+    status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "a wall.toml")
     assert status == 0 and "answers zeros until you write its law" in err and Path("packet_codes.h").is_file()
+    assert "hil rig 'a wall.toml' --link " in out
     status, out, err = cli("new", "controller", "walls", "--language", "c", "--for", "omni-push")
     assert status == 2 and "exists already" in err and "note:" not in err  # of a program that is not written, nothing is said
 

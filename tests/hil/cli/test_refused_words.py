@@ -49,6 +49,7 @@ FD = "name,can_id,length,period,fd\na,1,12,10 ms,true\n"
         (("sweep", "dc-motor-h2", "--until", "sse"), "--until 'sse': expected METRIC=HALFWIDTH, such as"),
         (("sweep", "dc-motor-h2", "--until", "ssee=1"), "--until: 'ssee' is not one of"),
         (("sweep", "dc-motor-h2", "--until", "sse=-1"), "--until: "),
+        (("sweep", "dc-motor-h2", "--level", "0.9"), "--level: only with --until"),
         (("compare", "dc-motor-h2"), "compare: only 'dc-motor-h2' is named; expected two or more"),
         (("compare", "dc-motor-h2", "dc-motor-h2"), "compare: 'dc-motor-h2' is named twice"),
         (("design", "dc-motor", "--period", "0s"), "--period"),

