@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -220,6 +220,8 @@ def test_sections_of_the_gain_inside_a_cell_are_not_passed_over() -> None:
     system, gain = _scalar_loop(process, [-1.0, -2.0], [0.0, 1.0])
     coarse = analyse_fault_tolerant(system, gain, process, r_nodes=ONE)
     assert coarse.certified and coarse.gamma == pytest.approx(analyse_fault_tolerant(system, gain, process).gamma, rel=1e-3)
+    smaller = partial(coarse.rebuild.func, *coarse.rebuild.args[:-1], 0.9 * coarse.gamma)
+    assert coarse.check() > 0 > replace(coarse, rebuild=smaller).check()  # the proof is of this gamma and of no smaller one
 
 
 def test_decay_of_a_certificate_is_one_that_the_process_keeps() -> None:
