@@ -28,7 +28,7 @@ LATE: Final = {"kind": "constant", "age": 1}
 def runs(names: tuple[str, ...], sets: list[str]) -> Iterator[Page]:
     """Give runs that are held at slot 0, with their page."""
     with tempfile.TemporaryDirectory() as folder:
-        page = Page(Path(folder), [asked(Path(folder), name, [], sets, held=True) for name in names])
+        page = Page(Path(folder), [asked(Path(folder), name, [], sets, paused=True) for name in names])
         page.begin()
         try:
             yield page

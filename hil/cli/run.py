@@ -217,7 +217,7 @@ def run(
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("--speed", type=Within(1e-3, 1e3), default=1.0, show_default=True, help="Times real time.")
-@click.option("--hold", "held", is_flag=True, help="Wait before slot 0, until the page says go.")
+@click.option("--paused", is_flag=True, help="Pause before slot 0, until the page resumes.")
 @click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page, on 127.0.0.1; any that is free by default.")
@@ -229,7 +229,7 @@ def run(
 @json_option("Print the summary as one JSON object, with --script.")
 def live(
     experiments: tuple[str, ...], sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
-    speed: float, held: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
+    speed: float, paused: bool, script: Path | None, port: int, output: Path | None, force: bool, folder: str | None, show: bool,
     foxglove: int | None,
 ) -> None:  # fmt: skip
     """Watch a run of EXPERIMENT in the browser, and change it there: reference, disturbance, network, controller, faults.
@@ -285,7 +285,7 @@ def live(
     for name in experiments:  # what is wrong with them, or with where their logs go, is said before a page is there
         let_go(path(load(name, None)))
     asked = [
-        Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, held=held)  # type: ignore[arg-type]
+        Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, paused=paused)  # type: ignore[arg-type]
         for name in experiments
     ]
     with foxglove_beside(None, foxglove) as beside:

@@ -42,13 +42,13 @@ class VirtualClock:
 
 
 class PacedClock:
-    """Virtual time at a pace: a second of session time takes 1 / speed s, and none while it is held.
+    """Virtual time at a pace: a second of session time takes 1 / speed s, and none while it is paused.
 
-    One thread waits on it; any other may hold it, let it go on, step it, or end it. What a run computes does not depend on it.
+    One thread waits on it; any other may pause it, resume it, step it, or end it. What a run computes does not depend on it.
 
     Args:
         speed: session time per time, above 0.
-        held: whether it waits at once, before slot 0.
+        paused: whether it waits at once, before slot 0.
 
     >>> clock = PacedClock(speed=1e9); clock.wait_until(5); clock.now()
     5
@@ -57,9 +57,9 @@ class PacedClock:
     BEHIND_NS: Final = 200_000_000  # what cannot keep its pace does not hurry afterwards
     LOOK_S: Final = 0.05
 
-    def __init__(self, speed: float = 1.0, held: bool = False) -> None:
+    def __init__(self, speed: float = 1.0, paused: bool = False) -> None:
         self._lock = threading.Lock()
-        self._speed, self._held, self._steps, self._ended = speed, held, 0, False
+        self._speed, self._paused, self._steps, self._ended = speed, paused, 0, False
         self._now = 0
         self._from = time.monotonic_ns(), 0  # an instant, and the session time then
 
@@ -75,7 +75,7 @@ class PacedClock:
     def _left_s(self, t_ns: int) -> float:
         if self._ended:
             return 0.0
-        if self._held:
+        if self._paused:
             if not self._steps:
                 return self.LOOK_S
             self._steps -= 1
@@ -95,21 +95,21 @@ class PacedClock:
         return self._speed
 
     @property
-    def held(self) -> bool:
+    def paused(self) -> bool:
         """Whether it waits for a step."""
-        return self._held
+        return self._paused
 
-    def set(self, *, speed: float | None = None, held: bool | None = None) -> None:
-        """Go on at another speed, or hold."""
+    def set(self, *, speed: float | None = None, paused: bool | None = None) -> None:
+        """Change the speed, pause or resume."""
         with self._lock:
             self._speed = self._speed if speed is None else speed
-            self._held = self._held if held is None else held
+            self._paused = self._paused if paused is None else paused
             self._steps, self._from = 0, (time.monotonic_ns(), self._now)
 
     def step(self, slots: int) -> None:
-        """Hold, and let so many slots pass."""
+        """Pause, and let so many slots pass."""
         with self._lock:
-            self._held = True
+            self._paused = True
             self._steps += slots
 
     def end(self) -> None:

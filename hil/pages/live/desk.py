@@ -87,7 +87,7 @@ def _serve(pipe: Connection, parent: int) -> None:
         pipe.send(answer)
 
 
-AT_ONCE: Final = ("hold", "go", "step", "speed")
+AT_ONCE: Final = ("pause", "resume", "step", "speed")
 COMPUTED: Final = ("check", "apply", "restart", "end")
 """What is done in its turn, beside the run."""
 WAITING: Final = 64
@@ -108,7 +108,7 @@ class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         path, value: of the change, to be checked, or applied.
         sides: numbers of the runs that it is for; all by default.
         speed: session time per time.
-        seed: of the run that begins anew.
+        seed: of the run that is started again.
         slots: how many, for a step.
     """
 
@@ -200,7 +200,7 @@ class Desk:
             elif wish.do == "speed":
                 clock.set(speed=wish.speed)
             else:
-                clock.set(held=wish.do == "hold")
+                clock.set(paused=wish.do == "pause")
 
     def _work(self) -> None:
         while (asked := self._wishes.get()) is not None:
@@ -246,17 +246,17 @@ class Desk:
 
 def _loop_of(side: Side, path: str) -> Loop:
     if side.loop is None or side.status != "running":
-        raise HilError(f"{path}: no run goes on; begin anew")
+        raise HilError(f"{path}: no run goes on; restart it")
     if side.clock is None:
         refuse_in_real_time(side.loop, path)
     return side.loop
 
 
 def _first_slot(side: Side, path: str, lead_s: float) -> int:
-    """Return the slot that a run will not have reached in so much time; the next one where it is held."""
+    """Return the slot that a run will not have reached in so much time; the next one where it is paused."""
     _loop_of(side, path)
-    held = side.clock is not None and side.clock.held
-    return side.next_slot() + (0 if held else round(lead_s * _speed_of(side) / side.period_s))
+    paused = side.clock is not None and side.clock.paused
+    return side.next_slot() + (0 if paused else round(lead_s * _speed_of(side) / side.period_s))
 
 
 def _speed_of(side: Side) -> float:

@@ -235,9 +235,10 @@ class Side:
         """
         first, end = self.span()
         clock = self.clock
-        held = clock is not None and clock.held and self.status == "running"
+        paused = clock is not None and clock.paused and self.status == "running"
         found: dict[str, Any] = {
-            "run": self._runs, "status": "held" if held else self.status, "first": first, "slots": end, "period": self.period_s,
+            "run": self._runs, "status": "paused" if paused else self.status,
+            "first": first, "slots": end, "period": self.period_s,
             "events": [{"number": number, **event} for number, event in list(self._events) if number >= since],
             "device": self._device(end),
         }  # fmt: skip

@@ -1,4 +1,4 @@
-"""Runs that are watched: one, or two side by side, begun anew as often as the page asks for it; or a log."""
+"""Runs that are watched: one, or two side by side, started again as often as the page asks for it; or a log."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Asked:
         clock: ``virtual`` or ``real``.
         link: URI of the link in real time, None for the experiment's own.
         speed: session time per time, in virtual time.
-        held: whether virtual time waits before slot 0.
+        paused: whether virtual time waits before slot 0.
         acts: whether the page may change it.
     """
 
@@ -45,12 +45,12 @@ class Asked:
     clock: ClockName = "virtual"
     link: str | None = None
     speed: float = 1.0
-    held: bool = False
+    paused: bool = False
     acts: bool = True
 
     def pacer(self) -> PacedClock | None:
         """Return a clock for a run; None in real time."""
-        return None if self.clock == "real" else PacedClock(self.speed, self.held)
+        return None if self.clock == "real" else PacedClock(self.speed, self.paused)
 
 
 def watch(

@@ -179,10 +179,10 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
     monkeypatch.setattr("click.launch", launched.append)
     monkeypatch.setattr("hil.pages.live.watch.watch", shown)
     monkeypatch.setattr("hil.pages.live.watch.show_log", shown)
-    words = ("--seed", "3", "--duration", "1", "--speed", "2", "--port", "9", "--hold")
+    words = ("--seed", "3", "--duration", "1", "--speed", "2", "--port", "9", "--paused")
     assert cli("live", "dc-motor-h2", "dc-motor-hinf", *words) == (0, "", "open http://here\n")
     ((asked, about),) = seen
-    assert [(each.load(None).name, each.speed, each.held, each.clock) for each in asked] == [
+    assert [(each.load(None).name, each.speed, each.paused, each.clock) for each in asked] == [
         (name, 2.0, True, "virtual") for name in ("dc-motor-h2", "dc-motor-hinf")
     ]
     assert [asked[0].load(again).seed for again in (None, 8)] == [3, 8] and about["port"] == 9

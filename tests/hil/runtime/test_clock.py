@@ -132,7 +132,7 @@ def machine(monkeypatch: pytest.MonkeyPatch) -> Time:
 
 def test_session_time_passes_at_its_speed(machine: Time) -> None:
     clock, begin = PacedClock(speed=4.0), machine.now_ns
-    assert (clock.speed, clock.held) == (4.0, False)
+    assert (clock.speed, clock.paused) == (4.0, False)
     for t_ns in (S // 2, 3 * S, 3 * S, 2 * S):
         clock.wait_until(t_ns)
     assert clock.now() == 3 * S and machine.now_ns - begin == 3 * S // 4
@@ -162,23 +162,23 @@ def test_what_cannot_keep_its_pace_does_not_hurry_afterwards_and_what_is_a_littl
 
 
 def test_a_held_clock_lets_only_steps_pass_and_goes_on_from_there(machine: Time) -> None:
-    clock = PacedClock(held=True)
+    clock = PacedClock(paused=True)
     begin = machine.now_ns
     machine.planned[begin + 5 * S] = lambda: clock.step(2)
     for t_ns in (S, 2 * S):
         clock.wait_until(t_ns)
-    assert clock.held and clock.now() == 2 * S and 5.0 <= (machine.now_ns - begin) / S <= 5.0 + PacedClock.LOOK_S
+    assert clock.paused and clock.now() == 2 * S and 5.0 <= (machine.now_ns - begin) / S <= 5.0 + PacedClock.LOOK_S
     begin = machine.now_ns
-    machine.planned[begin + 3 * S] = lambda: clock.set(held=False)
+    machine.planned[begin + 3 * S] = lambda: clock.set(paused=False)
     clock.wait_until(4 * S)
-    assert not clock.held and 5.0 <= (machine.now_ns - begin) / S <= 5.0 + PacedClock.LOOK_S
+    assert not clock.paused and 5.0 <= (machine.now_ns - begin) / S <= 5.0 + PacedClock.LOOK_S
 
 
 def test_a_step_holds_and_what_is_left_of_steps_is_forgotten_when_it_goes_on(machine: Time) -> None:
     clock = PacedClock()
     clock.step(3)
     clock.wait_until(S)
-    clock.set(held=True)
+    clock.set(paused=True)
     begin = machine.now_ns
     machine.planned[begin + S] = clock.end
     clock.wait_until(2 * S)
@@ -186,7 +186,7 @@ def test_a_step_holds_and_what_is_left_of_steps_is_forgotten_when_it_goes_on(mac
 
 
 def test_an_ended_clock_waits_no_more(machine: Time) -> None:
-    for clock in (PacedClock(held=True), PacedClock(speed=1e-6)):
+    for clock in (PacedClock(paused=True), PacedClock(speed=1e-6)):
         begin = machine.now_ns
         machine.planned[begin + S] = clock.end
         for t_ns in (S, 2 * S):

@@ -4,7 +4,7 @@ import { claimBadge, number, text } from "./live.js";
 export function makeAct(place, abouts, wish, runs, controllersOf) {
   const about = abouts[0], drafts = { pending: null };
   place.hidden = false;
-  const heading = text("h2", "Act");
+  const heading = text("h2", "Changes");
   const draft = text("div", "", { className: "draft", ariaLive: "polite" });
   const undo = text("div", "", { className: "row" });
   place.append(heading, draft, undo);

@@ -23,7 +23,7 @@ const apart = (a, b) => {  // digits by which two numbers are seen to differ
 };
 const SIGN = { certified: ["✓", "good"], refused: ["✗", "bad"], undecided: ["?", "warning"], none: ["?", "warning"] };
 export const MEANS = { certified: "stable", refused: "not stable", undecided: "undecided", none: "no certificate" };
-const STATUS = { running: ["▶", "good"], held: ["❚❚", "warning"], ended: ["■", ""], log: ["≡", ""], waiting: ["·", ""], lost: ["✗", "bad"] };
+const STATUS = { running: ["▶", "good"], paused: ["❚❚", "warning"], ended: ["■", ""], log: ["≡", ""], waiting: ["·", ""], lost: ["✗", "bad"] };
 
 export function badge(place, [sign, state], words) {
   place.className = "badge " + state;
@@ -81,7 +81,7 @@ function showWords(run) {
   run.claim.textContent = now.certificate.reason;
   const rests = (now.certificate.assumptions || []).join("; ");
   run.rests.hidden = !rests;
-  if (run.rests.textContent !== `rests on${rests}`) run.rests.replaceChildren(text("summary", "rests on"), text("p", rests));
+  if (run.rests.textContent !== `assumptions${rests}`) run.rests.replaceChildren(text("summary", "assumptions"), text("p", rests));
   const fates = Object.entries(now.fates).map(([topic, n]) =>
     `${topic.endsWith("sc") ? "to the controller" : "to the actuator"}: ${Object.entries(n).map(([k, v]) => `${v} ${k.replace("-", " ")}`).join(", ") || "nothing lost"}`);
   const t = now.timing;
@@ -144,7 +144,7 @@ async function picture(run) {
   const head = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, size)));
   const before = run.now;
   run.now = { ...before, ...head };
-  if (before && head.run !== before.run) return location.reload(); // it has begun anew
+  if (before && head.run !== before.run) return location.reload(); // it was restarted
   run.scopes.show(new Float32Array(data, 4 + size), head.window, period);
   drawDevice(run.canvas, run.about, head.device, run.now.given);
   showEvents(run);
@@ -164,7 +164,7 @@ async function frame() {
       $("time").textContent = `${(view.end ?? view.latest).toFixed(about.period < 0.01 ? 3 : 2)} s`;
       const first = now.status === "running" && !now.slots; // in real time its processes are starting
       badge($("status"), first ? STATUS.waiting : STATUS[now.status] || STATUS.waiting, first ? "waiting for slot 0" : now.status);
-      $("hold").textContent = now.status === "held" ? "Go" : "Hold";
+      $("pause").textContent = now.status === "paused" ? "Resume" : "Pause";
       $("follow").setAttribute("aria-pressed", String(view.end === null));
       if (document.activeElement !== $("slider")) $("slider").value = view.latest > view.first ? (1000 * ((view.end ?? view.latest) - view.first)) / (view.latest - view.first) : 1000;
       act?.show(now.draft, runs);
@@ -183,7 +183,7 @@ async function frame() {
 
 const table = traceTable($("trigger"), view, () => runs);
 const commands = {
-  hold: () => wish({ do: runs[0].now.status === "held" ? "go" : "hold" }),
+  pause: () => wish({ do: runs[0].now.status === "paused" ? "resume" : "pause" }),
   step: () => wish({ do: "step" }),
   speed: () => wish({ do: "speed", speed: +$("speed").value }),
   restart: () => wish({ do: "restart", seed: $("seed").value === "" ? null : +$("seed").value }),
@@ -191,11 +191,11 @@ const commands = {
   follow: () => view.follow(),
   span: () => { view.span = +$("span").value; },
 };
-for (const id of ["hold", "step", "restart", "end", "follow"]) $(id).addEventListener("click", commands[id]);
+for (const id of ["pause", "step", "restart", "end", "follow"]) $(id).addEventListener("click", commands[id]);
 for (const id of ["speed", "span"]) $(id).addEventListener("change", commands[id]);
 $("slider").addEventListener("input", () => view.put(view.first + ($("slider").value / 1000) * (view.latest - view.first)));
 const KEYS = {
-  " ": commands.hold, ".": commands.step, f: commands.follow, a: () => table.cursor(0), b: () => table.cursor(1), m: () => table.bookmark(),
+  " ": commands.pause, ".": commands.step, f: commands.follow, a: () => table.cursor(0), b: () => table.cursor(1), m: () => table.bookmark(),
   t: () => table.arm(), ArrowLeft: () => view.put((view.end ?? view.latest) - view.length() / 4),
   ArrowRight: () => view.put((view.end ?? view.latest) + view.length() / 4), "+": () => { view.span = view.length() / 2; },
   "-": () => { view.span = view.length() * 2; }, Enter: () => act?.apply(),
@@ -221,7 +221,7 @@ async function begin() {
   $("seed").value = about.runs[0].seed;
   const acts = about.acts && about.runs[0].controllable;
   $("pace").hidden = !acts;
-  for (const id of ["hold", "step", "speed-of"]) $(id).hidden = !about.runs[0].paced; // in real time the clock on the wall paces
+  for (const id of ["pause", "step", "speed-of"]) $(id).hidden = !about.runs[0].paced; // in real time the clock on the wall paces
   runs = about.runs.map(makeRun);
   if (acts) act = makeAct($("act"), about.runs, wish, () => runs, async () => (await fetch("controllers", { headers })).json());
   window.hilLive = { runs, view, table, wish }; // for tests

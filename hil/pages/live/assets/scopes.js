@@ -141,7 +141,7 @@ export function traceTable(place, view, runs) {
       fill(all[0]);
       if (state === "armed") look(all[0]);
       const hold = view.triggered != null && state === "held";
-      armed.textContent = { off: "Arm (t)", armed: "Armed …", held: "Held: let go (t)" }[state];
+      armed.textContent = { off: "Arm (t)", armed: "Armed …", held: "Triggered: release (t)" }[state];
       armed.setAttribute("aria-pressed", String(state !== "off"));
       message.textContent = hold ? `triggered at ${number(view.triggered, 6)} s` : "";
       measure(all);

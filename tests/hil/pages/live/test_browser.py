@@ -43,7 +43,7 @@ def shows(browser: chromium.Page, expression: str, part: str) -> None:
 
 @pytest.fixture
 def page(tmp_path: Path) -> Any:
-    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], ["duration=6000"], held=True)])  # it ends in no test
+    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], ["duration=6000"], paused=True)])  # it ends in no test
     page.begin()
     yield page
     page.end()
@@ -57,11 +57,11 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, br
     browser.evaluate("(s => { s.value = '20'; s.dispatchEvent(new Event('change')); })(document.getElementById('speed'))")
     browser.evaluate(KEY.format(" "))
     until(lambda: page.view()["slots"] > 60, "the run to go on")
-    shows(browser, "document.getElementById('hold').textContent", "Hold")  # the key does what the button shows
+    shows(browser, "document.getElementById('pause').textContent", "Pause")  # the key does what the button shows
     browser.evaluate(KEY.format(" "))
-    until(lambda: page.view()["status"] == "held", "the run to hold")
+    until(lambda: page.view()["status"] == "paused", "the run to pause")
     held = page.view()["slots"]
-    shows(browser, "document.getElementById('status').innerText", "held")
+    shows(browser, "document.getElementById('status').innerText", "paused")
     assert all(n > 500 for n in browser.evaluate(INK)), "every scope and the device are drawn"
 
     assert browser.evaluate(choose("Loss, share of packets", "0.8")) == "0.8"
@@ -138,7 +138,7 @@ def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page, browser:
 
 def test_the_mouse_is_the_hand(tmp_path: Path, browser: chromium.Page) -> None:
     """It is pressed on the picture of the wall and drawn into it: the hand leads the device there, and the log runs again."""
-    page = Page(tmp_path, [asked(tmp_path, "omni-1khz", [], held=True)])
+    page = Page(tmp_path, [asked(tmp_path, "omni-1khz", [], paused=True)])
     page.begin()
     try:
         browser.open(page.url)
@@ -170,7 +170,7 @@ def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives
 ) -> None:
     """The energy of the passivity observer stands beside each device in words; the safety ends the second run."""
     hand = ["allow_uncertified=true", "plant.hand={damping_n_s_per_m=2,stiffness_n_per_m=20}"]
-    page = Page(tmp_path, [asked(tmp_path, name, [], hand, held=True) for name in ("omni-push", "omni-theorem61")])
+    page = Page(tmp_path, [asked(tmp_path, name, [], hand, paused=True) for name in ("omni-push", "omni-theorem61")])
     page.begin()
     try:
         browser.open(page.url)
@@ -216,7 +216,7 @@ def test_the_keyboard_alone_reaches_every_control_and_applies_a_change(page: Pag
     press("Enter", 13, "\r")
     until(lambda: page.view()["draft"]["path"] == "reference", "a reference that is typed")
     slots = page.view()["slots"]
-    browser.evaluate("document.getElementById('hold').focus()")
+    browser.evaluate("document.getElementById('pause').focus()")
     press(".", 190, ".")
     until(lambda: page.view()["slots"] == slots + 1, "a step, with the focus on a button")
     freeze = "[...document.querySelectorAll('button')].find(b => b.innerText === 'Freeze')"

@@ -49,7 +49,7 @@ class Page:
     status: int = -1
     number: int = 0
 
-    def begin(self, status: str = "held") -> None:
+    def begin(self, status: str = "paused") -> None:
         there = threading.Event()
 
         def opened(url: str) -> None:
@@ -114,7 +114,7 @@ def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), 
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], held=True)])
+    page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], paused=True)])
     page.begin()
     yield page
     page.end()
@@ -122,8 +122,8 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 def test_virtual_time_is_paced_and_begins_at_once_unless_it_is_held(tmp_path: Path) -> None:
     plain = asked(tmp_path, "dc-motor-hinf", [])
-    begun, held = plain.pacer(), replace(plain, held=True).pacer()
-    assert begun is not None and held is not None and (begun.held, held.held) == (False, True)
+    begun, paused = plain.pacer(), replace(plain, paused=True).pacer()
+    assert begun is not None and paused is not None and (begun.paused, paused.paused) == (False, True)
     assert replace(plain, clock="real").pacer() is None
 
 
@@ -320,7 +320,7 @@ def test_a_connection_too_many_is_closed_at_once_and_counted(monkeypatch: pytest
 def test_two_experiments_run_beside_each_other_on_the_same_delays(tmp_path: Path) -> None:
     number: list[int] = []
     names = ("dc-motor-local-fast", "dc-motor-hinf-fast")
-    page = Page(tmp_path, [asked(tmp_path, name, number, held=True) for name in names])
+    page = Page(tmp_path, [asked(tmp_path, name, number, paused=True) for name in names])
     page.begin()
     page.wish(do="apply", path="network.ca.law", value={"kind": "constant", "age": 1})
     claims = page.settled("armed")["claims"]
@@ -342,7 +342,7 @@ def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
     assert now["certificate"]["state"] == "certified" == session.summary["certificate"]["state"]
     desk = Desk([side])
     try:
-        for do in ("apply", "hold", "restart"):
+        for do in ("apply", "pause", "restart"):
             with pytest.raises(HilError, match="only watches"):
                 desk.take(Wish(do=do))
     finally:
