@@ -1,7 +1,7 @@
-"""Changes of a run: which come when, how a rig, its controller and its log take one, and how it comes to them in real time.
+"""Changes of an experiment while it runs: how rig, controller and log take one, and how it reaches their processes in real time.
 
-In real time they travel from the process that watches a run to those that keep time. They are asked for `LEAD_S` before their
-slot, so that each has come when its slot begins; no process waits for them.
+In real time the supervisor sends changes to the rig and controller processes, `LEAD_S` before their slot, so that each has come
+when its slot begins; no process waits for one.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import socket
 
 LATE: Final = "change late"
-"""Kind of the event that logs one that came behind its slot, in real time."""
+"""Kind of the event that logs a change that came after its slot had begun, in real time."""
 END: Final = "end"
 """Path of the change that ends a run."""
 RUN_ENDED: Final = "the run was ended"
@@ -48,28 +48,28 @@ class Change(Struct, frozen=True, kw_only=True):
 
 
 Changes = Callable[[int], Sequence[Change]]
-"""Asked at the beginning of every slot, by its number, for the changes that act from it on."""
+"""Called at the beginning of every slot, with its number; returns the changes that act from this slot on."""
 
 
 def take(change: Change, rig: Rig, node: ControlNode | None) -> None:
-    """Let a rig, and its controller where it is in the same process, go on with a change, between two slots."""
+    """Apply a change, between two slots, to a rig, and to its controller where it is in the same process."""
     if change.loop is not None:
         direction: Literal["sc", "ca"] | None = None
         if change.path.startswith("network."):
             direction = "ca" if change.path.startswith("network.ca") else "sc"
         rig.change(change.loop, network=direction, plant=change.path.startswith("plant."))
         if node is not None:
-            node.change(change.loop, anew=change.path.startswith("controller"))
+            node.change(change.loop, new_controller=change.path.startswith("controller"))
 
 
 def log_late(sink: Sink, change: Change, t_ns: int, k: int, slot: int) -> None:
-    """Log a change that came behind its slot: it does not act, as its certificate is on a run in which it had."""
+    """Log a change that came after its slot had begun: it does not act, as its certificate is of a run in which it acts there."""
     message = f"{change.path}: came in slot {k}, behind its slot {slot}: nothing was changed; change it again"
     sink.event(t_ns, LATE, message, slot=k, severity="warning", path=change.path, due=slot)
 
 
 def log_change(sink: Sink, change: Change, t_ns: int, k: int) -> None:
-    """Log a change, with what is claimed of the loop that it makes."""
+    """Log a change, with the verdict on the changed loop."""
     verdict = None if change.loop is None else change.loop.verdict
     claimed = {} if verdict is None else {"kind": verdict.kind, "state": verdict.state, "reason": verdict.reason}
     text = RUN_ENDED if change.loop is None else f"{change.path} changed, certificate: {claimed.get('state', 'none')}"
@@ -84,78 +84,78 @@ Dump = Callable[[object, IO[bytes]], None]
 """Pickles an object into a file."""
 
 
-class Lines:
-    """The ends that send, one for each process by its name; they never wait.
+class ChangeSenders:
+    """The sending ends of the changes, a socket pair for each process by its name; no method waits.
 
     Args:
-        there: False for a run that takes no changes: no line is opened, and nothing is sent.
+        enabled: False for a run that takes no changes: no socket is opened, and nothing is sent.
     """
 
-    def __init__(self, there: bool) -> None:
-        self._there = there
-        self._lines: dict[str, tuple[socket.socket, socket.socket, bytearray]] = {}  # our end, theirs, and what waits
+    def __init__(self, enabled: bool) -> None:
+        self._enabled = enabled
+        self._senders: dict[str, tuple[socket.socket, socket.socket, bytearray]] = {}  # our end, theirs, unsent bytes
 
     def open(self, name: str) -> int:
-        """Return the file descriptor that a process inherits, in place of the one of that name before it; -1 for none."""
-        if not self._there:
+        """Return the file descriptor that a process inherits; one of the same name before is closed. -1 where not enabled."""
+        if not self._enabled:
             return -1
         self._close(name)
         from socket import socketpair  # of real time
 
         ours, theirs = socketpair()
         ours.setblocking(False)
-        self._lines[name] = ours, theirs, bytearray()
+        self._senders[name] = ours, theirs, bytearray()
         return theirs.fileno()
 
     def passed(self, name: str, *more: int) -> tuple[int, ...]:
-        """Return all that a process inherits, with other descriptors."""
-        return (*more, self._lines[name][1].fileno()) if self._there else more
+        """Return all descriptors that a process inherits: that of its changes, and `more`."""
+        return (*more, self._senders[name][1].fileno()) if self._enabled else more
 
     def put(self, name: str, slot: int, change: Change, dump: Dump = pickle.dump) -> None:
-        """Let a change be sent to a process, where there is one of that name."""
-        if name in self._lines:
+        """Queue a change for a process, where there is one of that name."""
+        if name in self._senders:
             text = BytesIO()
             dump((slot, change), text)
-            self._lines[name][2].extend(_HEAD.pack(len(text.getvalue())) + text.getvalue())
+            self._senders[name][2].extend(_HEAD.pack(len(text.getvalue())) + text.getvalue())
 
     def flush(self) -> None:
-        """Send as much as there is room for; to a process that has ended nothing."""
-        for ours, _, waiting in self._lines.values():
+        """Send as much of the queues as the sockets take; what goes to a process that has ended is lost."""
+        for ours, _, waiting in self._senders.values():
             if waiting:
                 with suppress(OSError):
                     del waiting[: ours.send(waiting)]
 
     def close(self) -> None:
         """Send nothing more."""
-        for name in list(self._lines):
+        for name in list(self._senders):
             self._close(name)
 
     def _close(self, name: str) -> None:
-        if name in self._lines:
-            ours, theirs, _ = self._lines.pop(name)
+        if name in self._senders:
+            ours, theirs, _ = self._senders.pop(name)
             ours.close()
             theirs.close()
 
 
-class Receiver:
-    """The end that receives, in a loop that never waits for it.
+class ChangeReceiver:
+    """The receiving end of the changes; it never waits.
 
     Args:
-        fd: of the line; -1 for none.
+        fd: file descriptor of the socket; -1 for none.
     """
 
     def __init__(self, fd: int) -> None:
         self._fd, self._bytes = fd, bytearray()
-        self._come: deque[tuple[int, Change]] = deque()
+        self._arrived: deque[tuple[int, Change]] = deque()
         if fd >= 0:
             os.set_blocking(fd, False)
 
     def due(self, k: int) -> Iterator[tuple[int, Change]]:
-        """Give the changes that have come for slots up to k, with their slots; costs one system call where none has."""
+        """Yield the changes that have come for slots up to k, with their slots; one system call where none has come."""
         if self._fd >= 0:
             self._read()
-        while self._come and self._come[0][0] <= k:
-            yield self._come.popleft()
+        while self._arrived and self._arrived[0][0] <= k:
+            yield self._arrived.popleft()
 
     def _read(self) -> None:
         try:
@@ -169,15 +169,15 @@ class Receiver:
             end = _HEAD.size + _HEAD.unpack_from(self._bytes)[0]
             if len(self._bytes) < end:
                 return
-            self._come.append(pickle.loads(bytes(self._bytes[_HEAD.size : end])))
+            self._arrived.append(pickle.loads(bytes(self._bytes[_HEAD.size : end])))
             del self._bytes[:end]
 
 
-class Ahead:
-    """Asks for the changes of every slot once, ahead of the run.
+class ChangeSchedule:
+    """Calls for the changes of every slot once, `LEAD_S` ahead of the run.
 
     Args:
-        changes: asked, None for a run that takes none.
+        changes: called with each slot; None for a run that takes no changes.
         period_ns: length of a slot, ns.
     """
 
@@ -186,7 +186,7 @@ class Ahead:
         self._lead, self._next = 1 + round(LEAD_S * 1e9 / period_ns), 0
 
     def at(self, now_ns: int) -> Iterator[tuple[int, Change]]:
-        """Give changes with their slots.
+        """Yield the changes that are due to be sent, with their slots.
 
         Args:
             now_ns: session time, ns; below 0 before slot 0.

@@ -1,4 +1,4 @@
-"""Which of the frames that come back answers the slot, and what all the others are."""
+"""Finds the control frame that answers the slot, and counts all other frames by their kind."""
 
 from __future__ import annotations
 
@@ -30,15 +30,16 @@ Arrival = Literal["in time", "late"]
 """When a frame came: before the deadline, or after it."""
 
 MOST_LOST: Final = 6
-"""Frames of a slot up to which an answer to some of them is distinguished from one to forged frames."""
+"""Sensor frames of a slot up to which an answer to only some of them is distinguished from an answer to forged frames."""
 
 
 class AnswerMatcher:
-    """Takes frames from the link: one may answer the slot, the rest is counted by what it is.
+    """Takes frames from the link: one may answer the slot, all others are counted by their kind.
 
-    A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign*: it
-    was not asked for. A second answer that differs from the first, an answer to a slot that was not yet asked, and one whose echo
-    is that of other frames than were sent, or whose sample was never sent, show that another process sends on the link.
+    A frame is *malformed* (no control packet), *late* (the first answer to a slot that had none in time), or *foreign* (any other
+    that is no answer). Four kinds of foreign frame show that another process sends on the link: a second answer that differs from
+    the first, an answer to a slot that has not begun, one whose echo is not that of the sensor frames, and one to a sample that
+    was never sent.
 
     Args:
         inputs: number m of inputs.
@@ -89,7 +90,7 @@ class AnswerMatcher:
             self._thrown = max(self._thrown - self._forgotten, 0.0)
 
     def _remember(self, k: int, asked: Sequence[bytes]) -> None:
-        """Keep what the answer is to echo, and which samples were sent."""
+        """Keep the echo that the answer must have, and the instants of the samples that were sent."""
         self._echo = self._echoes[k] = echo(asked)
         self._echoes.pop(k - REMEMBERED, None)
         for frame in asked:
@@ -198,7 +199,7 @@ class AnswerMatcher:
         self.throw_away()
 
     def throw_away(self, frames: int = 1) -> None:
-        """Count frames that are no answer; too many in too short a time are a flood, which is said once."""
+        """Count frames that are no answer; too many in too short a time are a flood, which is logged once."""
         self._thrown += frames
         if self._thrown >= FLOOD and not self.flooded:
             self.flooded = True

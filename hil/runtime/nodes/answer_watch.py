@@ -1,9 +1,9 @@
-"""Whether a controller that runs keeps to its table: every answer beside that of what it says that it is, asked the same.
+"""Compares every answer of a running controller with that of the controller that it states, from the same samples.
 
-Where references are stated, both are asked again with samples of zero: what they answer to the samples is what is compared. What
-the controller adds of its own may be anything that stays bounded while the reference stays: it enters the loop as an input, which
-moves a stable loop by a bounded amount. While the reference stays, the largest value so far is looked at: one that rises in the
-last third of the time as fast as in the first, slot after slot, is not seen to have a bound.
+With references, each controller is also evaluated at samples of zero, and that answer is subtracted: the feedback must agree. The
+feedforward, which is left, need not: it is an input of the loop, and a bounded input moves a stable loop by a bounded amount. It
+counts as unbounded if, under a constant reference, its largest value so far rises in the last third of the time as fast as in
+the first third, in more than a few slots.
 """
 
 from __future__ import annotations
@@ -18,41 +18,41 @@ from design.controllers.contract import Controller
 from hil.rig.watched import EQUAL, Running, handed, looks_back
 
 LEAST: Final = 60
-"""Slots of one reference below which nothing is said."""
+"""Slots of one reference below which the feedforward is not judged."""
 SHARE: Final = 0.9
-"""Rise in the last third beside that in the first: 1 of a ramp, 0.9 of a filter 6 times slower than the time looked at."""
+"""Ratio of the rise in the last third to that in the first: 1 of a ramp, 0.9 of a filter 6 times slower than the whole time."""
 RISES: Final = 4
-"""Slots of the last third in which a bounded one may reach a new largest value: steps of its own, and records of a noise."""
+"""Slots of the last third in which a bounded feedforward may reach a new largest value: by its own steps, or by noise."""
 TIMES: Final = 2.5
-"""How many times the largest value of the first third is passed: 3 by a ramp."""
+"""Ratio of the largest value at the end to that after the first third: 3 of a ramp."""
 
 
 class OwnFeedforward:
-    """Keeps the largest value that was added so far, slot by slot, while one reference stays.
+    """Keeps the largest feedforward so far, slot by slot, under a constant reference.
 
     Attributes:
-        grown: the slot from which it rose without a bound, and how far; None while it did not.
+        grown: the slot from which it rose without a bound, and a phrase that says how far; None while it did not.
     """
 
     def __init__(self) -> None:
-        self._aim: Sequence[float] = ()
+        self._reference: Sequence[float] = ()
         self._first = 0
         self._largest = array("d")
         self.grown: tuple[int, str] | None = None
 
-    def take(self, k: int, aim: Sequence[float], size: float) -> None:
-        """Take the largest value that was added in a slot.
+    def take(self, k: int, reference: Sequence[float], magnitude: float) -> None:
+        """Take the feedforward of a slot.
 
         Args:
             k: slot.
-            aim: reference.
-            size: largest absolute value over rows and inputs, in units of the inputs.
+            reference: of the slot.
+            magnitude: largest absolute value over rows and inputs, in units of the inputs.
         """
-        if aim != self._aim or not self._largest:
+        if reference != self._reference or not self._largest:
             self.judge()
-            self._aim, self._first, self._largest = tuple(aim), k, array("d")
+            self._reference, self._first, self._largest = tuple(reference), k, array("d")
         last = self._largest[-1] if self._largest else 0.0
-        self._largest.append(size if not size <= last else last)
+        self._largest.append(magnitude if not magnitude <= last else last)
 
     def judge(self) -> tuple[int, str] | None:
         """Return the slot from which it rose without a bound and how far, once the run or a reference has ended; else None."""
@@ -73,82 +73,82 @@ ROUNDING = 1e-12
 
 
 class AnswerWatch:
-    """Asks a controller, and beside it what the controller says that it is.
+    """Evaluates the running controller and the stated one, and compares their rows.
 
     Args:
-        own: the controller that runs.
-        controller: the same, to be started again.
-        stated: what it says that it is.
+        running: the controller that runs.
+        controller: starts the running controller once more, for samples of zero.
+        stated: the controller that it states.
         model: what both know of the loop.
-        aims: whether references are stated.
+        has_reference: whether the experiment has references.
     """
 
     def __init__(
-        self, own: Running, controller: Controller, stated: Controller, model: LoopModel, *, aims: bool
+        self, running: Running, controller: Controller, stated: Controller, model: LoopModel, *, has_reference: bool
     ) -> None:
-        twin = stated.start(model)
-        self._by_samples = isinstance(own, MultiSampleController)
-        self._own: Callable[..., Rows] = own.rows
-        self._twin: Callable[..., Rows] = twin.rows
-        self._still: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
-        if aims:
-            self._still = controller.start(model).rows, stated.start(model).rows
+        stated_run = stated.start(model)
+        self._by_samples = isinstance(running, MultiSampleController)
+        self._running_rows: Callable[..., Rows] = running.rows
+        self._stated_rows: Callable[..., Rows] = stated_run.rows
+        self._at_zero_samples: tuple[Callable[..., Rows], Callable[..., Rows]] | None = None
+        if has_reference:
+            self._at_zero_samples = controller.start(model).rows, stated.start(model).rows
         self._largest = 0.0
-        self._left: tuple[int, str] | None = None
-        self._added = OwnFeedforward()
-        if looks_back(own) != looks_back(twin):
-            self._left = 0, f"what it is handed: it {handed(own)}, and what it states {handed(twin)}"
+        self._departed: tuple[int, str] | None = None
+        self._feedforward = OwnFeedforward()
+        if looks_back(running) != looks_back(stated_run):
+            self._departed = 0, f"what it is handed: it {handed(running)}, and what it states {handed(stated_run)}"
 
     @property
     def departed(self) -> tuple[int, str] | None:
-        """The slot in which the answers left the table, and by how much; None while they did not."""
-        return self._left or self._added.judge()
+        """The slot in which the answers first differed from the stated ones, and by how much; None while they agree."""
+        return self._departed or self._feedforward.judge()
 
-    def rows(self, *asked: Any) -> Rows:
+    def rows(self, *arguments: Any) -> Rows:
         """Return what the controller answers; see `RunningController.rows` and `MultiSampleController.rows`."""
-        found = self._own(*asked)
-        if self._left is None:
-            expected = self._twin(*asked)
-            still = None
-            if self._still is not None:
-                at_rest = self._at_rest(asked)
-                still = self._still[0](*at_rest), self._still[1](*at_rest)
-                aim = asked[-1].reference if self._by_samples else asked[-1]
-                self._added.take(asked[0], aim, _apart(*still))
-            if found != expected:
-                self._compare(asked[0], found, expected, still)
-        return found
+        answer = self._running_rows(*arguments)
+        if self._departed is None:
+            expected = self._stated_rows(*arguments)
+            at_zero = None
+            if self._at_zero_samples is not None:
+                zeroed = self._with_zero_samples(arguments)
+                at_zero = self._at_zero_samples[0](*zeroed), self._at_zero_samples[1](*zeroed)
+                reference = arguments[-1].reference if self._by_samples else arguments[-1]
+                self._feedforward.take(arguments[0], reference, _largest_difference(*at_zero))
+            if answer != expected:
+                self._compare(arguments[0], answer, expected, at_zero)
+        return answer
 
-    def _at_rest(self, asked: tuple[Any, ...]) -> tuple[Any, ...]:
+    def _with_zero_samples(self, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
         if not self._by_samples:
-            k, tau, y, r = asked
+            k, tau, y, r = arguments
             return k, tau, (0.0,) * len(y), r
-        k, known = asked
+        k, known = arguments
         return k, Known(tuple(s._replace(values=(0.0,) * len(s.values)) for s in known.samples), known.reference)
 
-    def _compare(self, k: int, found: Rows, expected: Rows, still: tuple[Rows, Rows] | None) -> None:
-        if [len(row) for row in found] != [len(row) for row in expected]:
-            self._left = k, "rows of another number"
+    def _compare(self, k: int, answer: Rows, expected: Rows, at_zero: tuple[Rows, Rows] | None) -> None:
+        if [len(row) for row in answer] != [len(row) for row in expected]:
+            self._departed = k, "rows of another number"
             return
         lost, worst = 0.0, 0.0
         largest = self._largest
-        for i, (row, by_table) in enumerate(zip(found, expected)):
+        for i, (row, by_table) in enumerate(zip(answer, expected)):
             for j, (a, b) in enumerate(zip(row, by_table)):
-                if still is not None:
-                    own, stated = still[0][i][j], still[1][i][j]
-                    a, b, lost = a - own, b - stated, max(lost, ROUNDING * (abs(own) + abs(stated)))
+                if at_zero is not None:
+                    running, stated = at_zero[0][i][j], at_zero[1][i][j]
+                    a, b, lost = a - running, b - stated, max(lost, ROUNDING * (abs(running) + abs(stated)))
                 largest = max(largest, abs(b))
                 apart = abs(a - b)
                 worst = apart if not apart <= worst else worst  # what is no number is the worst
         if largest < float("inf"):
             self._largest = largest
         if not worst <= EQUAL * largest + lost:
-            self._left = k, f"{worst:.2g} where the table says {largest:.2g} at most"
+            self._departed = k, f"{worst:.2g} where the table says {largest:.2g} at most"
 
 
-def _apart(own: Rows, stated: Rows) -> float:
-    """Return by how much answers to samples of zero differ at most; 0 where by rounding alone."""
-    if own == stated:
+def _largest_difference(running: Rows, stated: Rows) -> float:
+    """Return the largest difference of answers to samples of zero; 0 where it is rounding alone."""
+    if running == stated:
         return 0.0
-    pairs = [(a, b) for row, by_table in zip(own, stated) for a, b in zip(row, by_table)]
+    pairs = [(a, b) for row, by_table in zip(running, stated) for a, b in zip(row, by_table)]
     return max((abs(a - b) for a, b in pairs if not abs(a - b) <= ROUNDING * (abs(a) + abs(b))), default=0.0)

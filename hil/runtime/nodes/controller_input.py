@@ -1,4 +1,4 @@
-"""What a controller has received of its sensor nodes, one or more: the newest packets, or every sample that it looks back to."""
+"""The samples that a controller has received from its sensor nodes: the newest of each, or all back to a given age."""
 
 from __future__ import annotations
 
@@ -57,19 +57,19 @@ class SampleHistory:
 
 
 def controller_input(loop: Loop) -> NewestSample | EverySample:
-    """Return a fresh control law and its memory: which of the two is the control law's own choice, for any number of nodes."""
+    """Return a fresh control law with its memory of samples: `EverySample` for a `MultiSampleController`, else `NewestSample`."""
     running = loop.start_controller()
     return EverySample(loop, running) if isinstance(running, MultiSampleController) else NewestSample(loop, running)
 
 
 def _watch(loop: Loop, running: RunningController | MultiSampleController) -> AnswerWatch | None:
-    """Return what compares a control law with its table, None where nothing is to be compared."""
+    """Return the comparison of a control law with its table; None for a controller that is ours, or that has no table."""
     if loop.watched is None or loop.watched.controller is None or is_ours(loop.controller):
         return None
-    stated, aims = loop.watched.controller, bool(loop.experiment.reference)
+    stated, has_reference = loop.watched.controller, bool(loop.experiment.reference)
     if _runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
         return None
-    return AnswerWatch(running, loop.controller, stated, loop.model, aims=aims)
+    return AnswerWatch(running, loop.controller, stated, loop.model, has_reference=has_reference)
 
 
 def _runs_as(running: Running, stated: Running) -> bool:
@@ -140,8 +140,8 @@ class NewestSample:
             return self._nothing
         return self._rows(k, (k * self._period_ns - oldest) // self._period_ns, self._y, self._reference.at(k))
 
-    def aim(self, loop: Loop) -> None:
-        """Go on with the reference of a changed experiment."""
+    def change_reference(self, loop: Loop) -> None:
+        """Take the reference of a changed experiment."""
         self._reference = loop.reference()
 
     def _oldest(self) -> int:
@@ -150,7 +150,7 @@ class NewestSample:
 
 
 class EverySample:
-    """Serves a `MultiSampleController`: what each node has sent, as far back as the control law looks.
+    """Serves a `MultiSampleController`: the samples of each node, as old as the control law needs them.
 
     Args:
         loop: the composed experiment.
@@ -180,6 +180,6 @@ class EverySample:
         """Return what the control law says; see `NewestSample.rows`."""
         return self._rows(k, Known(self._assembly.known(k), self._reference.at(k)))
 
-    def aim(self, loop: Loop) -> None:
-        """Go on with another reference; see `NewestSample.aim`."""
+    def change_reference(self, loop: Loop) -> None:
+        """Take another reference; see `NewestSample.change_reference`."""
         self._reference = loop.reference()

@@ -45,9 +45,9 @@ class Refusals(Struct):
 class Questions:
     """Judges sensor frames by their nonces and counters.
 
-    A hello names a session that may begin; it begins with the first slot whose nonce the name foretold. Its
-    slots only go on; none can be asked for that the rig has not reached, as its nonce is not known yet. Frames of a slot
-    wait until the one that closes it. A controller that starts in mid-run takes the session that it receives first.
+    A hello carries the nonce of a session that may begin; the session begins with the first slot whose nonce hashes to it. Slots
+    only advance, and no other process can send for a slot that the rig has not reached: its nonce is not yet known. Frames of a
+    slot wait until the one that closes it. A controller that starts in mid-run takes the session that it receives first.
 
     Args:
         counts: where refusals are counted.
@@ -71,7 +71,7 @@ class Questions:
         """Return whether a hello is to be answered: not one of another session while one runs.
 
         Args:
-            nonce: what it names.
+            nonce: that it carries.
             now_ns: a monotonic clock, ns.
         """
         if self.running and self._greeted and now_ns - self._taken_ns < self._silence_ns:
@@ -83,13 +83,13 @@ class Questions:
         return True
 
     def take(self, packet: SensorPacket, data: bytes, now_ns: int) -> list[tuple[SensorPacket, bytes]] | None:
-        """Take one frame; return those of its slot where it closes it, in their order, else None.
+        """Take one frame; if it closes its slot, return all packets of the slot with their frames, in order; else None.
 
-        Of two with one number and other contents neither's sample counts: the second of the pair that is given back is empty.
+        If two frames have the same counter and other contents, neither sample counts: an empty frame is returned with the packet.
 
         Args:
-            packet: what the frame says.
-            data: its bytes.
+            packet: decoded from the frame.
+            data: the frame.
             now_ns: a monotonic clock, ns.
         """
         self.begun = False
@@ -135,7 +135,7 @@ class Questions:
         return nonce == self._nonce
 
     def _begins(self, seq: int, nonce: int) -> bool:
-        """Return whether a slot begins a session: one that was named, or, where none is known, any."""
+        """Return whether a slot begins a session: one of which a hello came, or, where no hello came, any."""
         if self._candidates:
             if not 0 <= seq <= NEAR:
                 return False
@@ -158,18 +158,17 @@ _new: Final = tuple.__new__  # without the Python constructor: in five files 6 %
 
 
 class ControlNode:
-    """Answers the frame that closes a slot, with the digest of what it was asked; tau is measured from time stamps.
+    """Answers the frame that closes a slot, with the digest of the slot's sensor frames; tau is measured from time stamps.
 
-    Where frames have nonces, `Questions` says which of them are the rig's. With the first slot of another session, whose time
-    begins at 0, begins a fresh control law. At a restart on the time line of faults everything is forgotten too, and frames until
-    its end are not received.
+    Where frames have nonces, `Questions` decides which of them are the rig's. A new session, whose time begins at 0, starts a
+    fresh control law. So does a restart on the time line of faults; frames that come before its end are not received.
 
     Args:
         loop: the composed experiment.
     """
 
     def __init__(self, loop: Loop) -> None:
-        self._lead(loop)
+        self._set_loop(loop)
         self._input: NewestSample | EverySample = controller_input(loop)
         self._to_come = 0
         self._departed: tuple[int, str] | None = None  # of a controller that was changed
@@ -177,28 +176,28 @@ class ControlNode:
         self._questions = Questions(self.counts, self._period_ns)
         self._counter = self._hellos = 0
 
-    def _lead(self, loop: Loop) -> None:
+    def _set_loop(self, loop: Loop) -> None:
         self._loop = loop
         self._restarts = loop.rig.fault_schedule.restarts
         self._period_ns = loop.experiment.period_ns
         self._selection = SELECTIONS.index(loop.selection)
         self._zeros = ((0.0,) * len(loop.experiment.plant.inputs),) * loop.rows
 
-    def change(self, loop: Loop, *, anew: bool) -> None:
-        """Go on with a changed experiment of the same plant.
+    def change(self, loop: Loop, *, new_controller: bool) -> None:
+        """Take a changed experiment of the same plant.
 
         Args:
             loop: the composed experiment.
-            anew: its controller is another one, and begins without memory.
+            new_controller: whether its controller is another one, which starts without memory.
         """
         past = self._restarts[: self._to_come]
-        self._lead(loop)
+        self._set_loop(loop)
         self._to_come = sum(restart in past for restart in self._restarts)
-        if anew:
+        if new_controller:
             self._departed = self.departed
             self._input = controller_input(self._loop)
         else:
-            self._input.aim(loop)
+            self._input.change_reference(loop)
 
     def on_frame(self, data: bytes, now_ns: int = 0) -> bytes | None:
         """Take one frame from the link; return the answer when it closes its slot.

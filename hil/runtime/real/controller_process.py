@@ -18,17 +18,17 @@ from msgspec.json import encode
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
-from hil.runtime.changes import Receiver
+from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real.ending import failure_of
 from hil.runtime.real.exchange import warm_up_controller
 from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
-from transport.links import OneOfARole, TransportError
+from transport.links import Link, OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
-IDLE_S = 0.2  # how long one wait for a frame lasts, so that a signal is seen soon
+IDLE_S = 0.2  # longest wait for one frame, so that a signal is seen soon
 
 
 class Job(Struct, frozen=True, kw_only=True):
@@ -38,16 +38,16 @@ class Job(Struct, frozen=True, kw_only=True):
     link: SessionLink
     parent: int
     counts_fd: int = -1  # where its counters go at its end
-    changes_fd: int = -1  # where another reference, and its own restart, comes from
+    changes_fd: int = -1  # brings other references, and restarts of the controller
 
 
-class Ended(Struct, frozen=True, kw_only=True):
-    """What a controller says at its end.
+class ControllerReport(Struct, frozen=True, kw_only=True):
+    """What a controller process reports at its end.
 
     Args:
         counts: what it and its link counted.
         departed: the slot in which its answers left its table, and by how much.
-        failed: what a control law of the user's own raised.
+        failed: the exception of a user's control law or link, in words.
     """
 
     counts: dict[str, int] = field(default_factory=dict)
@@ -71,16 +71,16 @@ def stop_on_sigterm() -> None:
 
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
-    at_end: Callable[[Ended], object] = lambda ended: None, changes_fd: int = -1,
+    at_end: Callable[[ControllerReport], object] = lambda report: None, changes_fd: int = -1,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
     Args:
         loop: the composed experiment.
         uri: the link.
-        at_end: told how it went.
-        changes_fd: where changes come from, which have their slot in the loop itself.
-        before_open: called behind the warm-up, which takes long, and before the link, whose threads inherit priority and CPU.
+        before_open: called after the warm-up, which takes long, and before the link opens: its threads inherit priority and CPU.
+        at_end: called with the report.
+        changes_fd: brings changes; the changed loop itself says from which slot on they act.
 
     Raises:
         TransportError: the link cannot be had, or the rig has another controller.
@@ -89,37 +89,41 @@ def serve(
     node = ControlNode(loop)
     before_open()
     failed: str | None = None
-    changes = Receiver(changes_fd)
+    changes = ChangeReceiver(changes_fd)
     with open_link(uri, "controller") as link:
         try:
             while True:
-                data = link.receive(IDLE_S)
-                if data is not None:
-                    answer = node.on_frame(data, monotonic_ns())
-                    if answer is not None:
-                        link.send(answer)
-                    for _, change in changes.due(sys.maxsize):
-                        if change.loop is not None:
-                            node.change(change.loop, anew=False)
-                elif isinstance(link, OneOfARole):  # whom the rig does not accept takes no packet
-                    link.check_alone()
+                _answer_next(node, link, changes)
         except Stopped:
             raise
         except BaseException as error:  # whatever a control law or a link of the user's own raises
-            said = failure_of(loop, error, link)
-            if said is None:
+            failure = failure_of(loop, error, link)
+            if failure is None:
                 raise
-            failed = said[1]
+            failed = failure[1]
         finally:
             counters, counts = structs.asdict(link.counters), structs.asdict(node.counts)
             both = {name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}
-            at_end(Ended(counts=both, departed=node.departed, failed=failed and failed[:2000]))
+            at_end(ControllerReport(counts=both, departed=node.departed, failed=failed and failed[:2000]))
 
 
-def _write(fd: int, ended: Ended) -> None:
+def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> None:
+    data = link.receive(IDLE_S)
+    if data is not None:
+        answer = node.on_frame(data, monotonic_ns())
+        if answer is not None:
+            link.send(answer)
+        for _, change in changes.due(sys.maxsize):
+            if change.loop is not None:
+                node.change(change.loop, new_controller=False)
+    elif isinstance(link, OneOfARole):  # no packet comes where the rig has accepted another controller
+        link.check_alone()
+
+
+def _write(fd: int, report: ControllerReport) -> None:
     if fd >= 0:
         with suppress(OSError):
-            os.write(fd, encode(ended))
+            os.write(fd, encode(report))
 
 
 def main(job: Job) -> None:

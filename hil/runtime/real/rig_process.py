@@ -19,7 +19,7 @@ from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.sinks import record_to
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, about_rig, link_faults
-from hil.runtime.changes import Receiver, log_change, log_late, take
+from hil.runtime.changes import ChangeReceiver, log_change, log_late, take
 from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
@@ -62,7 +62,7 @@ class RealLoop:
 
     def __init__(self, job: Job, link: Link, sink: PipeSink, wire: Wire, node: ControlNode | None = None) -> None:
         e = job.loop.experiment
-        self._node, self._changes = node, Receiver(job.changes_fd)
+        self._node, self._changes = node, ChangeReceiver(job.changes_fd)
         channels = channels_of(job.loop, on_can=job.link.on_can)
         self.clock = RealClock(0)  # until the session begins
         self.kernel = Kernel(self.clock)
@@ -72,7 +72,7 @@ class RealLoop:
         )  # fmt: skip
         self.overruns = 0
         self._on_bus = link if isinstance(link, OnBus) else None
-        self._wrong, self._seed = link_faults(e, job.loop.rig, job.link), job.seed
+        self._link_faults, self._seed = link_faults(e, job.loop.rig, job.link), job.seed
         self._sink = sink
         self._period_ns, self._slots = e.period_ns, e.slots
         self._log = record_to(sink, channels[TIMING.name])
@@ -88,10 +88,11 @@ class RealLoop:
         self.clock.wait_until(self.clock.now() + min(self._period_ns, PACE_NS))
 
     def begin(self) -> None:
-        """Let session time be 0 in `SETTLE_NS`; in `PLAN_NS` where the bus of the link learns its faults before."""
-        start_ns = monotonic_ns() + (PLAN_NS if self._wrong else SETTLE_NS)
-        if self._wrong and self._on_bus is not None:
-            shifted = [each._replace(first_ns=start_ns + each.first_ns, end_ns=start_ns + each.end_ns) for each in self._wrong]
+        """Begin session time `SETTLE_NS` from now; `PLAN_NS` where the bus of the link is given its faults before."""
+        start_ns = monotonic_ns() + (PLAN_NS if self._link_faults else SETTLE_NS)
+        if self._link_faults and self._on_bus is not None:
+            faults = self._link_faults
+            shifted = [each._replace(first_ns=start_ns + each.first_ns, end_ns=start_ns + each.end_ns) for each in faults]
             self._on_bus.disturb(shifted, self._seed)
         self.clock.begin(start_ns)
         self._sink.begin(wall_clock_ns(start_ns))
@@ -123,7 +124,7 @@ class RealLoop:
         self._change(rig.k + 1)
 
     def _change(self, k: int) -> None:
-        """Take what changes in slot k, in the time that is left before it."""
+        """Apply the changes of slot k, in the time that is left before it."""
         for slot, change in self._changes.due(k):
             if slot < k:
                 log_late(self._sink, change, k * self._period_ns, k, slot)
@@ -163,7 +164,7 @@ def _run(job: Job) -> None:
     timing = job.loop.experiment.timing
     wire = session_wire(os.urandom(KEY_BYTES), job.loop.experiment.slots)
     local = job.link.traits.in_process
-    rehearsed = WarmUpRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
+    warm_up_rig = WarmUpRig(job.loop, session_wire(os.urandom(KEY_BYTES), REHEARSED), local).warm_up()
     # Behind the warm-up, which would keep the loops of other sessions from a CPU; before the link is opened, so that its threads
     # inherit the priority.
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.link.traits), timing.idle == "awake")
@@ -174,11 +175,11 @@ def _run(job: Job) -> None:
             link.announce(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire, node)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
-        greeter = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, rehearsed.run, real.pause)
-        greeting = greeter.greet()
-        if not greeting.answered:
-            if greeting.foreign:
-                sys.stderr.write(f"hil: {greeting.foreign} frames that are no answer came on {job.link.uri} meanwhile\n")
+        handshake = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, warm_up_rig.run, real.pause)
+        result = handshake.greet()
+        if not result.answered:
+            if result.foreign:
+                sys.stderr.write(f"hil: {result.foreign} frames that are no answer came on {job.link.uri} meanwhile\n")
             sink.close()
             raise SystemExit(NO_CONTROLLER)
         real.begin()
@@ -211,7 +212,7 @@ def _run(job: Job) -> None:
 
 
 def _leave(status: int) -> NoReturn:
-    """End this process, all of whose records are written; where the link does not close, without it.
+    """End this process, all of whose records are written, after `CLOSES_S` even if the link has not closed.
 
     Raises:
         SystemExit: with the status.

@@ -25,12 +25,13 @@ from hil.log.write.sinks import PayloadWriter, Sink
 from hil.plugins.registry import OBJECT
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
-from hil.runtime.changes import Ahead, Changes, Dump, Lines
+from hil.runtime.changes import Changes, ChangeSchedule, ChangeSenders, Dump
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
-from hil.runtime.real.controller_process import Ended
+from hil.runtime.real.controller_process import ControllerReport
 from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
+from hil.runtime.real.heartbeat import HeartbeatTimeout
 from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
 from transport.links.private_directory import bus_directory, clear_dead_channels
 
@@ -57,59 +58,6 @@ class FreeMemory:
             self._trim(0)
 
 
-SHORTEST_S: Final = 1.0
-PERIODS: Final = 50
-PATIENCE: Final = 10
-"""How many times longer a rig may be silent that is not stopped: a busy machine may keep it from a CPU for seconds."""
-
-START_S: Final = 30.0
-_LONGEST_LOOK_S: Final = 0.1
-
-
-class HeartbeatTimeout:
-    """Counts for how long no record has come while this process looked.
-
-    A rig from which nothing comes any more is given up, within a bounded time.
-
-    The time in which this process did not run itself (it was stopped, or the machine slept) counts for little: what the rig
-    did in it still lies in the pipe.
-
-    Args:
-        period_s: sample period, s: every slot leaves records.
-        hello_s: how long the rig waits for a controller before its first record, s.
-    """
-
-    def __init__(self, period_s: float, hello_s: float) -> None:
-        self.stopped_s = max(SHORTEST_S, PERIODS * period_s)
-        self.silent_s = PATIENCE * self.stopped_s
-        self._start_s = hello_s + START_S
-        self._looked_ns: int | None = None
-        self._records = 0
-        self._quiet_s = self._stopped_for_s = 0.0
-
-    def look(self, now_ns: int, records: int, stopped: bool) -> str | None:
-        """Return why the rig is given up, None while it need not be.
-
-        Args:
-            now_ns: a monotonic clock, ns.
-            records: records that have come so far.
-            stopped: whether the rig's process is stopped now.
-        """
-        passed = 0.0 if self._looked_ns is None else min((now_ns - self._looked_ns) / 1e9, _LONGEST_LOOK_S)
-        self._looked_ns = now_ns
-        if records != self._records:
-            self._records, self._quiet_s = records, 0.0
-        else:
-            self._quiet_s += passed
-        self._stopped_for_s = self._stopped_for_s + passed if stopped else 0.0
-        if min(self._stopped_for_s, self._quiet_s) >= self.stopped_s:
-            return f"the rig process is stopped (SIGSTOP): no record came for {self.stopped_s:g} s"
-        limit_s = self.silent_s if records else max(self.silent_s, self._start_s)
-        if self._quiet_s >= limit_s:
-            return f"the rig process is alive and silent: no record came for {limit_s:g} s"
-        return None
-
-
 POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
 
@@ -124,7 +72,77 @@ class RealOutcome:
     rig_silent: str | None = None  # why the rig was given up
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
-    controller: Ended = field(default_factory=Ended)  # what it says itself, once it has ended in order
+    controller: ControllerReport = field(default_factory=ControllerReport)  # what it says itself, once it has ended in order
+
+
+class Processes:
+    """The rig and controller processes of a session: their start, the restarts of the controller, and the changes sent to both.
+
+    Args:
+        loop: the composed experiment.
+        link: between rig and controller.
+        counts_fd: takes the controller's report.
+        changes: of the experiment while it runs; None for none.
+    """
+
+    def __init__(self, loop: Loop, link: SessionLink, counts_fd: int, changes: Changes | None) -> None:
+        self._loop, self._link, self._counts_fd = loop, link, counts_fd
+        self._period_ns, self._parent = loop.experiment.period_ns, os.getpid()
+        self._schedule, self._senders = ChangeSchedule(changes, self._period_ns), ChangeSenders(changes is not None)
+        self._restarts = deque(first * self._period_ns for first, _ in loop.rig.fault_schedule.restarts)
+        self._start, self._dump = _starter(loop)
+        self._controller: Child | None = None
+        self._children: list[Child] = []
+
+    def start_rig(self, seed: int, log_fd: int, hello_timeout_s: float) -> Child:
+        """Start the rig process; see `rig_process.Job`."""
+        job = rig_process.Job(
+            loop=self._loop, link=self._link, seed=seed, parent=self._parent, log_fd=log_fd, hello_timeout_s=hello_timeout_s,
+            changes_fd=self._senders.open("rig"),
+        )  # fmt: skip
+        return self._started("rig", rig_process.__name__, job, log_fd)
+
+    def start_controller(self) -> None:
+        """Start the controller process with the loop as it is after the last change."""
+        job = controller_process.Job(
+            loop=self._loop, link=self._link, parent=self._parent, counts_fd=self._counts_fd,
+            changes_fd=self._senders.open("controller"),
+        )  # fmt: skip
+        self._controller = self._started("controller", controller_process.__name__, job, self._counts_fd)
+
+    def _started(self, name: str, module: str, job: object, fd: int) -> Child:
+        self._children.append(self._start(name, module, job, self._senders.passed(name, fd)))
+        return self._children[-1]
+
+    def send_changes(self, now_ns: int) -> None:
+        """Send the changes that are due; `now_ns`: session time, ns, below 0 before slot 0."""
+        for k, change in self._schedule.at(now_ns):
+            self._senders.put("rig", k, change, self._dump)
+            if change.loop is None:
+                continue
+            self._loop = change.loop
+            restart = change.path == "fault" and change.value["kind"] == RESTART
+            if restart:
+                self._restarts = deque(sorted((*self._restarts, k * self._period_ns)))
+            if restart or change.path == "reference":  # all other changes are the rig's
+                self._senders.put("controller", k, change, self._dump)
+        self._senders.flush()
+
+    def restart_controller(self, now_ns: int) -> None:
+        """Restart the controller where a fault on the time line says so: it loses its memory, and takes the time of a start."""
+        if self._controller is not None and self._restarts and now_ns >= self._restarts[0]:
+            self._restarts.popleft()
+            self._controller.kill()
+            self.start_controller()
+
+    def lost_controller(self) -> str | None:
+        """Return how the controller process ended, None while it runs, or where there is none."""
+        return self._controller.how() if self._controller is not None and self._controller.poll() is not None else None
+
+    def end(self) -> None:
+        """End both processes, and send nothing more."""
+        end_all(self._children)
+        self._senders.close()
 
 
 def run_real(
@@ -138,7 +156,7 @@ def run_real(
     taps: Mapping[str, PayloadWriter] | None = None,
     changes: Changes | None = None,
 ) -> RealOutcome:
-    """Run a loop in real time; return when it has ended and nothing of it is left.
+    """Run a loop in real time; return when both processes have ended.
 
     Args:
         loop: the composed experiment.
@@ -155,16 +173,13 @@ def run_real(
     """
     if external and link.traits.in_process:
         raise HilError(f"{link.uri} runs our controller in the rig's process: an external one needs a link")
-    restarts = deque(first * loop.experiment.period_ns for first, _ in loop.rig.fault_schedule.restarts)
-    if external and restarts:
+    if external and loop.rig.fault_schedule.restarts:
         raise HilError("fault: controller-restart: hil cannot restart an external controller; end and start it by hand")
     clear_dead_channels(bus_directory())
+    hello_s = hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S)
     outcome = RealOutcome()
     (read_fd, write_fd), (counts_fd, counted_fd) = _two_pipes()
-    parent = os.getpid()
-    children: list[Child] = []
-    period_ns = loop.experiment.period_ns
-    to_come, lines, newest = Ahead(changes, period_ns), Lines(changes is not None), loop
+    processes = Processes(loop, link, counted_fd, changes)
     stop_pump = threading.Event()
 
     def keep_log() -> None:
@@ -177,61 +192,21 @@ def run_real(
     thread = threading.Thread(target=keep_log, name="log")
     with StopSignals() as signals:
         try:
-            job = rig_process.Job(
-                loop=loop, link=link, seed=seed, parent=parent, log_fd=write_fd,
-                hello_timeout_s=hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S),
-                changes_fd=lines.open("rig"),
-            )  # fmt: skip
-            start, dump = _starter(loop)
-            rig = start("rig", "hil.runtime.real.rig_process", job, lines.passed("rig", write_fd))
-            children.append(rig)
+            rig = processes.start_rig(seed, write_fd, hello_s)
             os.close(write_fd)
             write_fd = -1
             thread.start()
-            controller = None
-
-            def start_controller() -> Child:
-                theirs = controller_process.Job(
-                    loop=newest, link=link, parent=parent, counts_fd=counted_fd, changes_fd=lines.open("controller")
-                )
-                inherited = lines.passed("controller", counted_fd)
-                children.append(start("controller", "hil.runtime.real.controller_process", theirs, inherited))
-                return children[-1]
-
             if not external and not link.traits.in_process:
-                controller = start_controller()
-            silence = HeartbeatTimeout(float(loop.experiment.period), job.hello_timeout_s)
+                processes.start_controller()
+            heartbeat = HeartbeatTimeout(float(loop.experiment.period), hello_s)
             free = FreeMemory(monotonic_ns())
-            while rig.poll() is None and signals.seen is None:
-                now_ns = monotonic_ns()
-                free.look(now_ns)
-                outcome.rig_silent = silence.look(now_ns, outcome.pump.records, rig.stopped())
-                if outcome.rig_silent:
-                    break
-                for k, change in to_come.at(outcome.pump.last_ns if outcome.pump.records else -1):
-                    lines.put("rig", k, change, dump)
-                    if change.loop is not None:
-                        newest = change.loop
-                        restart = change.path == "fault" and change.value["kind"] == RESTART
-                        if restart:
-                            restarts = deque(sorted((*restarts, k * period_ns)))
-                        if restart or change.path == "reference":  # all else that changes is the rig's
-                            lines.put("controller", k, change, dump)
-                lines.flush()
-                if controller is not None and restarts and outcome.pump.records and outcome.pump.last_ns >= restarts[0]:
-                    restarts.popleft()
-                    controller.kill()  # a fault on the time line: it loses what it knew, and takes the time that a start takes
-                    controller = start_controller()
-                if controller is not None and outcome.controller_lost is None and controller.poll() is not None:
-                    outcome.controller_lost, outcome.controller_lost_ns = controller.how(), outcome.pump.last_ns
-                    if not outcome.pump.records:
-                        break  # it never answered, so nothing runs yet
+            while rig.poll() is None and signals.seen is None and _goes_on(rig, processes, heartbeat, outcome):
+                free.look(monotonic_ns())
                 rig.wait(POLL_S)
         finally:
-            end_all(children)
-            lines.close()
+            processes.end()
             os.close(counted_fd)
-            outcome.controller = _said(counts_fd)
+            outcome.controller = _read_report(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
@@ -239,13 +214,27 @@ def run_real(
                 thread.join()
             os.close(read_fd)
     outcome.interrupted = signals.seen
-    outcome.rig_status = children[0].poll()
+    outcome.rig_status = rig.poll()
     if signals.seen is None and not outcome.pump.records:
         if outcome.controller_lost is None and outcome.rig_status == NO_CONTROLLER:
-            raise HilError(f"no controller answered on {link.uri} within {job.hello_timeout_s:g} s")
-        why = outcome.rig_silent or outcome.controller.failed or outcome.controller_lost or children[0].how()
+            raise HilError(f"no controller answered on {link.uri} within {hello_s:g} s")
+        why = outcome.rig_silent or outcome.controller.failed or outcome.controller_lost or rig.how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     return outcome
+
+
+def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outcome: RealOutcome) -> bool:
+    """Do what is due while both processes run; return False where the session cannot go on, with the reason in the outcome."""
+    now_ns, records = monotonic_ns(), outcome.pump.records
+    session_ns = outcome.pump.last_ns if records else -1
+    outcome.rig_silent = heartbeat.look(now_ns, records, rig.stopped())
+    if outcome.rig_silent:
+        return False
+    processes.send_changes(session_ns)
+    processes.restart_controller(session_ns)
+    if outcome.controller_lost is None:
+        outcome.controller_lost, outcome.controller_lost_ns = processes.lost_controller(), outcome.pump.last_ns
+    return outcome.controller_lost is None or bool(records)  # a controller that ended before slot 0 never answered
 
 
 def _two_pipes() -> tuple[tuple[int, int], tuple[int, int]]:
@@ -260,9 +249,9 @@ def _two_pipes() -> tuple[tuple[int, int], tuple[int, int]]:
 
 
 def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
-    """Return what starts a process with a loop, and what pickles one for it.
+    """Return the function that starts a process, and the one that pickles its loop.
 
-    What was built in Python takes its class along, or the folders it is found in.
+    An object that was built in Python is pickled with its class, or with the folders in which its module is found.
     """
     if not any(origin.startswith(OBJECT) for origin in loop.experiment.origins().values()):
         return Child, pickle.dump
@@ -271,10 +260,10 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
 
 
-def _said(fd: int) -> Ended:
-    """Return what a controller has written at its end."""
+def _read_report(fd: int) -> ControllerReport:
+    """Return the report of a controller process; an empty one if it was killed before it wrote it."""
     with open(fd, "rb") as file:
         try:
-            return decode(file.read(), type=Ended)
+            return decode(file.read(), type=ControllerReport)
         except DecodeError:  # killed, or stopped and then killed
-            return Ended()
+            return ControllerReport()

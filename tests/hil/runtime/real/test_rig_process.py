@@ -54,7 +54,7 @@ def test_a_bus_that_has_faults_ahead_learns_them_in_session_time_long_before_slo
     now, disturbed = 5_000_000_000, []
     monkeypatch.setattr(rig_process, "monotonic_ns", lambda: now)
     fault = BusFault(first_ns=10, end_ns=20, rate=0.5)
-    real._wrong = [fault] * planned
+    real._link_faults = [fault] * planned
     real._on_bus = SimpleNamespace(disturb=lambda faults, seed: disturbed.append((faults, seed)))  # type: ignore[assignment]
     real.clock = SimpleNamespace(begin=disturbed.append)  # type: ignore[assignment]
     real.begin()

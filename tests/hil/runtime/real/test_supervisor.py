@@ -13,8 +13,9 @@ from msgspec.json import encode
 
 from hil.runtime.real import supervisor
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
-from hil.runtime.real.controller_process import Ended
-from hil.runtime.real.supervisor import START_S, HeartbeatTimeout, _said, _two_pipes
+from hil.runtime.real.controller_process import ControllerReport
+from hil.runtime.real.heartbeat import START_S, HeartbeatTimeout
+from hil.runtime.real.supervisor import _read_report, _two_pipes
 
 STEP_S = 0.02
 
@@ -170,9 +171,9 @@ def test_where_the_second_pipe_is_not_to_be_had_the_first_is_closed(monkeypatch:
 
 @pytest.mark.parametrize("written", [b"", b'{"counts":', b"[]", b'{"counts": {"sent": "many"}}', b'{"departed": [1]}'])
 def test_a_controller_that_did_not_end_in_order_says_nothing_and_ends_no_session(written: bytes) -> None:
-    said = Ended(counts={"sent": 3}, departed=(7, "by 0.2"), failed="no")
-    for data, expected in ((written, Ended()), (encode(said), said)):
+    report = ControllerReport(counts={"sent": 3}, departed=(7, "by 0.2"), failed="no")
+    for data, expected in ((written, ControllerReport()), (encode(report), report)):
         read, write = os.pipe()
         os.write(write, data)
         os.close(write)
-        assert _said(read) == expected
+        assert _read_report(read) == expected
