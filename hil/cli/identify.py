@@ -128,8 +128,9 @@ def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> Non
     _line(f"latencies: {fit.latencies.name} ({shape})")
     for name, (low, high) in list(said["intervals"].items())[:12]:
         _line(f"{name}: 95 %: {low:.4g} to {high:.4g}")
-    for age, (share, low, high) in enumerate(said.get("comes_at_age", [])[:8]):
-        _line(f"comes at age {age}, if not before: {share:.5g}, 95 %: {low:.5g} to {high:.5g}")
+    for age, (share, *pair) in enumerate(said.get("comes_at_age", [])[:8]):
+        within = f"95 %: {pair[0]:.5g} to {pair[1]:.5g}" if pair else "no interval, as packets are not independent"
+        _line(f"comes at age {age}, if not before: {share:.5g}, {within}")
     for each in fit.candidates[:6]:
         _line(f"tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
     if fit.law_class == "none":

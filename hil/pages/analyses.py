@@ -85,7 +85,7 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
          *(("-", "-") if c.fitness is None else (_chance(c.fitness.independence), _chance(c.fitness.shape))))
         for c in fit.candidates
     ]  # fmt: skip
-    came_rows = [(i, share, *pair) for i, (share, pair) in enumerate(arrivals(fit).shares())]
+    came_rows = [(i, share, *(pair or ("-", "-"))) for i, (share, pair) in enumerate(arrivals(fit).shares())]
     blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
     parameters = [(name, *pair) for name, pair in said["intervals"].items()]
     blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))

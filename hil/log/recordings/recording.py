@@ -16,7 +16,7 @@ from hil.files.toml_text import toml_lines
 from transport.errors import FieldError
 from transport.law_fit import LawFit
 from transport.law_fit.packet_record import Drift, PacketRecord, drift_and_rise, drift_of, offset_of, without_drift
-from transport.law_fit.proportions import LAGS, POWER, REJECT, arrivals, seen_correlations
+from transport.law_fit.proportions import POWER, REJECT, arrivals, lags_tested, seen_correlations
 
 Array = NDArray[np.float64]
 
@@ -151,7 +151,7 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
     if fit.ages is not None:
         said["intervals"] = {name: list(pair) for name, pair in fit.ages.intervals.items()}
     else:
-        said["comes_at_age"] = [[share, *pair] for share, pair in arrivals(fit).shares()]
+        said["comes_at_age"] = [[share, *(pair or ())] for share, pair in arrivals(fit).shares()]
         said["intervals"] = {name: list(pair) for name, pair in fit.losses.intervals.items()}
     said["tried"] = [{"name": c.name, "fitted_to": c.fitted_to, "parameters": c.parameters, "bic": c.bic} for c in fit.candidates]
     return said
@@ -162,9 +162,9 @@ def independence_said(fit: LawFit) -> tuple[str, ...]:
 
     Where it is not, its power is said: which correlations it would have found.
     """
-    tested = fit.tested
+    tested, packets = fit.tested, len(fit.record.sent_s)
     if tested.independent:
-        seen = seen_correlations(len(fit.record.sent_s))
+        seen = seen_correlations(packets)
         power = f"; one of {seen.neighbours:.2g} of neighbours, or of {seen.apart:.2g} further apart, would be found in "
         power += f"{100.0 * POWER:g} % of such records, and a smaller one is often missed"
     else:
@@ -172,7 +172,7 @@ def independence_said(fit: LawFit) -> tuple[str, ...]:
     rejected = "not rejected" if tested.independent else "rejected"
     said = (
         f"independence of latencies and losses is {rejected}: p = {tested.independence:.2g}, level {REJECT:g} (neighbours "
-        f"{tested.neighbours:.2g}, up to {LAGS} packets apart {tested.lags:.2g}; the largest correlation is "
+        f"{tested.neighbours:.2g}, up to {lags_tested(packets)} packets apart {tested.lags:.2g}; the largest correlation is "
         f"{tested.largest:.2g}, {tested.largest_lag} apart{power})"
     )
     if tested.independent or fit.law_class == "none" or fit.ages is not None:

@@ -102,6 +102,16 @@ def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -
         measured(fit_law(*way.values(), 0.01), holds_input=False)
 
 
+def test_what_comes_at_an_age_has_no_interval_where_losses_come_in_bursts(cli: Hil, tmp_path: Path) -> None:
+    lost = np.isin(np.arange(2000) // 8, np.random.default_rng(0).integers(0, 250, 25))
+    (tmp_path / "bursts.csv").write_text("\n".join(["latency_s", *np.where(lost, "nan", "0.001").tolist()]))
+    out = " ".join(cli("identify", "law", "bursts.csv", "--page", "law.html")[1].split())
+    assert "losses in bursts" in out and "up to 20 packets apart" in out
+    share = f"{1.0 - lost.mean():.5g}"
+    assert f"comes at age 0, if not before: {share}, no interval, as packets are not independent" in out
+    assert "<td>-</td><td>-</td>" in (tmp_path / "law.html").read_text()
+
+
 def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp_path: Path) -> None:
     (tmp_path / "few.csv").write_text("\n".join(["latency_s", *["0.001"] * 20]))
     status, out, err = cli("identify", "law", "few.csv", "-o", "law.toml")
@@ -121,6 +131,7 @@ def test_packets_sent_in_bursts_ask_for_the_length_of_a_slot(cli: Hil, tmp_path:
 
 def test_a_design_needs_both_directions(cli: Hil, tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("\n".join(["latency_s", *["0.001"] * 400]))
+    assert "up to 8 packets apart" in " ".join(cli("identify", "law", "one.csv")[1].split())  # one in 50 of them
     status, _, err = cli("design", "dc-motor", "--network", "one.csv")
     assert status == 2
     assert "needs both directions" in err

@@ -212,6 +212,7 @@ def test_more_packets_make_the_region_narrower_and_it_keeps_what_was_seen() -> N
     counted = arrivals(fit)
     assert counted.risk[0] == 2000
     assert counted.risk[1] == 2000 - counted.came[0]
+    assert counted.shares()[0] == (counted.came[0] / 2000, wilson(counted.came[0], 2000))
 
 
 def test_what_cannot_be_counted_has_no_region() -> None:
@@ -220,6 +221,7 @@ def test_what_cannot_be_counted_has_no_region() -> None:
     fit = fit_law(PacketRecord(sent_s=np.arange(len(lost)) * T, latency_s=latency), T, DEADLINE)
     assert fit.law_class == "gilbert-elliott"
     assert "mode" in str(confidence_region(fit, 1))
+    assert arrivals(fit).shares() == [(float(1.0 - lost.mean()), None)]  # Wilson's would cover in 63 %
 
 
 def test_losses_by_chance_are_one_proportion_and_no_loss_is_none() -> None:

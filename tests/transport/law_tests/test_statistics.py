@@ -81,6 +81,23 @@ def test_p_values_of_packet_laws_are_uniform_too() -> None:
     assert stats.kstest(p_values, "uniform").pvalue > 1e-4
 
 
+RARE, SLOTS = 0.01, 500
+JUMPS = MarkovAge(matrix=((1.0 - RARE, RARE), (1.0, 0.0)))
+ENDS = SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Table(probabilities=(RARE, 1.0 - RARE)), Table(probabilities=(1.0,))))
+
+
+def test_a_right_law_hardly_ever_gets_a_tiny_p_value_where_little_is_expected() -> None:
+    """Exact, by the binomial law of what is expected five times: of Pearson's statistic alone 60 times as often as it says."""
+    chances = stats.binom.pmf(np.arange(SLOTS + 1), SLOTS, RARE)
+    for law, record in (
+        (JUMPS, lambda seen: [0, 1] * seen + [0] * (SLOTS - seen + 1)),
+        (ENDS, lambda seen: [1] + [0, 1] * seen + [0, 0, 1] * (SLOTS - seen) + [0]),
+    ):  # fmt: skip
+        found = np.array([law_p_value(law, np.array(record(seen))) for seen in range(40)])
+        for level in (1e-6, 1e-5, 1e-4, 1e-3):
+            assert 0.0 < chances[:40][found < level].sum() + chances[40:].sum() <= level
+
+
 WRONG: list[tuple[Any, Any]] = [
     (MarkovAge(matrix=((0.5, 0.5, 0.0), (0.7, 0.2, 0.1), (0.8, 0.1, 0.1))), LAMBDA),
     (MarkovAge(matrix=((0.9, 0.1), (0.14, 0.86))), IidAge(probabilities=(7 / 12, 5 / 12))),
