@@ -228,14 +228,14 @@ def write_output(path: Path, text: str, *, replace: bool = True) -> None:
 
     Args:
         path: the file; a symbolic link is followed.
-        text: its content.
+        text: its content; half characters, which no file can hold, are escaped.
         replace: whether one that is there may be replaced; `check_output` has looked before the work, this looks again.
 
     Raises:
         HilError: if it cannot be written, or is there and is no regular file.
     """
     with written_whole(_target(path), replace=replace) as part, open(part, "w", encoding="utf-8") as file:
-        file.write(text)
+        file.write(text.encode("utf-8", "backslashreplace").decode())
 
 
 def _target(path: Path) -> Path:

@@ -74,7 +74,7 @@ class Field(msgspec.Struct, frozen=True, kw_only=True):
         if self.type not in _ORDER:
             raise ValueError(f"type: {self.type!r}, expected one of {', '.join(_ORDER)}")
         if not _FIELD_NAME.fullmatch(self.name):
-            raise ValueError(f"name: {self.name!r} is no ROS 2 field name (lower case, digits, single underscores)")
+            raise ValueError(f"name: {self.name!r:.80} is no ROS 2 field name (lower case, digits, single underscores)")
         if "," in self.unit or "\n" in self.unit + self.doc:
             raise ValueError(f"unit: {self.unit!r} or its doc holds a comma or a line break")
 
@@ -114,10 +114,11 @@ class Schema:
         ranks = [_ORDER.index(f.type) for f in self.fields]
         if not ranks or ranks != sorted(ranks) or ranks.count(4) > 1:
             raise ValueError(f"fields: {self.name} must be ordered {', '.join(_ORDER)}, with one uint8[] at most")
-        names = [f.name for f in self.fields]
-        for name in names:
-            if names.count(name) > 1:
-                raise ValueError(f"fields: {self.name} has more than one field {name!r}")
+        taken = set[str]()
+        for f in self.fields:
+            if f.name in taken:
+                raise ValueError(f"fields: {self.name} has more than one field {f.name!r}")
+            taken.add(f.name)
         fixed = [f for f in self.fields if f.type != "uint8[]"]
         raw = len(fixed) < len(self.fields)
         dtype = np.dtype([(f.name, _NUMPY[f.type]) for f in fixed])

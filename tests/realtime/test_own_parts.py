@@ -117,7 +117,7 @@ def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, pa
 
 
 @pytest.mark.parametrize(("part", "raises", "link"), [
-    ("plant", "raise KeyError('no such level')", "local:"), ("controller", "raise SystemExit(0)", "can:hil:{own}"),
+    ("plant", "raise KeyError('no such level')", "local:"), ("controller", r"raise SystemExit('\udcff')", "can:hil:{own}"),
 ])  # fmt: skip
 def test_who_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, part: str, raises: str, link: str) -> None:
     status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: raises})

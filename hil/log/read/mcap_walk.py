@@ -141,7 +141,7 @@ class Budget:
         self._left = self._limit
 
     def take(self, unpacked: int, record: Record) -> None:
-        """Take a chunk that announces so many bytes.
+        """Take what a record becomes, in bytes.
 
         Raises:
             TooLarge: that is more than what is left.
@@ -149,7 +149,7 @@ class Budget:
         self._left -= unpacked
         if self._left < 0:
             raise TooLarge(
-                f"chunk at byte {record.offset}: the file unpacks to more than {self._limit} bytes, "
+                f"record at byte {record.offset}: the file unpacks to more than {self._limit} bytes, "
                 f"{UNPACKED_RATIO} times its own length; no log does"
             )
 

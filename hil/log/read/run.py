@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from mcap.opcode import Opcode
 from mcap.records import Channel
@@ -62,13 +62,16 @@ def check_events(events: Sequence[Mapping[str, Any]]) -> None:
                 raise HilError(f"event {index}: {name}: {event[name]!r:.60} is no instant of a run")
 
 
-def check_words(metadata: Mapping[str, str], resolved: Mapping[str, Any], summary: Mapping[str, Any]) -> None:
+def check_words(
+    metadata: Mapping[str, str], resolved: Mapping[str, Any], summary: Mapping[str, Any], certificate: Mapping[str, Any]
+) -> None:
     """Check what a log says about its session.
 
     Args:
         metadata: the record `hilrig`.
         resolved: the experiment after defaults, empty if the log carries none.
         summary: what closed the log.
+        certificate: of the design, empty if there is none.
 
     Raises:
         HilError: names the field.
@@ -91,6 +94,9 @@ def check_words(metadata: Mapping[str, str], resolved: Mapping[str, Any], summar
     for name, value in summary.get("log", {}).items():
         if not isinstance(value, int | str):
             raise HilError(f"metadata summary: log.{name}: {value!r:.60} is neither a count nor a name")
+    for name in ("state", "reason") if certificate else ():
+        if not isinstance(certificate.get(name), str):
+            raise HilError(f"certificate.json: {name}: {certificate.get(name)!r:.60}, expected text")
 
 
 def _table(resolved: Mapping[str, Any], path: str) -> None:
@@ -144,6 +150,10 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
         raise HilError(f"{path}: {error}") from error
 
 
+EVENT_COST: Final = 8
+"""Bytes of memory for each of an event, which becomes Python objects."""
+
+
 class _Reading:
     """A run in the making: what the file holds, its messages as columns."""
 
@@ -160,12 +170,12 @@ class _Reading:
         if not content.messages:
             return
         for number in [*content.messages]:
-            channel = content.channels.get(number)
+            channel, messages = content.channels.get(number), content.messages.pop(number)
             if channel is None:
-                continue  # it may be said later
-            messages = content.messages.pop(number)
+                raise DamagedRecord(f"messages at byte {record.offset}: no record before them says what channel {number} is")
             if channel.topic == EVENTS_TOPIC:
                 payloads = [message[MESSAGE_PAYLOAD_AT:] for message in messages]
+                content.budget.take(EVENT_COST * sum(map(len, payloads)), record)
                 self._events += decode_events(payloads, len(self._events))
                 continue
             self._columns_of(number, channel).add(messages)
@@ -194,13 +204,13 @@ class _Reading:
         schemas = {topic: each.schema for topic, each in columns.items()}
         if not columns:
             raise HilError("holds no records: the session ended before the first of them was written")
-        resolved = _attached_json(content, "resolved.json")
+        resolved, certificate = (_attached_json(content, name) for name in ("resolved.json", "certificate.json"))
         summary = _json_object(content.metadata.get("summary", {}).get("json", "{}"), "metadata 'summary'")
         if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
             summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
         check_topics(schemas)
         check_events(self._events)
-        check_words(head, resolved, summary)
+        check_words(head, resolved, summary, certificate)
         text = content.attachments.get("experiment.toml")
         return Run(
             arrays=Arrays(columns),
@@ -212,7 +222,7 @@ class _Reading:
             codes={name: names.split(",") for name, names in content.metadata.get("codes", {}).items()},
             experiment_text=text.data.decode(errors="replace") if text is not None else "",
             resolved=resolved,
-            certificate=_attached_json(content, "certificate.json"),
+            certificate=certificate,
             summary=summary,
             start_ns=start_of(content),
         )

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -89,12 +90,16 @@ def read_own_log(path: Path) -> Recording:
     nodes = run.arrays[SC.name]
     if "node" in (nodes.dtype.names or ()) and len(np.unique(nodes["node"])) > 1:
         raise HilError(f"{path}: several sensor nodes; a law is that of one")
-    ways = {name: _emulated(run.arrays[topic], period) for name, topic in ((THERE, SC.name), (BACK, CA.name))}
+    ways = {way: _emulated(f"{path}: {topic}", run.arrays[topic], period) for way, topic in ((THERE, SC.name), (BACK, CA.name))}
     notes = (f"{path}: the emulated network of a run, and no measured one: {run.metadata.get('experiment', '?')}",)
     return Recording(source=str(path), ways=ways, clocks=1, notes=notes)
 
 
-def _emulated(draws: StructuredArray, period_s: float) -> Way:
+MOST_SLOTS: Final = 10
+"""Slots for each decision of a network; a law of ages decides in every slot."""
+
+
+def _emulated(said: str, draws: StructuredArray, period_s: float) -> Way:
     """A packet law says the latency of every packet; under an age law what was superseded has not come by then."""
     own = draws["mode"] != NO_MODE
     if np.isin(draws["reason"][own], (SENT, LOST, OVERFLOW)).all():
@@ -102,8 +107,10 @@ def _emulated(draws: StructuredArray, period_s: float) -> Way:
         latency = np.where(draws["reason"][own] == SENT, draws["latency_s"][own], np.nan)
         return Way(sent_s=slots * period_s, difference_s=latency)
     slots = int(draws["slot"].max(initial=-1)) + 1
-    latency, until = np.full(slots, np.nan), np.arange(slots, 0, -1, dtype=np.float64) * period_s
     arrived = draws[(draws["reason"] == DELIVERED) & (draws["packet_slot"] >= 0)]
+    if slots > MOST_SLOTS * len(draws) or (arrived["packet_slot"] > arrived["slot"]).any():
+        raise HilError(f"{said}: {len(draws)} decisions for {slots} slots, or of a packet not yet sent; no network decides so")
+    latency, until = np.full(slots, np.nan), np.arange(slots, 0, -1, dtype=np.float64) * period_s
     newest = -1
     for slot, packet in zip(arrived["slot"].tolist(), arrived["packet_slot"].tolist()):
         if packet > newest:

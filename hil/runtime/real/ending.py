@@ -95,4 +95,4 @@ def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, 
         return PLANT_FAILED, str(error)
     parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
     text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
-    return None if text is None else (PLUG_IN_FAILED, text)
+    return None if text is None else (PLUG_IN_FAILED, text.encode("utf-8", "backslashreplace").decode())

@@ -28,6 +28,11 @@ def test_a_link_is_followed_and_a_name_may_be_as_long_as_names_can_be(tmp_path: 
     assert link.is_symlink() and real.read_text() == "text"
 
 
+def test_half_characters_of_a_foreign_text_are_escaped(tmp_path: Path) -> None:
+    write_output(tmp_path / "page.html", "no file \udcff")
+    assert (tmp_path / "page.html").read_text() == "no file \\udcff"
+
+
 def test_what_is_no_regular_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "pipe"
     os.mkfifo(path)

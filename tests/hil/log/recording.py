@@ -37,7 +37,7 @@ def provenance(**changes: Any) -> Provenance:
         "experiment": "demo",
         "experiment_text": "# demo\nperiod = 0.001\n",
         "resolved": {"period": 0.001, "limits": {"voltage": 24.0}},
-        "certificate": {"radius": 0.9},
+        "certificate": {"state": "certified", "reason": "radius below 1", "radius": 0.9},
         "seed": 7,
         "clock": "virtual",
         "link": "memory:",

@@ -27,7 +27,8 @@ RESOLVED: dict[str, Any] = {
 def test_what_hil_writes_is_taken() -> None:
     check_topics(SCHEMAS)
     check_events([EVENT, {**EVENT, "slot": -1, "t_s": 2}])
-    check_words({"seed": "7"}, RESOLVED, {"problems": {}, "log": {"messages": 3, "path": "x.mcap"}})
+    certificate = {"state": "certified", "reason": "radius below 1"}
+    check_words({"seed": "7"}, RESOLVED, {"problems": {}, "log": {"messages": 3, "path": "x.mcap"}}, certificate)
 
 
 @pytest.mark.parametrize("topic", sorted(SCHEMAS))
@@ -57,7 +58,7 @@ def test_an_event_of_another_kind_is_named(change: dict[str, Any]) -> None:
 @pytest.mark.parametrize("seed", ["", "x", "-1", "1e3", "1" * 25, "७"])
 def test_a_seed_that_is_none_is_named(seed: str) -> None:
     with pytest.raises(HilError, match="metadata hilrig: seed"):
-        check_words({"seed": seed}, {}, {})
+        check_words({"seed": seed}, {}, {}, {})
 
 
 @pytest.mark.parametrize(
@@ -76,13 +77,19 @@ def test_an_experiment_of_other_types_is_named(path: str, value: Any) -> None:
         node = node[folder]
     node[last] = value
     with pytest.raises(HilError, match=rf"resolved\.json: {path}: "):
-        check_words({"seed": "7"}, resolved, {})
+        check_words({"seed": "7"}, resolved, {}, {})
 
 
 @pytest.mark.parametrize("summary", [{"problems": []}, {"log": "x"}, {"log": {"messages": None}}], ids=str)
 def test_a_summary_of_other_types_is_named(summary: dict[str, Any]) -> None:
     with pytest.raises(HilError, match="metadata summary: "):
-        check_words({"seed": "7"}, {}, summary)
+        check_words({"seed": "7"}, {}, summary, {})
+
+
+@pytest.mark.parametrize("certificate", [{"state": "certified"}, {"state": 3, "reason": ""}, {"state": "", "reason": None}])
+def test_a_certificate_without_its_words_is_named(certificate: dict[str, Any]) -> None:
+    with pytest.raises(HilError, match=r"certificate\.json: (state|reason): .*, expected text"):
+        check_words({"seed": "7"}, {}, {}, certificate)
 
 
 HEAD = {"format": FORMAT, "experiment": "x", "seed": "0", "clock": "virtual", "link": ""}

@@ -15,6 +15,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from hil.errors import HilError
+from hil.log.events import encode_event
 from hil.log.read import mcap_walk
 from hil.log.read.mcap_walk import (
     LARGEST_RECORD,
@@ -120,7 +121,7 @@ def test_a_file_unpacks_to_so_many_times_its_length_and_no_byte_more(monkeypatch
         budget = Budget(size)
         budget.take(3, record(6, b""))
         budget.take(limit - 3, record(6, b""))
-        with pytest.raises(TooLarge, match=f"chunk at byte 77: the file unpacks to more than {limit} bytes, 2 times"):
+        with pytest.raises(TooLarge, match=f"record at byte 77: the file unpacks to more than {limit} bytes, 2 times"):
             budget.take(1, record(6, b""))
 
 
@@ -204,7 +205,9 @@ def log_of(*records: bytes) -> bytes:
     return MAGIC + header + b"".join(records) + end + MAGIC
 
 
-MESSAGE = raw(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + bytes(200_000))
+PRIVATE = raw(0x80, bytes(200_000))
+EVENTS = raw(Opcode.CHANNEL, struct.pack("<HHI7sI3sI", 1, 0, 7, b"/events", 3, b"cdr", 0))
+EVENT = raw(Opcode.MESSAGE, struct.pack("<HIQQ", 1, 0, 0, 0) + encode_event(0, "", "", data={}))
 
 BOMBS = {
     "zeros": (log_of(zipped(bytes(LARGEST_RECORD))), "unpacks to more than|zeros stand"),
@@ -212,7 +215,9 @@ BOMBS = {
     "a chunk that says less than it holds": (
         log_of(zipped(bytes(2 * LARGEST_RECORD), announced=1000)), "holds more than the 1000",
     ),
-    "many chunks": (log_of(*[zipped(MESSAGE * 10)] * 30), "unpacks to more than"),
+    "many chunks": (log_of(*[zipped(PRIVATE * 10)] * 30), "unpacks to more than"),
+    "many events": (log_of(EVENTS, zipped(EVENT * 100_000)), "unpacks to more than"),
+    "messages of no channel": (log_of(zipped(EVENT * 100_000)), "no record before them says what channel 1 is; save its"),
     "zeros in a small chunk": (log_of(zipped(bytes(9000))), "zeros stand where a record should begin"),
 }  # fmt: skip
 
@@ -235,7 +240,7 @@ def test_a_few_bytes_do_not_cost_gigabytes(tmp_path: Path, name: str) -> None:
     except TooLarge:
         assert not (tmp_path / "out.mcap").exists()
     else:
-        assert report.messages == 0 and report.losses
+        assert report.messages == (100_000 if name == "many events" else 0) and report.losses
 
 
 def test_zeros_behind_the_log_are_no_records(tmp_path: Path, log: bytes) -> None:

@@ -166,10 +166,15 @@ def test_ages_that_a_law_delivers_are_latencies_and_what_was_overtaken_has_not_c
     draws = np.zeros(6, [("slot", "i8"), ("packet_slot", "i8"), ("mode", "i4"), ("reason", "u1"), ("latency_s", "f8")])
     draws["slot"], draws["packet_slot"] = [0, 1, 2, 3, 4, 5], [0, 0, 2, -1, 2, 4]
     draws["reason"] = [DELIVERED, DELIVERED, DELIVERED, DELIVERED, SUPERSEDED, DELIVERED]
-    way = _emulated(draws, 0.5)
+    way = _emulated("x", draws, 0.5)
     assert way.sent_s.tolist() == [0.0, 0.5, 1.0, 1.5, 2.0, 2.5]
     np.testing.assert_array_equal(way.difference_s, [0.0, np.nan, 0.0, np.nan, 0.5, np.nan])
     assert way.until_s is not None and way.until_s.tolist() == [3.0, 0.5, 2.0, 1.0, 1.0, 0.5]
+    for field, value in (("slot", 1 << 62), ("packet_slot", 6)):
+        wrong = draws.copy()
+        wrong[field][-1] = value
+        with pytest.raises(HilError, match=r"x: 6 decisions for .* no network decides so"):
+            _emulated("x", wrong, 0.5)
 
 
 def capture(

@@ -59,7 +59,7 @@ def test_provenance_travels_inside(tmp_path: Path) -> None:
     run = read_run(tmp_path / "run.mcap")
     assert run.experiment_text == provenance().experiment_text
     assert run.resolved == {"period": 0.001, "limits": {"voltage": 24.0}}
-    assert run.certificate == {"radius": 0.9}
+    assert run.certificate == {"state": "certified", "reason": "radius below 1", "radius": 0.9}
     own = {"commit": commit()} if commit() else {}  # an installed package has none
     own |= {"loop": loop_form()}
     assert run.metadata == own | {"format": "3", "experiment": "demo", "seed": "7", "clock": "virtual", "link": "memory:"}
