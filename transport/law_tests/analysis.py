@@ -83,7 +83,9 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
             shares, unused = packet_age_shares(law, period_s, deadline_s), math.nan
         else:
             method = "simulated"
-            shares, unused, overflow = _simulated(law, period_s, deadline_s)
+            shares, unused, overflow, gone = _simulated(law, period_s, deadline_s)
+            if overflow and law.discard_older is not None:  # some at the full queue would be discarded, and copies are lost there
+                loss = gone - overflow
     elif isinstance(law, RecordedLaw):
         recorded, ends = law.recorded(), slots_served(law) is not None
         ages = range(int(recorded.max()) + 1)
@@ -100,7 +102,7 @@ def analyse_law(law: NetworkLaw, period_s: float, deadline_s: float, kind: str =
         unused = float(weights @ (states.matrix * (states.ages[None, :] == states.ages[:, None] + 1)).sum(axis=1))
     else:
         method = "simulated"
-        shares, unused, overflow = _simulated(law, period_s, deadline_s)
+        shares, unused, overflow, _ = _simulated(law, period_s, deadline_s)
     older = max(0.0, 1.0 - float(shares.sum())) if len(shares) == LONGEST else 0.0
     return LawAnalysis(
         kind=kind,
@@ -155,17 +157,18 @@ def _may_overflow(law: ChannelLaw, latencies: QuantileTable, period_s: float, de
     return q <= m or q - m - q * math.log(q / m) > math.log(NEGLIGIBLE)
 
 
-def _simulated(law: NetworkLaw, period_s: float, deadline_s: float) -> tuple[NDArray[np.float64], float, float]:
-    """Ages, without the slots before the first arrival, unused share and overflow of a run in which every slot sends."""
+def _simulated(law: NetworkLaw, period_s: float, deadline_s: float) -> tuple[NDArray[np.float64], float, float, float]:
+    """Of a run in which every slot sends: ages from the first arrival on, and the shares unused, overflown and never come."""
     network = impair(law, np.random.default_rng(0), period_s, deadline_s)
     slots = min(SIMULATED_SLOTS, slots_served(law) or SIMULATED_SLOTS)
-    newest, ages, used, overflow = -1, [], 0, 0
+    newest, ages, used, overflow, come = -1, [], 0, 0, set[int]()
     for k in range(slots):
         network.offer(k, None)
         draws, arrivals = network.collect(k)
         used += any(draw.reason == DELIVERED for draw in draws)
         overflow += any(draw.reason == OVERFLOW and draw.mode != NO_MODE for draw in draws)  # not of a copy
+        come.update(g for g, _ in arrivals)
         newest = max([newest, *(g for g, _ in arrivals)])
         if newest >= 0:
             ages.append(k - newest)
-    return np.bincount(ages) / max(len(ages), 1), 1.0 - used / slots, overflow / slots
+    return np.bincount(ages) / max(len(ages), 1), 1.0 - used / slots, overflow / slots, 1.0 - len(come) / slots

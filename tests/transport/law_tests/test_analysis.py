@@ -114,6 +114,12 @@ def test_a_queue_that_fills_loses_and_one_that_cannot_is_exact() -> None:
     assert analyse_law(PacketLaw(latency=rare, queue=25), T, DEADLINE).age_method == "exact"
     heavy = PacketLaw(latency={"dist": "pareto", "b": 0.05, "scale": "1 s"})
     assert analyse_law(heavy, T, DEADLINE).overflow > 0.1
+    copied = PacketLaw(latency={"dist": "expon", "scale": "100 ms"}, duplication=0.5, queue=1, discard_older=3)
+    network, come = impair(copied.prepared(), np.random.default_rng(1), T, DEADLINE), set[int]()
+    for k in range(20_000):
+        network.offer(k, None)
+        come |= {slot for slot, _ in network.collect(k)[1]}
+    assert analyse_law(copied, T, DEADLINE).loss_probability == pytest.approx(1.0 - len(come) / 20_000, abs=0.015)  # 4 sd
 
 
 def test_what_is_later_than_any_age_counted_makes_the_mean_a_bound(monkeypatch: pytest.MonkeyPatch) -> None:
