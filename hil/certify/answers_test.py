@@ -1,7 +1,7 @@
-"""Whether a controller answers as its table says: its rows beside those of the same gains in the loop's own arithmetic.
+"""The test of a controller before a run: its rows are compared with those of the gains that it states.
 
-Two runs on the same delays and references, one on random samples and one on zeros, differ by K Y alone; so an own feedforward is
-left alone, and every row, age and sample is compared at samples of every size.
+Two runs with the same delays and references, one on random samples and one on samples of zero, differ by K Y alone, whatever the
+controller's feedforward is. This difference is compared for every row and age, at samples of several sizes.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Start = Callable[[], Running]
 SLOTS = 120
 SEED = 20240302
 FAR = (200, 300, 1000, 3000, 10_000)
-"""Slots at the end that a table is asked in too: a table knows no slot."""
+"""Slots late in a run in which a table is evaluated, too: its rows may not depend on the slot."""
 
 
-class Question(Struct, frozen=True, kw_only=True):
-    """What a controller is asked in one run.
+class Excitation(Struct, frozen=True, kw_only=True):
+    """The inputs of a controller in one run of the test.
 
     Args:
         slots: numbers of the slots, increasing.
@@ -45,8 +45,8 @@ class Question(Struct, frozen=True, kw_only=True):
     """Whether the last value of a sample is a mode, which has no size."""
 
 
-class Answer(Struct, frozen=True, kw_only=True):
-    """How far answers are from a table's: share of them, slot, age, row and input, and both values."""
+class Mismatch(Struct, frozen=True, kw_only=True):
+    """The largest difference of answers to those of a table: as a share, its slot, age, row and input, and both values."""
 
     size: float
     share: float = 0.0
@@ -57,9 +57,9 @@ class Answer(Struct, frozen=True, kw_only=True):
     foretold: float = 0.0
 
 
-def question(
-    model: LoopModel, *, width: int, slots: int = SLOTS, longest: int = 1, far: bool = False, aims: float = 1.0
-) -> Question:
+def random_excitation(
+    model: LoopModel, *, width: int, slots: int = SLOTS, longest: int = 1, far: bool = False, reference: float = 1.0
+) -> Excitation:
     """Return random samples with ages that change and last: every age comes, and lasts longer than any gain distinguishes.
 
     Args:
@@ -68,7 +68,7 @@ def question(
         slots: how many.
         longest: length of stay from which on no gain changes.
         far: whether slots of a long run follow.
-        aims: every entry of the reference.
+        reference: every entry of the reference.
     """
     rng = np.random.default_rng(SEED)
     nodes, most = len(model.nodes.names), model.tau_max
@@ -82,12 +82,12 @@ def question(
     numbers = tuple(range(most, most + slots))  # a sample is never older than the run
     if far and numbers[-1] < FAR[0]:
         numbers = (*numbers[: -len(FAR)], *FAR)
-    return Question(
-        slots=numbers, ages=ages, samples=rng.uniform(-1.0, 1.0, (slots, width)), reference=(aims,) * model.C.shape[0],
+    return Excitation(
+        slots=numbers, ages=ages, samples=rng.uniform(-1.0, 1.0, (slots, width)), reference=(reference,) * model.C.shape[0],
     )  # fmt: skip
 
 
-def over_nodes(model: LoopModel, *, memory: int) -> Question:
+def scheduled_excitation(model: LoopModel, *, memory: int) -> Excitation:
     """Return what scheduled nodes send: turns and losses as the medium states them, held as long as gains look back.
 
     Args:
@@ -114,104 +114,105 @@ def over_nodes(model: LoopModel, *, memory: int) -> Question:
             own -= {s for s in own if s < k - memory and s != max(own)}
         received.append(tuple(sorted(((n, s) for n, own in enumerate(kept) for s in own), key=lambda pair: (-pair[1], pair[0]))))
     p = model.C.shape[0]
-    return Question(
+    return Excitation(
         slots=tuple(range(SLOTS)), ages=np.zeros((SLOTS, 1), dtype=np.int64), samples=rng.uniform(-1.0, 1.0, (SLOTS, p)),
         reference=(0.0,) * p, received=tuple(received),
     )  # fmt: skip
 
 
-def answers(running: Running, asked: Question, size: float, nodes: SensorNodes) -> Array:
+def answers(running: Running, excitation: Excitation, size: float, nodes: SensorNodes) -> Array:
     """Return the rows of a controller in every slot, (slots, rows, m); it ends where they are not numbers."""
-    return np.array(list(_answered(running, asked, size, nodes)), dtype=float)
+    return np.array(list(_rows_of(running, excitation, size, nodes)), dtype=float)
 
 
-def _answered(running: Running, asked: Question, size: float, nodes: SensorNodes) -> Iterator[Rows]:
+def _rows_of(running: Running, excitation: Excitation, size: float, nodes: SensorNodes) -> Iterator[Rows]:
     if isinstance(running, MultiSampleController):
-        for i, k in enumerate(asked.slots):
-            yield running.rows(k, Known(_known(asked, i, k, size, nodes), asked.reference))
+        for i, k in enumerate(excitation.slots):
+            yield running.rows(k, Known(_known(excitation, i, k, size, nodes), excitation.reference))
         return
-    scale = np.full(asked.samples.shape[1], size)
-    scale[-1] = 1.0 if asked.modes else size
-    packets, ages = (scale * asked.samples).tolist(), asked.ages.max(axis=1).tolist()
-    for k, age, y in zip(asked.slots, ages, packets):
-        yield running.rows(k, age, tuple(y), asked.reference)
+    scale = np.full(excitation.samples.shape[1], size)
+    scale[-1] = 1.0 if excitation.modes else size
+    packets, ages = (scale * excitation.samples).tolist(), excitation.ages.max(axis=1).tolist()
+    for k, age, y in zip(excitation.slots, ages, packets):
+        yield running.rows(k, age, tuple(y), excitation.reference)
 
 
-def _known(asked: Question, i: int, k: int, size: float, nodes: SensorNodes) -> tuple[Sample, ...]:
+def _known(excitation: Excitation, i: int, k: int, size: float, nodes: SensorNodes) -> tuple[Sample, ...]:
     """What is known in a slot, newest first."""
-    if asked.received:
+    if excitation.received:
         return tuple(
-            Sample(node, slot, tuple(float(size * asked.samples[slot, o]) for o in nodes.outputs[node]))
-            for node, slot in asked.received[i]
+            Sample(node, slot, tuple(float(size * excitation.samples[slot, o]) for o in nodes.outputs[node]))
+            for node, slot in excitation.received[i]
         )
-    values, known = size * asked.samples[i], []
+    values, known = size * excitation.samples[i], []
     for node, own in enumerate(nodes.outputs):
-        known.append(Sample(node, k - int(asked.ages[i, node]), tuple(float(values[o]) for o in own)))
+        known.append(Sample(node, k - int(excitation.ages[i, node]), tuple(float(values[o]) for o in own)))
     return tuple(sorted(known, key=lambda sample: (-sample.slot, sample.node)))
 
 
-def compared(
-    own: Start, stated: Start, at_rest: tuple[Array, Array], asked: Question, nodes: SensorNodes, sizes: Sequence[float]
-) -> list[Answer]:
-    """Return for every size of the samples how far the answers to them are from those of what is stated.
+def mismatches(
+    own: Start, stated: Start, at_zero: tuple[Array, Array], excitation: Excitation, nodes: SensorNodes, sizes: Sequence[float]
+) -> list[Mismatch]:
+    """Return the largest difference of the answers to those of the stated controller, for every size of the samples.
 
     Args:
         own: starts the controller.
         stated: starts what it says that it is.
-        at_rest: answers of both to samples of zero.
-        asked: what both are asked.
+        at_zero: rows of both for samples of zero.
+        excitation: the inputs of both.
         nodes: the sensor nodes.
         sizes: of the samples, increasing.
     """
-    rest, still = at_rest
+    own_at_zero, stated_at_zero = at_zero
     found = []
     for size in sizes:
-        moved, expected = answers(own(), asked, size, nodes) - rest, answers(stated(), asked, size, nodes) - still
+        moved = answers(own(), excitation, size, nodes) - own_at_zero
+        expected = answers(stated(), excitation, size, nodes) - stated_at_zero
         if moved.shape != expected.shape:
-            found.append(Answer(size=size, share=np.inf))
+            found.append(Mismatch(size=size, share=np.inf))
             continue
         scale = np.maximum.accumulate(np.abs(expected).max(axis=(1, 2), keepdims=True)) + 1e-9 * np.abs(expected).max() + 1e-300
-        lost = 1e-12 * (np.abs(rest).max(axis=(1, 2), keepdims=True) + np.abs(still).max(axis=(1, 2), keepdims=True))
+        lost = 1e-12 * sum(np.abs(rows).max(axis=(1, 2), keepdims=True) for rows in at_zero)
         apart = np.nan_to_num(np.abs(moved - expected) - lost, nan=np.inf) / scale
         if not (apart > EQUAL).any():
-            found.append(Answer(size=size, share=max(float(apart.max()), 0.0)))
+            found.append(Mismatch(size=size, share=max(float(apart.max()), 0.0)))
             continue
         at = int((apart > EQUAL).any(axis=(1, 2)).argmax())
         row, j = np.unravel_index(int(apart[at].argmax()), apart[at].shape)
         found.append(
-            Answer(
-                size=size, share=float(apart.max()), slot=asked.slots[at], age=int(asked.ages[at].max()), row=int(row),
+            Mismatch(
+                size=size, share=float(apart.max()), slot=excitation.slots[at], age=int(excitation.ages[at].max()), row=int(row),
                 found=float(moved[at, row, j]), foretold=float(expected[at, row, j]),
             )
         )  # fmt: skip
     return found
 
 
-def outgrows(at_rest: tuple[Array, Array], asked: Question) -> tuple[int, float, float] | None:
-    """Return the last slot, and what a controller adds of its own there and in the first slots, where that grows with time.
+def growing_feedforward(at_zero: tuple[Array, Array], excitation: Excitation) -> tuple[int, float, float] | None:
+    """Return the last slot, the feedforward there, and that of the first slots, if it grows with time; else None.
 
-    Asked of the slots `FAR` alone: each time more than in the one before, and in the end 3 times as much as in the first slots.
+    It grows if it rises from each of the slots `FAR` to the next, and is at last 3 times as large as in the first slots.
     """
-    if asked.slots[-len(FAR) :] != FAR:
+    if excitation.slots[-len(FAR) :] != FAR:
         return None
-    rest, still = at_rest
-    if rest.shape != still.shape or len(rest) < len(asked.slots):
+    own_at_zero, stated_at_zero = at_zero
+    if own_at_zero.shape != stated_at_zero.shape or len(own_at_zero) < len(excitation.slots):
         return None
-    added = np.abs(rest - still).max(axis=(1, 2))
+    added = np.abs(own_at_zero - stated_at_zero).max(axis=(1, 2))
     early, late = float(added[: -len(FAR)].max()), added[-len(FAR) :]
-    grows = bool((late[1:] > 1.1 * late[:-1]).all()) and late[-1] > 3.0 * early + 1e-9 * float(np.abs(still).max())
-    return (asked.slots[-1], float(late[-1]), early) if grows else None
+    grows = bool((late[1:] > 1.1 * late[:-1]).all()) and late[-1] > 3.0 * early + 1e-9 * float(np.abs(stated_at_zero).max())
+    return (excitation.slots[-1], float(late[-1]), early) if grows else None
 
 
-def share_memory(own: Start, alone: Array, asked: Question, nodes: SensorNodes) -> bool:
-    """Return whether a controller on samples of zero answers otherwise than alone while another is asked beside it."""
-    beside = zip(_answered(own(), asked, 1.0, nodes), _answered(own(), asked, 0.0, nodes))
+def shares_memory(own: Start, alone: Array, excitation: Excitation, nodes: SensorNodes) -> bool:
+    """Return whether a controller's rows for samples of zero change while a second instance runs beside it."""
+    beside = zip(_rows_of(own(), excitation, 1.0, nodes), _rows_of(own(), excitation, 0.0, nodes))
     return not np.array_equal(alone, np.array([rows for _, rows in beside], dtype=float))
 
 
-def drifts(own: Start, asked: Question, nodes: SensorNodes) -> float:
+def drift_at_zero(own: Start, excitation: Excitation, nodes: SensorNodes) -> float:
     """Return how far the answers change while every sample and reference is zero; inf where two runs differ."""
-    first, again = (answers(own(), asked, 0.0, nodes) for _ in range(2))
+    first, again = (answers(own(), excitation, 0.0, nodes) for _ in range(2))
     if first.shape != again.shape or not np.array_equal(first, again):
         return np.inf
     apart = float(np.abs(first - first[0]).max())

@@ -1,7 +1,7 @@
-"""What every certifier shares: the loop that it is given, the protocol that it fulfils, and the verdicts that say what it lacks.
+"""What all certifiers share: the certification problem, the protocol of a certifier, and undecided verdicts with their reasons.
 
-`limited_to_model` and its like make a verdict undecided where the loop has something that its theory does not know;
-`why_no_controller` and its like say why no certificate covers a part, what it lacks, and what would be judged.
+The functions `limited_to_...` make a verdict undecided where the loop has a property that the theory does not cover; `why_no_...`
+say why no certificate covers a part, what the part lacks, and what would be judged.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Check = tuple[State, str] | tuple[None, tuple[str, ...]]
-"""What a comparison of a part with what it states says: a state and its reason, or None and what was found equal, in phrases."""
+"""Result of comparing a part with its statement: a state with its reason, or None with phrases that say what was found equal."""
 
 UNTIL_ALL_CAME: Final = "growth per slot of the second moments until a packet of every node has come"
 WAITS_TOO_LONG: Final = 1e-6
@@ -47,15 +47,15 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         input_limits: largest command per input that the run allows, None where it has no limit.
         state_limits: largest value of named states.
         selection: rule by which the controller that was started says that a row is picked; empty: not looked for.
-        said: what plant and controller said of themselves, by the question.
-        unmet: what of the network never happens, as its laws begin; empty: every mode of theirs may come.
-        neglects: what the chains leave out; empty: nothing.
-        silent: what of the packets never comes where it is waited for, and why; empty: of each kind some come.
+        said: answers of plant and controller, by the name of the question; see `once`.
+        unmet: which modes of the network laws never occur; empty: every mode may occur.
+        neglects: what the chains neglect; empty: nothing.
+        silent: which packets never come although they are waited for, and why; empty: packets of each kind come.
         waited: sensor nodes, by number, without whose first packet the controller answers zeros.
         chainless: what keeps the experiment from having a chain of ages on both links; empty: not looked for, or nothing does.
         port: force and position of a device under one force, None for another plant.
-        slack: how far what the controller has of each output may be from what was measured, by triggers; empty: nowhere.
-        shares: the same as a share of the output's own size, by relative triggers; empty: nowhere.
+        slack: bound of the error of each output at the controller by dead-band triggers; empty: no node has one.
+        shares: the same bound as a share of the output, by relative triggers; empty: no node has one.
         steps: slot and value of every step of the reference.
         pulses: slot, length in slots and value of every disturbance at the inputs.
         taken_over: the plant's nominal model, where the controller was started over another plant and knows that one.
@@ -97,11 +97,11 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         return self.model if self.taken_over is None else self.taken_over
 
     def once(self, name: str, ask: Callable[[], T]) -> T:
-        """Return the first answer of plant or controller to a question: a certifier and a test lean on the same one.
+        """Return the answer of plant or controller to a question, which is put only once: certifier and test use the same answer.
 
         Args:
             name: of the question.
-            ask: asks it.
+            ask: puts it.
         """
         if name not in self.said:
             self.said[name] = ask()
@@ -116,7 +116,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Certifier(Protocol):
-    """Says what can be claimed of one kind of loop. They are asked in order; the first that knows the kind answers."""
+    """Judges one kind of loop. Certifiers are called in order; the first that does not return None decides."""
 
     def __call__(self, loop: CertificationProblem) -> Verdict | None:
         """Return the verdict on a loop, None if loops of this kind are another certifier's."""
@@ -124,7 +124,7 @@ class Certifier(Protocol):
 
 
 def table_of(loop: CertificationProblem, controller: GainTable) -> NDArray[np.float64]:
-    """Return the gains that a controller states, K[tau, row, m, p], asked once: judge and test lean on the same ones."""
+    """Return the gains that a controller states, K[tau, row, m, p], read only once: certifier and test use the same gains."""
     return loop.once("table", lambda: np.array(controller.table(loop.model), dtype=float))
 
 
@@ -156,7 +156,7 @@ def limited_to_model(
 
 
 def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict:
-    """Return a verdict on a loop without its passivity controller as one on the loop: only a passive loop is what it was.
+    """Extend a verdict on the loop without its passivity controller to the loop with it: only a passive loop stays the same.
 
     Behind a controller that is certified passive with the damping of the model, the observed energy never exceeds 0, whatever the
     hand does: sum |u|^2 <= sum |u - 2 b w|^2 is what the condition of `design.passivity.condition` says of the controller.
@@ -171,7 +171,7 @@ def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict
 
 
 def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
-    """Return a verdict on a loop without the faults on its time line as one on the loop.
+    """Extend a verdict on the loop without the faults on its time line to the loop with them.
 
     In the mean square a linear loop that is stable from any state and any modes is stable behind faults that end, too: finitely
     many slots of linear maps leave E|x|^2 finite. It is not known behind what may outlast a fault, a trigger that believes its
@@ -190,7 +190,7 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
 
 
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:
-    """Return a verdict on a loop without the packets that its chains leave out as one on the loop."""
+    """Extend a verdict on the loop without the packets that its chains neglect to the loop with them."""
     return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
 
 
@@ -224,7 +224,7 @@ def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict
 
 
 def _undecide(verdict: Verdict, reason: str) -> Verdict:
-    """Return a verdict that nothing is known after all; one that knew nothing keeps its own reason."""
+    """Return the verdict as undecided, with this reason; one that is undecided already keeps its own."""
     if verdict.state == "undecided":
         return verdict
     return msgspec.structs.replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
@@ -238,11 +238,11 @@ STATES = {
     "history()": ("history", "uses"),
     "wall, coupler and equalise": ("wall", "coupler", "equalise"),
 }
-"""What a controller may state of itself, and the attributes that it takes."""
+"""What a controller may state, and the attributes by which it states it."""
 
 
 def why_no_controller(controller: object) -> str:
-    """Return why a controller that states nothing of itself is not judged, and what it may state.
+    """Return why a controller without a statement is not judged, and what it may state.
 
     Args:
         controller: the parameters of the controller that runs.

@@ -1,8 +1,9 @@
-"""The test before a run: whether plant and controller do what they state of themselves.
+"""The test before a run: plant and controller are compared with what they state.
 
-A certificate is a proof about matrices. That the plant moves by them, and that the controller answers by them, no proof shows:
-both are driven with random inputs and compared. Different at small inputs is another system, and refused; different at large
-ones alone is no linear system, and undecided; equal is an assumption that says how far it was tested.
+A certificate is a proof about matrices. It does not prove that the plant moves by these matrices, or that the controller answers
+by them: both are driven with random inputs and compared. A difference at small inputs refuses the loop, as it is another system;
+a difference at large inputs alone leaves it undecided, as it is not linear; without one, the verdict states as an assumption how
+far it was tested.
 
 The test ends after some slots; what a run is compared with while it runs is `hil.rig.watched`.
 """
@@ -49,7 +50,7 @@ Checks = Sequence[tuple[str, Callable[[CertificationProblem], Check]]]
 
 
 def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) -> Verdict:
-    """Return a verdict on what plant and controller say as one on what they do.
+    """Return a verdict on the statements of plant and controller, after the test that both do what they state.
 
     A plant that says itself what it is beyond its model leaves a loop undecided, but for one that is passive with it, of which
     the energy is compared.
@@ -80,7 +81,7 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
 
 
 def energy_check(loop: CertificationProblem) -> Check:
-    r"""Return whether a device takes what the damping of its model takes, for random forces: it gives back no more than it had.
+    r"""Test, with random forces, that a device dissipates at least what the damping of its model dissipates.
 
     .. math:: \sum_k u_k d_k - b d_k^2 / T \ge -(m v_0^2 + s x_0^2) / 2, \qquad d_k = x_{k+1} - x_k
 
@@ -110,7 +111,7 @@ def energy_check(loop: CertificationProblem) -> Check:
 
 
 def plant_check(loop: CertificationProblem) -> Check:
-    """Return what the comparison of a plant's motion with its model says."""
+    """Compare a plant's motion with its model; return a state and its reason, or None and what was found equal."""
     plant, model = loop.plant, loop.motion
     if isinstance(plant, JumpPlant):
         from hil.certify.jump_motion_test import jump_check

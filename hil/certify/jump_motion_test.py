@@ -1,4 +1,4 @@
-"""Whether a plant that jumps moves as the matrices of its modes say, and changes its modes at its rates.
+"""The test of a plant that jumps before a run: its motion is compared with the matrices of its modes, its jumps with its rates.
 
 Two runs of one seed, one with inputs and one without, go through the same modes. In the last part of every slot their difference
 must move by dx/dt = A_i dx + A_di dx(t - tau) + B_i u, within what the plant says is uncertain, entry by entry; and a third run,
@@ -21,7 +21,7 @@ from plants.parts.semi_markov import JumpModel, JumpRates
 
 SIZES = (1e-3, 1e3)
 SLOTS, RUNS, SEEN = 40, 8, 15
-"""Slots of a run, the most runs, and how often every mode shall be met at least."""
+"""Slots of a run, the most runs, and the least number of slots in every mode."""
 WAIT, STRIDE = 1000, 4
 """Slots for which a run waits at most until it shows a mode that was not met, and how many it goes at once."""
 PART = 64
@@ -43,7 +43,7 @@ NAME = "your plant does not move as its model() says"
 
 
 def jump_check(loop: CertificationProblem) -> Check:
-    """Return what a plant's motion says of its matrices and rates: a state and its reason, or None and what was found equal."""
+    """Compare a plant's motion with its matrices and rates; return a state and its reason, or None and what was found equal."""
     plant = cast(JumpPlant, loop.plant)
     system = loop.once("jump system", plant.jump_system)
     rates = loop.once("jump process", plant.jump_process)
@@ -169,7 +169,7 @@ def _gap(
 
 
 def _counted(plant: JumpPlant, rates: JumpRates, period_s: float, *, costly: bool) -> str:
-    """Return which jump comes too often or too seldom, empty where none does; a plant with a delay inside is costly."""
+    """Return which jump occurs too often or too seldom, a phrase; empty: none. `costly`: simulating the plant is slow."""
     table, N = rates.rates, rates.rates.modes
     counts, mean = np.zeros((N, N)), np.zeros((N, N))
     fastest = max(sum(rate for rate in row if rate > 0.0) for matrix in table.rates for row in matrix)

@@ -1,10 +1,10 @@
-"""Whether a plant moves as its model says: with inputs, and without any.
+"""The test of a plant before a run: its motion is compared with that of its model, with inputs and without.
 
-With the same seed a plant draws the same noise and carries the same load, so the difference of two runs is free of both, and
+With the same seed a plant has the same noise and the same load, so the difference of two runs is free of both, and
 
     dx(k+1) = A dx(k) + A_1 dx(k-1) + ... + B u(k),    dy(k) = C dx(k)
 
-must hold to rounding, at inputs of every size. What the plant does without any input is judged apart: see `free_motion`.
+must hold to rounding, at inputs of every size. The motion without inputs is judged separately: see `free_motion`.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ SLOTS = 200
 """Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""
 SEED = 20240301
 ALIKE = 1e-2
-"""Share up to which a difference may come from a coarse integrator: undecided, and not refused."""
+"""A difference up to this share may come from a coarse integrator: the verdict is undecided, not refused."""
 
 
 class Track(Struct, frozen=True, kw_only=True):
-    """States and outputs of a run, slot by slot after the first: (k, n') and (k, p); what it says was put out, (k - 1, m)."""
+    """States (k, n') and outputs (k, p) of a run, slot by slot; and the inputs that the plant says it applied, (k - 1, m)."""
 
     states: Array
     outputs: Array
@@ -195,10 +195,10 @@ def by_size(shares: Sequence[float], alike: str, difference: str) -> tuple[State
 def free_motion(
     model: LoopModel, delayed: Array, history: Array, track: Track, other: Track, names: tuple[list[tuple[str, str]], ...]
 ) -> FreeMotion:
-    """Return what a plant does beyond its model without inputs.
+    """Return the kind of the motion that a plant has without inputs beyond its model.
 
-    A load moves the point of rest and noise scatters around it: neither touches stability. A motion of its own that is neither
-    may be a state that the model does not know, and nothing in a linear model says whether that state dies out.
+    A load moves the point of rest and noise scatters around it: neither affects stability. Any other motion may be that of a
+    state that the model lacks, and a linear model does not say whether that state decays.
 
     Args:
         model: what it says of itself.
@@ -210,18 +210,18 @@ def free_motion(
     """
     n = len(model.A)
     if track.states.shape[1] == n:
-        left = [(_residual(model, delayed, history, t), t.outputs - t.states @ model.C.T) for t in (track, other)]
-        found = [
-            kind_of(mine, its, sizes, signals)
-            for mine, its, sizes, signals in zip(left[0], left[1], (track.states, track.outputs), names)
+        residuals = [(_residual(model, delayed, history, t), t.outputs - t.states @ model.C.T) for t in (track, other)]
+        motions = [
+            kind_of(residual, second, sizes, signals)
+            for residual, second, sizes, signals in zip(residuals[0], residuals[1], (track.states, track.outputs), names)
         ]
     else:
         if len(delayed):
             return FreeMotion("not compared")
-        mine, its = (_unexplained(model, t.outputs) for t in (track, other))
-        found = [kind_of(mine, its, track.outputs, names[1])]
+        residual, second = (_unexplained(model, t.outputs) for t in (track, other))
+        motions = [kind_of(residual, second, track.outputs, names[1])]
     order: tuple[Free, ...] = ("moves", "noise", "constant", "none")
-    return min(found, key=lambda each: order.index(each.kind))
+    return min(motions, key=lambda motion: order.index(motion.kind))
 
 
 def _residual(model: LoopModel, delayed: Array, history: Array, track: Track) -> Array:
@@ -237,7 +237,7 @@ def _residual(model: LoopModel, delayed: Array, history: Array, track: Track) ->
 
 
 def _unexplained(model: LoopModel, outputs: Array) -> Array:
-    """What of the outputs no first state and no constant force of the model explains, (k, p)."""
+    """The part of the outputs that no first state and no constant force of the model explains, (k, p)."""
     n, powers, forced = len(model.A), [np.eye(len(model.A))], [np.zeros_like(model.A)]
     for _ in range(len(outputs) - 1):
         forced.append(model.A @ forced[-1] + np.eye(n))

@@ -1,13 +1,13 @@
-"""A loop whose bounds hold up to a command, as under saturation: from where it stays there, with what probability.
+"""Regions of stability: a loop that is linear only while its commands stay within limits, as under saturation.
 
-Linear it is mean-square stable; while no command leaves its limits it is the linear loop, which goes to rest, or ends where the
-bounded departures let it. `design.jump_linear.leaving` bounds the probability that a command ever leaves.
+The linear loop is mean-square stable. While no command leaves its limits the run is that of the linear loop, which goes to rest,
+or ends within the bound of the departures. `design.jump_linear.leaving` bounds the probability that a command ever leaves.
 
-A run begins where its plant does, and with every step of the reference and every disturbance again. Where that probability is
-at most `RISK` for all of them, the run is certified; elsewhere the region is stated, and the loop is undecided.
+The state is moved at the start of the run, at every step of the reference and at every disturbance. If that probability is at
+most `RISK` for all of these together, the run is certified; else the verdict is undecided and states the region.
 
-Where a command beyond its limit acts as at the limit, a loop around an integrator ends somewhere from anywhere, and from where an
-unstable mode is too strong nothing brings a run back.
+Two further results hold where a command beyond its limit acts as the limit: a loop around an integrator ends within a bound from
+any state (`ends_from_anywhere`), and a run that begins where no command holds an unstable mode is refused (`escapes`).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ClosedLoop(NamedTuple):
         matrices: (N, size, size).
         chances: (N, N) transition probabilities, or upper bounds of them.
         inputs: (N, m, size) with u(k) = U_i x(k).
-        standing: (size, n), its state where the plant has stood at x and nothing is under way.
+        standing: (size, n), the state of the loop where the plant has long stood at x.
     """
 
     matrices: Array
@@ -63,7 +63,7 @@ def inside(
     loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, clips: bool,
     named: str,
 ) -> Verdict:
-    """Return a verdict on a loop within limits as one on the loop that may leave them.
+    """Extend the verdict on a loop that stays within its limits to the loop that may leave them.
 
     Args:
         loop: the loop.
@@ -71,9 +71,9 @@ def inside(
         closed: that loop.
         limits: largest command, (m,); inf where there is none.
         pushes: (N, size, q), what signals of size 1 push it by in a slot.
-        adds: what departures add to each command at once, at most, (m,).
-        clips: whether a disturbance acts by a share of itself where it would take the input beyond a limit.
-        named: what departs, as phrases.
+        adds: largest sum that departures add to each command directly, (m,).
+        clips: whether a disturbance that would take the input beyond a limit acts only in part.
+        named: the departures, as phrases.
     """
     from design.jump_linear.leaving import leaving
 
@@ -149,7 +149,7 @@ def _outside(verdict: Verdict, named: str, reason: str, details: Mapping[str, ob
 
 
 def not_judged(loop: CertificationProblem) -> str:
-    """Return what acts on a loop that no bound is known of, as a phrase; empty: nothing."""
+    """Return an influence on a loop that has no known bound, a phrase; empty: there is none."""
     plant = loop.plant
     if isinstance(plant, HasOwnInputs) and plant.own_inputs():
         return f"with {', '.join(plant.own_inputs())}"
@@ -159,7 +159,7 @@ def not_judged(loop: CertificationProblem) -> str:
 
 
 def _first_rows(loop: CertificationProblem) -> str:
-    """Return why the first rows of a run are others than the loop's; empty: they are the same, from no sample and no packet."""
+    """Return why the first rows of a run, before any sample or packet, are not those of the loop; empty: they are the same."""
     controller = loop.controller
     if packet_samples(controller) > 1:
         return "its first packets repeat their sample"
@@ -176,7 +176,7 @@ def _first_rows(loop: CertificationProblem) -> str:
 
 
 def _first_slots(loop: CertificationProblem) -> float:
-    """Slots until all has come once that comes; inf where that is not known."""
+    """Slots until a packet has come in both directions; inf where that has no bound."""
     chains = [chain for chain in (loop.sc, loop.ca) if chain is not None and not chain.holds.any()]
     return 1.0 + sum(chain.max_delay for chain in chains) if len(chains) == 2 else np.inf
 
@@ -188,9 +188,9 @@ def _first_state(loop: CertificationProblem) -> Array | None:
 
 
 def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array, str]:
-    """Return slots and what the state is moved by there; the largest steady command, (m,).
+    """Return the slots in which the state is moved, each with its shift; the largest steady command, (m,); and a reason.
 
-    Empty, with the reason, where the experiment's own start is not judged.
+    No slots, with the reason, where the start of the experiment is not judged.
     """
     from design.jump_linear.leaving import SLOTS
     from design.networked_loop.loop_parts import check_held, steady_state
@@ -267,7 +267,7 @@ def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, push
 def ends_from_anywhere(
     loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array
 ) -> Verdict:
-    """Return a verdict on a loop that may leave its limits as one on where it ends whatever it leaves; the same where unknown.
+    """Extend an undecided verdict by the bound within which the loop ends from any state; unchanged where none is known.
 
     Args:
         loop: the loop; beyond a limit its plant acts as at the limit.
@@ -318,7 +318,7 @@ def ends_from_anywhere(
 
 
 def _acting(closed: ClosedLoop, v: Array, delay: int) -> tuple[Array, Array]:
-    """The gain that acts where the chain has come by a path of modes and the plant long stood at v, (n,); their order."""
+    """The gain that acts after each path of modes, for a plant that has long stood at v, (n,); and the order of these gains."""
     from design.networked_loop.saturated_integrator import MOST_STATES
 
     modes = range(len(closed.matrices))

@@ -1,4 +1,4 @@
-"""What a controller says that it is, as one that runs in the loop's own arithmetic; what both are asked; and how they differ."""
+"""The controller that another one states, run in the loop's own arithmetic; the inputs of both; and their differences."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from design.verdict import State
 from hil.certify.answers_test import (
     SEED,
     SLOTS,
-    Answer,
-    Question,
+    Excitation,
+    Mismatch,
     Start,
     answers,
-    compared,
-    drifts,
-    outgrows,
-    over_nodes,
-    question,
-    share_memory,
+    drift_at_zero,
+    growing_feedforward,
+    mismatches,
+    random_excitation,
+    scheduled_excitation,
+    shares_memory,
 )
 from hil.certify.certifier import CertificationProblem, Check, table_of
 from hil.certify.motion_test import by_size
@@ -57,15 +57,15 @@ NAME = "your controller does not answer as it says"
 
 
 def answers_of(loop: CertificationProblem) -> Check:
-    """Return what a controller's answers say of what it states: a state and its reason, or None and what was found equal."""
+    """Compare a controller's answers with its statement; return a state and its reason, or None and what was found equal."""
     controller, model = loop.controller, loop.model
     stated = stated_by(loop)
     if stated is None:
         return None, ()
-    twin, asked = stated
+    stated_controller, excitation = stated
     if isinstance(controller, GainTable) and not np.array_equal(table_of(loop, controller), controller.table(model)):
         return "refused", f"{NAME}: table() returns other gains when it is asked again"
-    running, by_table = controller.start(model), twin.start(model)
+    running, by_table = controller.start(model), stated_controller.start(model)
     if running.selection != by_table.selection or loop.selection not in ("", running.selection):
         return "refused", f"{NAME}: it answers by the rule {running.selection!r} and states {by_table.selection!r}"
     if looks_back(running) != looks_back(by_table):
@@ -76,19 +76,19 @@ def answers_of(loop: CertificationProblem) -> Check:
     def own() -> object:
         return controller.start(model)
 
-    starts: tuple[Start, Start] = (own, lambda: twin.start(model))  # type: ignore[assignment]
+    starts: tuple[Start, Start] = (own, lambda: stated_controller.start(model))  # type: ignore[assignment]
     nodes = model.nodes
     if isinstance(controller, WallController):
-        return _wall(starts, asked, loop)
+        return _wall(starts, excitation, loop)
     try:
-        apart = drifts(starts[0], _at_rest(asked), nodes)
-        at_rest = answers(starts[0](), asked, 0.0, nodes), answers(starts[1](), asked, 0.0, nodes)
-        found = compared(*starts, at_rest, asked, nodes, SIZES)
-        grown = outgrows(at_rest, asked)
-        shared = not is_ours(controller) and share_memory(starts[0], at_rest[0], asked, nodes)
+        apart = drift_at_zero(starts[0], _at_zero(excitation), nodes)
+        at_zero = answers(starts[0](), excitation, 0.0, nodes), answers(starts[1](), excitation, 0.0, nodes)
+        differences = mismatches(*starts, at_zero, excitation, nodes, SIZES)
+        growing = growing_feedforward(at_zero, excitation)
+        shared = not is_ours(controller) and shares_memory(starts[0], at_zero[0], excitation, nodes)
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
         return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
-    said = _departed(found)
+    said = _departed(differences)
     if said is not None:
         return said
     if apart:
@@ -99,21 +99,21 @@ def answers_of(loop: CertificationProblem) -> Check:
             "two controllers of its class share memory: on samples of zero one answers otherwise while the other is asked beside "
             "it, so its feedforward cannot be distinguished from feedback; keep what it remembers in what start() returns"
         )
-    if grown is not None:
-        k, late, early = grown
+    if growing is not None:
+        k, late, early = growing
         return "undecided", (
             f"what the controller adds of its own grows with time: on samples of zero {early:.3g} at most in the first "
-            f"{len(asked.slots)} slots, {late:.3g} in slot {k}; a certificate is of one that stays bounded"
+            f"{len(excitation.slots)} slots, {late:.3g} in slot {k}; a certificate is of one that stays bounded"
         )
-    slots, far = len(asked.slots), asked.slots[-1]
+    slots, far = len(excitation.slots), excitation.slots[-1]
     return None, (
         f"the controller answers as it says: compared in {slots} slots up to slot {far}, every age and row, samples of "
         f"{SIZES[0]:g} to {SIZES[-1]:g}",
     )
 
 
-def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
-    """Return what a controller says that it is, and what to ask it; None for one that states no gains."""
+def stated_by(loop: CertificationProblem) -> tuple[Controller, Excitation] | None:
+    """Return the controller that another one states, and the inputs of the test; None for one that states no gains."""
     controller, model = loop.controller, loop.model
     p = model.C.shape[0]
     if isinstance(controller, GainTable):
@@ -125,73 +125,74 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Question] | None:
             integral_limit=integral_limit(controller), sojourns=() if isinstance(stays, int) else lengths,
             ages=ages_distinguished(controller), row_sojourns=row_sojourns_distinguished(controller),
         )  # fmt: skip
-        return table, question(model, width=p * samples, longest=max(lengths, default=1), far=True)
+        return table, random_excitation(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):
         law = loop.once("law", lambda: controller.linear_law(model))
         A, B, C, D = (nested(np.asarray(M)) for M in (law.A, law.B, law.C, law.D))
-        return OutputFeedback(A=A, B=B, C=C, D=D), question(model, width=p)
+        return OutputFeedback(A=A, B=B, C=C, D=D), random_excitation(model, width=p)
     if isinstance(controller, AgedFeedback):
         laws = laws_of(loop, controller, max(model.tau_max, 0 if loop.sc is None else int(loop.sc.label.max())) + 1)
-        return AgedRows(laws=laws, selection=controller.start(model).selection), question(model, width=p)
+        return AgedRows(laws=laws, selection=controller.start(model).selection), random_excitation(model, width=p)
     if isinstance(controller, HistoryGains):
         from design.controllers.historical import Historical
 
         K = loop.once("history", lambda: np.array(controller.history(), dtype=float))
         if None in model.nodes.delays:
             return None
-        return Historical(gains=nested(K), uses=controller.uses), over_nodes(model, memory=K.shape[1] - 1)
+        return Historical(gains=nested(K), uses=controller.uses), scheduled_excitation(model, memory=K.shape[1] - 1)
     if isinstance(controller, ModeSchedule):
         from design.requests.scheduled import scheduled_of
 
         gain = loop.once("schedule", controller.schedule_of_modes)
-        return scheduled_of(gain), mode_question(model, gain)
+        return scheduled_of(gain), mode_excitation(model, gain)
     if isinstance(controller, WallController):
         from design.controllers.virtual_wall import VirtualWall
 
         samples = packet_samples(controller)
-        twin = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
-        return twin, wall_question(model, samples)
+        wall = VirtualWall(wall=controller.wall, coupler=controller.coupler, equalise=controller.equalise, samples=samples)
+        return wall, wall_excitation(model, samples)
     return None
 
 
-def _at_rest(asked: Question) -> Question:
-    """The same question with references and modes of zero."""
-    return replace(asked, reference=(0.0,) * len(asked.reference), modes=False)
+def _at_zero(excitation: Excitation) -> Excitation:
+    """The same excitation with references and modes of zero."""
+    return replace(excitation, reference=(0.0,) * len(excitation.reference), modes=False)
 
 
-def _departed(found: list[Answer]) -> tuple[State, str] | None:
-    far = [each for each in found if each.share > EQUAL]
-    if not far:
+def _departed(differences: list[Mismatch]) -> tuple[State, str] | None:
+    shares = [mismatch.share for mismatch in differences]
+    w = next((mismatch for mismatch in differences if mismatch.share > EQUAL), None)
+    if w is None:
         return None
-    w = far[0]
     difference = (
         f"on samples up to {w.size:g} of age {w.age} its row {w.row} changes by {w.found:.4g} in slot {w.slot}, "
         f"its table says {w.foretold:.4g}"
         if np.isfinite(w.share) else "its packet has other rows than it states, or they are not finite"
     )  # fmt: skip
-    non_linear = by_size([each.share for each in found], "the controller answers as its table says on {} samples", difference)
+    non_linear = by_size(shares, "the controller answers as its table says on {} samples", difference)
     return non_linear or ("refused", f"{NAME}: {difference}")
 
 
-def _wall(starts: tuple[Start, Start], asked: Question, loop: CertificationProblem) -> Check:
-    """A wall is no linear law: its forces themselves are compared."""
+def _wall(starts: tuple[Start, Start], excitation: Excitation, loop: CertificationProblem) -> Check:
+    """Compare the forces of a wall: it is no linear law."""
+    slots = excitation.slots
     for size in (1e-4, 1e-2):
-        own, expected = (answers(start(), asked, size, loop.model.nodes) for start in starts)
+        own, expected = (answers(start(), excitation, size, loop.model.nodes) for start in starts)
         scale = float(np.abs(expected).max()) + 1e-300
         if own.shape != expected.shape or not float(np.abs(own - expected).max()) <= EQUAL * scale:
             k = 0 if own.shape != expected.shape else int(np.abs(own - expected).max(axis=(1, 2)).argmax())
             return "refused", (
-                f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {asked.slots[k]}"
+                f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {slots[k]}"
             )
-    return None, (f"the wall answers as its coupler and materials say: compared in {len(asked.slots)} slots, down to 10 mm deep",)
+    return None, (f"the wall answers as its coupler and materials say: compared in {len(slots)} slots, down to 10 mm deep",)
 
 
 MOST_SLOTS = 1500
-"""Slots in which stays are long enough that a gain changes, as far as that goes."""
+"""Slots of an excitation with modes at most."""
 
 
-def mode_question(model: LoopModel, gain: ScheduledGain) -> Question:
-    """Return states at random with modes that stay, each once for longer than its gain changes where the test is long enough."""
+def mode_excitation(model: LoopModel, gain: ScheduledGain) -> Excitation:
+    """Return random states, and modes of which each lasts once, if `MOST_SLOTS` allow, for longer than its gain changes."""
     rng = np.random.default_rng(SEED)
     modes, longest = gain.modes, float(gain.starts_s.max()) / model.period_s
     stay = int(min(max(1.2 * longest, 20.0), MOST_SLOTS / modes))
@@ -200,16 +201,16 @@ def mode_question(model: LoopModel, gain: ScheduledGain) -> Question:
         shown += [mode + 1] * stay
     while len(shown) < SLOTS:
         shown += [int(rng.integers(1, modes + 1))] * int(rng.integers(1, 20))
-    plain = question(model, width=model.C.shape[0], slots=len(shown), aims=0.0)
+    plain = random_excitation(model, width=model.C.shape[0], slots=len(shown), reference=0.0)
     return replace(plain, samples=np.column_stack([plain.samples[:, :-1], shown]), modes=True)
 
 
-def wall_question(model: LoopModel, samples: int) -> Question:
-    """Return a device that goes in and out of a wall, and along it."""
+def wall_excitation(model: LoopModel, samples: int) -> Excitation:
+    """Return the positions of a device that moves in and out of a wall, and along it."""
     rng = np.random.default_rng(SEED)
     steps = rng.uniform(-1.0, 1.0, (SLOTS + samples, 3))
     places = np.array([np.convolve(column, np.ones(8) / 4.0, mode="same") for column in steps.T]).T
-    plain = question(model, width=3 * samples, aims=0.0)
+    plain = random_excitation(model, width=3 * samples, reference=0.0)
     ages = plain.ages[:, 0]
     packets = np.array([np.concatenate([places[max(k - int(ages[k]) - i, 0)] for i in range(samples)]) for k in range(SLOTS)])
     return replace(plain, samples=packets)

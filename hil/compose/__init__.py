@@ -1,1 +1,1 @@
-"""Asked -> ready to run: the loop, its design, its certificate."""
+"""An experiment becomes a loop that can run: plug-ins, design, certificate."""

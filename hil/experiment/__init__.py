@@ -1,4 +1,4 @@
-"""What is asked: experiments, from a name or a TOML file to a checked, frozen description.
+"""Experiments: from a name or a TOML file to a checked, frozen description.
 
 Every fault is reported at once, by its path.
 """

@@ -56,7 +56,7 @@ class BusDelays(Struct, frozen=True, kw_only=True):
 
 
 def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, longest: bool = False) -> BusDelays | str:
-    """Return by how many slots packets are late; or in words what of the traffic prevents to know it.
+    """Return by how many slots packets are late; or the reason why that has no bound.
 
     Args:
         rig: its laws' files read.
@@ -197,7 +197,7 @@ def _from_any_offset(
 def bus_chains(
     rig: RigSpec, rows: int | None = None, *, longest: bool = False
 ) -> tuple[DelayChain, DelayChain] | str | None:  # fmt: skip
-    """Return the chains of both ages over the CAN bus of a rig; in words why there are none; None where it has no such bus.
+    """Return the chains of both ages over the CAN bus of a rig; the reason why there are none; None where it has no such bus.
 
     Args:
         rig, rows, longest: as of `bus_delays`; of the longest frames the ages repeat, and a design takes those.
@@ -257,7 +257,7 @@ def _steps(packets: Sequence[Late | None]) -> dict[tuple[int, int], set[tuple[in
     cycle = len(packets)
 
     def after(k: int, age: int) -> set[tuple[int, int]]:
-        """What may be newest in slot k, of what was sent behind the packet that was the newest in the slot before."""
+        """The ages that are possible in slot k, of packets sent after the packet that was the newest in the slot before."""
         found, oldest = set(), age + 1
         for own in range(age + 1):  # from the newest on; the first that must have come ends the search
             late = packets[(k - own) % cycle]

@@ -40,7 +40,7 @@ class Chains(Struct, frozen=True, kw_only=True):
             keep silent, or where the chains of several nodes together have more modes than the theory computes with.
         sc: the chain of all nodes together; None where `nodes` is.
         ca: the chain of the actuator; None where its law has none.
-        why_none: what keeps the rig from having both, in words; empty where nothing does.
+        why_none: the reason why the rig does not have both, a phrase; empty where it has.
     """
 
     arriving: tuple[Received, ...]
@@ -56,7 +56,7 @@ class Chains(Struct, frozen=True, kw_only=True):
         return None if sc is None or ca is None else (sc, ca)
 
     def neglects(self) -> str:
-        """Return what the chains leave out, in words; empty where they are exact."""
+        """Return what the chains neglect, a phrase; empty where they are exact."""
         return next(filter(None, (way.neglects() for way in (*self.arriving, self.applied))), "")
 
 
@@ -117,7 +117,7 @@ def chains_of(
 
 
 def _why_silent(rig: RigSpec) -> str:
-    """Return why a node may be silent in a slot, in words; empty where none may."""
+    """Return the reason why a node may be silent in a slot, a phrase; empty where none may."""
     if rig.media:
         return f"nodes share {' and '.join(f'network.media.{medium.name}' for medium in rig.media)}, and take turns"
     for sensor in rig.sensors:
@@ -204,7 +204,7 @@ def delay_chain(
 
 
 def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
-    """Return a chain without the modes that it never comes to; the chain itself where it comes to all of them.
+    """Return a chain without the modes that it never reaches; the chain itself where it reaches all.
 
     Args:
         chain: the delay chain.
@@ -233,10 +233,9 @@ def within_reach(chain: DelayChain, initial: NDArray[np.float64]) -> DelayChain:
 
 
 def without_held(chain: DelayChain | None) -> DelayChain | None:
-    """Return a chain for a theory that has no receiver that holds what it had; None where there is such a receiver.
+    """Return a chain for a theory in which no receiver holds its last packet; None where the receiver of this chain may hold.
 
-    A chain that says where a receiver holds, and that it never does, is that of its delays. Its modes of the first slots, in
-    which nothing had time to come, are left out: to them no mode leads back.
+    The transient modes of the first slots, in which no packet had time to come, are left out.
     """
     if chain is None or chain.held is None:
         return chain

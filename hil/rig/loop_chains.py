@@ -1,7 +1,7 @@
-"""The delay chains of the loop that is judged: those that designs take, and beside them what only a judge can compute with.
+"""The delay chains that a certifier takes: those of a design, and those that a certifier alone computes with.
 
-And what of the loop's packets never comes, how long it waits for the first packet of a node, and how often the watchdog stops a
-run that its network starves of commands, by its own losses and by cuts on the time line.
+Also the packets of the loop that never come, how long it waits for the first packet of a node, and the probability that the
+watchdog stops a run for lack of commands, by losses of the network and by cuts on the time line.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ IN_PHASE = "both directions repeat, and meet in the phases in which they begin i
 
 
 class LoopChains(NamedTuple):
-    """Both chains, None where there is none; what of the laws never happens, why there is no chain: empty for nothing.
+    """Both chains, None where there is none; which modes of the laws never occur; why a chain is missing; empty for nothing.
 
-    `slack` is how far what the controller has of each output may be from what was measured, by dead bands; `shares` the same as a
-    share of the output's own size, by relative triggers; both empty: nowhere.
+    `slack` bounds the difference of each output, at the controller, from the measured one, by dead bands; `shares` bounds it as a
+    share of the output, by relative triggers; empty: no node has such a trigger.
     """
 
     sc: DelayChain | None
@@ -101,7 +101,7 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
 
 
 def _begins(chain: DelayChain, ways: Sequence[Received]) -> DelayChain:
-    """The modes that the chain of some laws comes to, and in which of them it begins."""
+    """The chain with the modes that it reaches, and those in which it may begin."""
     first = begun(ways)
     return chain if first is None else within_reach(replace(chain, begins=first > 0.0), first)
 
@@ -135,7 +135,7 @@ def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopM
 
 
 def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Sequence[int]) -> str:
-    """What keeps from being known how far a silent node's last packet is from what it measures, in words; empty: nothing."""
+    """The reason why the error of a silent node's last packet has no known bound, a phrase; empty: it has one."""
     for medium in rig.media:
         if medium.table.loss:
             return f"network.media.{medium.name}.loss loses what a node sent last"
@@ -149,10 +149,10 @@ def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Seq
 
 
 def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """How far a silent node's last packet is from what it measures, at most, and as a share of it; empty where none has a band.
+    """Bounds of the error of a silent node's last packet: absolute, and as a share of the output; empty where no node has a band.
 
-    A node that is silent was asked: no output differs from what it sent last by more than the threshold. So the controller has
-    what it would have if all had been sent, but for the threshold; see `_beside_bands` for where that is not known.
+    A node is silent while no output differs from its last packet by more than the threshold. So the controller knows every sample
+    up to an error of the threshold; see `_beside_bands` for the exceptions.
     """
     found: dict[str, tuple[float, ...]] = {}
     for kind in BANDS:
@@ -176,7 +176,7 @@ def _distinguished(controller: Controller, model: LoopModel) -> int | Sequence[i
 
 
 def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:
-    """Return both chains from the slot on in which neither can be in a mode that it leaves for ever at a known slot.
+    """Return both chains from the first slot on in which neither can be in a transient mode of its first slots.
 
     Such modes, as of a cycle that begins, add a factor to the second moments and nothing to their growth.
     """
@@ -185,7 +185,7 @@ def settled(sc: DelayChain, ca: DelayChain) -> tuple[DelayChain, DelayChain]:
 
 
 def lasting(chain: DelayChain) -> tuple[NDArray[np.bool_], int]:
-    """Return the modes of a chain but those of its first slots, (N,), to which none leads back; and how many slots those are."""
+    """Return which modes of a chain do not belong to its transient first slots, (N,), and the number of these slots."""
     follows, lasts, slots = chain.bounds[1] > 0.0, np.ones(chain.modes, dtype=np.bool_), 0
     while not np.array_equal(after := lasts & follows[lasts].any(axis=0), lasts):
         lasts, slots = after, slots + 1
@@ -203,7 +203,7 @@ def _later(chain: DelayChain, slots: int) -> DelayChain:
 
 
 def never_received(sc: DelayChain | None, ca: DelayChain | None, rig: RigSpec) -> str:
-    """Return what of a loop's packets never comes where it is waited for, and why; empty: of each kind some come."""
+    """Return which packets of a loop never come although they are waited for, and why; empty: packets of each kind come."""
     if sc is not None:
         held = sc.held_outputs(len(rig.outputs))[lasting(sc)[0]]
         for n, sensor in enumerate(rig.sensors):

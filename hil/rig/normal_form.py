@@ -1,4 +1,4 @@
-"""From what a file says of its rig to the rig: checked once, every fault reported with its path, then in normal form."""
+"""Makes the rig of an experiment: checks its tables, reports every fault with its path, and returns one frozen value."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from transport.links.traits import CanFraming, traits_of
 
 @contextmanager
 def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
-    """Say of which part of the user's own an exception comes that was not foreseen, and in which line: before anything runs.
+    """Report an unforeseen exception of a user's own part, before a run, with the name of the part and the line.
 
     Raises:
         ExperimentError: the exception came of plant, controller or a network law that is not ours.

@@ -1,11 +1,11 @@
 """The chain of the ages at the controller where nodes take turns, wait for a bus, have clocks, or where ages are recorded.
 
-In slot k the newest packet of a node that may be there is the newest that it sent in or before slot k - a(k), with a(k) the age
-that its network law lets a receiver measure. So the state of a node is that of its law and, for j = 0, 1, ..., the age of the
-newest sample that was sent in or before slot k - j, or, under a packet law, when each packet comes that is on its way
-(`hil.rig.receiver`); that of a medium whose turn it is, or what waits for the bus. From slot 0 on
-every state is found that can come about. A sample older than every age that the law draws and every age that the controller tells
-apart was received before: of it the chain says no more than that the controller holds it.
+In slot k the newest received packet of a node is the newest that it sent in or before slot k - a(k), where a(k) is the age that a
+receiver measures under the node's network law. So a node's state is the state of its law and the packets on their way: for
+j = 0, 1, ... the age of the newest sample sent in or before slot k - j, or, under a packet law, the slot in which each packet
+comes (`hil.rig.receiver`). A medium's state is the node whose turn it is, or the packets that wait for the bus. All states that
+can be reached from slot 0 are enumerated. Samples older than every age that the law draws and the controller distinguishes are
+one state: the controller holds the sample.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _MEDIA = ("round-robin", "random", "can-arbitration")
 
 
 class State(NamedTuple):
-    """One state of everything: the slot's number in the cycle, the media's, the laws', and what of each node is on its way."""
+    """A state of the whole: number of the slot in the cycle, states of media and laws, packets of each node on their way."""
 
     phase: int
     media: tuple[object, ...]
@@ -48,7 +48,7 @@ Turned = Iterator[tuple[object, Offers, float]]
 def received_ages(
     rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: str = ""
 ) -> DelayChain | str:
-    """Return the chain of the ages of every output's newest sample at the controller; or in words why there is none.
+    """Return the chain of the ages of every output's newest sample at the controller; or the reason why there is none.
 
     A node with a band around what it sent counts as one that sends whenever it may, unless something keeps that from being known.
 
@@ -57,7 +57,7 @@ def received_ages(
         arriving: the law of each sensor node, as the controller meets it.
         distinguished: how many ages 0, 1, ... the controller distinguishes, of the oldest sample or of every node; the last for
             all beyond.
-        bands: what keeps nodes with a dead band or a relative trigger from being known, in words; empty: nothing does.
+        bands: why the error of a node with a dead band or a relative trigger is not bounded, a phrase; empty: it is bounded.
     """
     from design.processes.delay_chain import DelayChain
 
@@ -114,7 +114,7 @@ def received_ages(
 def _explored(
     sensors: Sequence[Sensor], media: Sequence[SharedMedium], channels: Sequence[Channel], far: Sequence[int]
 ) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
-    """Return every state that comes about, with whether in slot 0, and the steps between them; none if there are too many."""
+    """Return every reachable state (true: in slot 0), and the transitions between them; nothing if there are too many."""
     turns = [_turns(medium, sensors) for medium in media]
     free = [n for n in range(len(sensors)) if not any(n in medium.nodes for medium in media)]
     cycle = lcm(*(s.clock.every for s in sensors), *(len(m.nodes) for m in media if m.table.kind == "round-robin"))
@@ -167,7 +167,7 @@ def _turns(medium: SharedMedium, sensors: Sequence[Sensor]) -> Callable[[object,
     table, nodes, loss = medium.table, medium.nodes, medium.table.loss
 
     def fates(sending: Sequence[tuple[int, int]]) -> Iterator[tuple[Offers, float]]:
-        """Who gets through, of (node, age of its sample)."""
+        """Yield the packets that are not lost, of (node, age of its sample), with their probability."""
         for lost in product(*([(False, 1.0 - loss), (True, loss)] if loss else [(False, 1.0)] for _ in sending)):
             share = 1.0
             for _, chance in lost:

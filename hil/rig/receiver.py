@@ -1,12 +1,12 @@
-"""What a receiver makes of a network law: the chain of the ages that it measures, and what comes to it slot by slot.
+"""A network law seen by its receiver: the chain of the ages that it measures, and the samples that come slot by slot.
 
-Beyond `max_age` the controller keeps the newest sample, and takes the gains of the largest delay; the actuator has no row, and
-holds the input that it applied before.
+Beyond `max_age` the controller keeps the newest sample, and uses the gains of the largest delay; the actuator has no row, and
+holds the last input.
 
-A channel is the way of one node's samples to the controller. It has states of its law, such as the mode of a chain, and states
-of what is on its way. An age law lets a receiver measure an age a(k): the newest sample is the newest that was sent in or before
-slot k - a(k). Under a packet law each packet comes with a delay of its own; what is on its way, and when it comes, is part of the
-state.
+A channel carries one node's samples to the controller. Its state is that of its law, such as the mode of a chain, and that of the
+samples on their way. Under an age law a receiver measures an age a(k): the newest sample is the newest that was sent in or before
+slot k - a(k). Under a packet law each packet has a delay of its own; the packets on their way, and when each comes, are part of
+the state.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Receiver(NamedTuple):
-    """Who receives: when slots close (s), the largest age that it has rows or gains for, and whether it holds an input."""
+    """A receiver: when slots begin and close (s), the largest age that its rows or gains cover, and whether it holds an input."""
 
     period_s: float
     deadline_s: float
@@ -52,7 +52,7 @@ def delays_of(chain: AgeChain, at: Receiver) -> DelayChain:
 
 
 def why_no_ages(law: NetworkLaw, at: Receiver) -> str:
-    """Return why a law states no chain, in words."""
+    """Return the reason why a law states no chain, a phrase."""
     said = law.age_chain(at.period_s, at.deadline_s, at.max_age) if isinstance(law, PacketAges) else ""
     return f"states no chain: {said}" if isinstance(said, str) and said else "states no chain: it is a packet law or a trace"
 
@@ -84,7 +84,7 @@ class Received(Struct, frozen=True, kw_only=True):
         return delays_of(self.ages, self.at) if isinstance(self.ages, AgeChain) else None
 
     def neglects(self) -> str:
-        """Return what the chain leaves out, in words; empty where it is exact."""
+        """Return what the chain neglects, a phrase; empty where it is exact."""
         chain = self.ages
         if not isinstance(chain, AgeChain) or not chain.neglected:
             return ""
@@ -124,7 +124,7 @@ MOST_ENTRIES = 1024
 Chance = tuple[float, float, float]  # probability, its lower and its upper bound
 SURE: Chance = (1.0, 1.0, 1.0)
 OnWay = tuple[int, ...]
-"""What of a node's samples is on its way, in ages and slots."""
+"""A node's samples on their way, in ages and slots."""
 
 
 def recorded_cycle(law: RecordedLaw) -> np.ndarray | str:
@@ -165,12 +165,12 @@ class AgeChannel(NamedTuple):
 
     @property
     def oldest(self) -> int:
-        """Largest age, in slots from when it was sent, of a packet that comes as the newest."""
+        """Largest delay, in slots, of a packet that is the newest when it comes."""
         return max(self.ages)
 
     @property
     def sure(self) -> bool:
-        """Whether the newest sample that was sent in time is there in every slot, however seldom the node sends."""
+        """Whether the newest sample that was sent is received in every slot, even if the node does not send in every slot."""
         return True
 
     def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
@@ -257,13 +257,13 @@ Channel = AgeChannel | PacketChannel
 
 
 def _arrived(newest: int, flying: list[tuple[int, int]], far: int) -> OnWay:
-    """What has come and what is on its way, newest sample first, once those that are due now have come."""
+    """The state of a channel after the packets that are due now have come, newest sample first."""
     newest = min([newest, far, *(age for due, age in flying if due <= 0)])
     return (newest, *(number for due, age in flying if due > 0 and age < newest for number in (due, age)))
 
 
 def channel_of(way: Received) -> Channel | str:
-    """Return the channel of a node's law as the controller meets it; or why nothing is known."""
+    """Return the channel of a node's law to the controller; or the reason why its states are not known."""
     law = way.law
     if isinstance(law, RecordedLaw):
         cycle = recorded_cycle(law)

@@ -76,7 +76,7 @@ def bus_faults(e: Experiment, on_bus: Sequence[str], controller: str) -> list[Bu
 
 
 def beyond_the_end(e: Experiment) -> str:
-    """Return what of its time line a run never reaches, in words; empty where it reaches all.
+    """Return which faults of its time line a run never reaches, a sentence; empty where it reaches all.
 
     Args:
         e: a checked experiment.
@@ -94,7 +94,7 @@ def beyond_the_end(e: Experiment) -> str:
 
 
 def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
-    """Return when the last fault of a checked experiment is over and nothing of it is left, s; in words, why that is not known.
+    """Return from when on the last fault of a checked experiment has no more effect, s; or the reason why that is unknown.
 
     The watchdog looks at the way to the actuator alone, see `starves`: a controller that gets no sample answers all the same.
 
@@ -152,7 +152,7 @@ def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: 
 
 
 def as_one(cuts: Sequence[tuple[int, int]], gap: int = 0) -> list[tuple[int, int]]:
-    """Return cuts in order, those with so few slots between them as one: in these no command need have come."""
+    """Return cuts in order, those with at most `gap` slots between them merged: in so few slots no command need have come."""
     whole: list[tuple[int, int]] = []
     for first, end in sorted(cuts):
         if whole and first <= whole[-1][1] + gap:

@@ -1,7 +1,8 @@
 """What a run is compared with while it runs: the model of its plant, slot by slot, and the table of its controller.
 
-The test before a run, `hil.certify.conformance`, ends after some slots; who lies later, beyond the tested inputs or at some
-state is seen here alone. Both say by the same tolerances what is equal, and what kind a motion is that no model explains.
+The test before a run, `hil.certify.conformance`, ends after some slots. A plant or controller that departs from its statement
+later, at larger inputs or in another state is found by the comparison in the run alone. Both use the tolerances of this file, and
+`kind_of` for the motion that no model explains.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ Array = NDArray[np.float64]
 Running = RunningController | MultiSampleController
 
 EQUAL = 1e-6
-"""Share of the motion by which an honest plant may miss its model: rounding, and a fine integrator's error."""
+"""Share of the motion by which a plant may miss its model and still agree: rounding, and the error of a fine integrator."""
 CANCELS = 1e-11
-"""What the difference of two runs loses by rounding, as a share of their states."""
+"""Rounding error of the difference of two runs, as a share of their states."""
 LARGEST = 1e60
 RUN_AGAIN = 20_000
-"""Slots with loads or noise that are run once more beside a run's record: every one costs as much as the plant itself."""
+"""Slots with loads or noise for which the plant is run a second time: each costs as much as a slot of the plant."""
 
 
 class OneStep(Struct, frozen=True, kw_only=True):
-    """What the record of a plant fulfils in every slot if it moves by its model: e(k) = sum_i taps[i] z(k - i) = 0.
+    """The equation error of a plant's record: e(k) = sum_i taps[i] z(k - i), 0 in every slot if it moves by its model.
 
-    z(k) = (x, y, u + w) in slot k. A load or noise that nothing else moves is left in e.
+    z(k) = (x, y, u + w) in slot k. Loads and noise remain in e.
 
     Args:
         taps: (h + 1, q, width of z).
         names: name and unit of every row of e.
-        stated: what the plant says that pushes it from within.
+        stated: the inputs of its own that the plant states, see `HasOwnInputs`.
     """
 
     taps: Array
@@ -46,13 +47,13 @@ class OneStep(Struct, frozen=True, kw_only=True):
 
 
 class JumpStep(Struct, frozen=True, kw_only=True):
-    """What holds in a slot without a jump: |x(k+1) - F_i x(k) - G_i v| <= W_i (|x(k)|, |v|), entry by entry; v = u + w.
+    """The bound of a plant's record in a slot without a jump: |x(k+1) - F_i x(k) - G_i v| <= W_i (|x(k)|, |v|), v = u + w.
 
     Args:
         flows: [F_i G_i], (N, n, n + m).
         bands: W_i, (N, n, n + m); zero where the matrices are certain.
-        seen: whether the mode that is measured is the true one; else any of them may be it.
-        unseen: mean number of jumps in a slot whose two ends show the same mode.
+        seen: whether the measured mode is the true one; else the true mode may be any.
+        unseen: mean number of jumps in a slot that begins and ends in the same mode.
         names: name and unit of every state.
     """
 
@@ -64,13 +65,13 @@ class JumpStep(Struct, frozen=True, kw_only=True):
 
 
 class Watched(Struct, frozen=True, kw_only=True):
-    """What is compared in a run.
+    """The comparisons of a run.
 
     Args:
-        plant: of the plant, None where nothing is.
-        controller: what the controller says that it is, None where nothing is.
-        claimed: whether a certificate rests on it.
-        laws: which network laws are the user's own and state a chain, as places among those of the rig.
+        plant: equation of the plant's record; None: the plant is not compared.
+        controller: the controller that the running one states; None: it is not compared.
+        claimed: whether a certificate rests on the comparisons.
+        laws: indices, among the laws of the rig, of the user's own network laws that state a chain.
     """
 
     plant: OneStep | JumpStep | None
@@ -82,39 +83,40 @@ class Watched(Struct, frozen=True, kw_only=True):
 Free = Literal["none", "constant", "noise", "moves", "not compared"]
 ROUNDING = 1e-9
 STEPS = 4
-"""Instants at which a load may set in or end; in a slot of its own each time."""
+"""Slots in which a load may begin or end."""
 GROWTH = 3.0
-"""Noise of one deviation whose last third is larger than its first by this factor: one in 1e20 runs of 300 slots."""
+"""Ratio of the noise's last third to its first that shows growth: of stationary noise one in 1e20 runs of 300 slots has it."""
 
 
 class FreeMotion(NamedTuple):
-    """What is left of a free motion when the model's is taken away: its kind, its size, and the signal's name and unit."""
+    """The residual of a motion without inputs, the model's motion subtracted: its kind, its size, name and unit of its signal."""
 
     kind: Free
     size: float = 0.0
     signal: tuple[str, str] = ("", "")
 
 
-def kind_of(mine: Array, its: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
-    """Return what kind of motion is left, of a run and of another one of the same seed.
+def kind_of(residual: Array, other: Array, sizes: Array, signals: list[tuple[str, str]]) -> FreeMotion:
+    """Return the kind of a residual: nothing, a constant load, stationary noise, or a motion that the model lacks.
 
     Args:
-        mine, its: what is left in every slot of both runs, (slots, q).
-        sizes: of the states, whose rounding is no motion.
+        residual: of a run, in every slot, (slots, q).
+        other: of a second run.
+        sizes: of the states, whose rounding counts as no motion.
         signals: name and unit of every column.
     """
-    count = min(len(mine), len(its))
-    scale = ROUNDING * np.maximum.accumulate(np.abs(sizes)).max(axis=1, keepdims=True)[: len(mine)] + 1e-300
+    count = min(len(residual), len(other))
+    scale = ROUNDING * np.maximum.accumulate(np.abs(sizes)).max(axis=1, keepdims=True)[: len(residual)] + 1e-300
     scale = scale + ROUNDING * np.abs(sizes[0]).max()
-    if not (np.abs(mine) > scale).any():
+    if not (np.abs(residual) > scale).any():
         return FreeMotion("none")
-    k, i = np.unravel_index(int(np.abs(mine).argmax()), mine.shape)
-    found = (float(abs(mine[k, i])), signals[int(i)])
-    third = max(len(mine) // 3, 1)
-    if (np.abs(mine[:count] - its[:count]) > scale[:count]).any():
-        early, late = (float(np.sqrt((part * part).mean())) for part in (mine[:third], mine[-third:]))
+    k, i = np.unravel_index(int(np.abs(residual).argmax()), residual.shape)
+    found = (float(abs(residual[k, i])), signals[int(i)])
+    third = max(len(residual) // 3, 1)
+    if (np.abs(residual[:count] - other[:count]) > scale[:count]).any():
+        early, late = (float(np.sqrt((part * part).mean())) for part in (residual[:third], residual[-third:]))
         return FreeMotion("moves" if late > GROWTH * early + float(scale.max()) else "noise", *found)
-    changes = int((np.abs(np.diff(mine, axis=0)) > 2.0 * scale[1 : len(mine)]).any(axis=1).sum())
+    changes = int((np.abs(np.diff(residual, axis=0)) > 2.0 * scale[1 : len(residual)]).any(axis=1).sum())
     return FreeMotion("constant" if changes <= STEPS else "moves", *found)
 
 
@@ -124,6 +126,6 @@ def looks_back(running: Running) -> int | None:
 
 
 def handed(running: Running) -> str:
-    """Return in words which samples a running controller is handed."""
+    """Return a phrase that says which samples a running controller is handed."""
     memory = looks_back(running)
     return "takes the newest sample alone" if memory is None else f"takes every sample of the last {memory + 1} slots"

@@ -1,4 +1,4 @@
-"""One run, from an experiment to its log and its summary; and what its log can be asked afterwards."""
+"""One run, from an experiment to its log and its summary; and the replay of a log."""
 
 from hil.session.both_clocks import Onlooker
 from hil.session.finished import Session

@@ -1,4 +1,4 @@
-"""The run of a session itself: in virtual time, where it is paced and stopped here, or in real time, in processes of its own."""
+"""The run of a session: in virtual time in this process, paced and stopped here; or in real time in processes of its own."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals, failure_
 from hil.runtime.virtual import run_virtual
 
 FORCE_S = 0.5
-"""A run in virtual time whose slot does not end for so long after a signal is ended in it: everything stops within a second."""
+"""A slot in virtual time that has not ended so long after a signal is interrupted: everything stops within a second."""
 
 
 class Onlooker(Protocol):
-    """Who looks at a run while it goes on, changes it, and in virtual time paces it."""
+    """Observes a running session, changes its experiment, and in virtual time paces it."""
 
     @property
     def clock(self) -> Clock | None:
@@ -32,19 +32,19 @@ class Onlooker(Protocol):
         ...
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
-        """Take the loop that will run, and the table of its log; return what takes its records, by topic."""
+        """Take the loop that will run, and the channels of its log; return the receivers of its records, by topic."""
         ...
 
     @property
     def changes(self) -> Changes | None:
-        """Asked for what changes in every slot, once: in virtual time as it begins, in real time some slots ahead.
+        """Called once for every slot: in virtual time at its beginning, in real time some slots ahead.
 
-        None for a run that takes no change.
+        None for a run that takes no changes.
         """
         ...
 
     def end(self) -> None:
-        """The run is to end: wait for nothing more. A signal handler may call it."""
+        """Stop waiting, as the run is to end. A signal handler may call it."""
         ...
 
 
@@ -55,11 +55,11 @@ def run_in_virtual_time(loop: Loop, log: McapSink, sink: Sink, onlooker: Onlooke
         for each in stops:
             each()
 
-    log.failed = lambda: stop(0)  # nothing that the log cannot hold is computed
+    log.failed = lambda: stop(0)  # a run whose log is full ends
     out: dict[str, Any] = {}
 
     def failed(error: BaseException) -> bool:
-        """Keep what a plant, a controller or a law of the user's own raised in mid-run: the log is closed with it."""
+        """Keep the exception of a user's own plant, controller or law, which the log reports at its end."""
         failure = failure_of(loop, error)
         if failure is not None:
             out[failure[0]] = failure[1]

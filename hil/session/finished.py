@@ -1,6 +1,4 @@
-"""What a finished run leaves behind: its log, what that says of the run (summary, problems, exit status), and how it is shown in
-a notebook and in a paper.
-"""
+"""The result of a run: its log, its summary with problems and exit status, and its presentation in a notebook and in a paper."""
 
 from __future__ import annotations
 
@@ -37,20 +35,20 @@ if TYPE_CHECKING:
 TILES = 6
 
 LEFT: Final = 7
-"""Exit status where a plant or a controller was not, in the run, what it says that it is."""
+"""Exit status where plant or controller departed, in the run, from what it states."""
 
 INTRUSIONS: Final = {"second controller": 5, "flood": 6}
 """Exit statuses by the events that say that another process sends on the link."""
 
 
 class Session(Struct, frozen=True, kw_only=True):
-    """What a finished run leaves behind.
+    """The result of a run.
 
     Args:
         log: returns the log, read when it is first asked for.
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
-            5 a second controller answered too, 6 the link was flooded, 7 the plant or the controller was not what it says,
+            5 a second controller answered too, 6 the link was flooded, 7 plant or controller departed from what it states,
             130 or 143 interrupted.
         experiment: what ran.
     """
@@ -175,7 +173,7 @@ def _units(run: Run, topic: str) -> dict[str, str]:
 
 
 def summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
-    """Return what a summary needs of a log in virtual time, topic to fields (None: all); None where it needs raw frames."""
+    """Return the topics and fields (None: all) of a log that a summary in virtual time reads; None where it reads raw frames."""
     table = channels_of(loop)
     keep: dict[str, Sequence[str] | None] = dict.fromkeys((MEASUREMENT, REFERENCE, APPLIED, TIMING))
     for topic, laws in ((SC.name, loop.rig.laws[:-1]), (CA.name, loop.rig.laws[-1:])):
@@ -187,7 +185,7 @@ def summary_needs(loop: Loop) -> dict[str, Sequence[str] | None] | None:
 
 
 def kept_run(sink: McapSink, provenance: Provenance) -> Run:
-    """Return the run of what was kept while the log was written, as the log says it."""
+    """Return the run with the records that were kept in memory, equal to those of the log."""
     arrays = sink.kept.arrays()
     return Run(
         arrays=arrays,
@@ -237,7 +235,7 @@ def kinds_of(run: Run) -> set[str]:
 
 
 def messages_of(run: Run, kinds: Collection[str]) -> dict[str, Any]:
-    """Return what the events of some kinds say, by kind."""
+    """Return the messages of the events of some kinds, by kind."""
     return {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in kinds}
 
 
@@ -260,7 +258,7 @@ def status_of(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:
     if outcome.keys() & {"rig_lost", "log_lost", "measure_failed"} or kinds & {PLANT_FAILED, PLUG_IN_FAILED} or sink.error:
         return 1
     if "second controller" in kinds:
-        return INTRUSIONS["second controller"]  # whatever it led to: the run is not that of our controller
+        return INTRUSIONS["second controller"]  # before all later problems: the run is not that of our controller
     if kinds & {WITHDRAWN, DEPARTED}:
         return LEFT
     return 3 if "safety" in kinds else INTRUSIONS["flood"] if "flood" in kinds else 0

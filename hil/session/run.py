@@ -87,7 +87,7 @@ def run_session(
         taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
-        onlooker: who looks at the run, and may change it, and in virtual time pace it.
+        onlooker: observes the run, may change it, and in virtual time pace it.
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.

@@ -1,9 +1,10 @@
-"""Whether what jumps in a run keeps to what it states: a plant to the matrices of its modes, a network law to its chain.
+"""Compares a plant that jumps with the matrices of its modes, and a network law with its chain, while they run.
 
-Of a plant slots are compared whose two ends show the same mode; of a law the modes that it drew, once the run has ended.
-A jump that comes and goes within a slot is not seen, so that a few slots may miss: no more than the rates let be. Where noise
-moves the plant, a second run of the same seed without commands has the same modes and noise, and the difference is compared:
-many slots at a time, and slot by slot where that finds anything. In the run a block is compared in small steps, one in each slot.
+Of a plant, the slots are compared that begin and end in the same mode. A jump to another mode and back within a slot is not seen,
+so a few slots may miss the matrices, as many as the rates allow. Where noise moves the plant, a second run of the same seed
+without commands has the same modes and noise, and the difference of both runs is compared: first `STRIDE` slots at once, and slot
+by slot where these miss. In the run a block is compared in small steps, one in each slot. Of a law, the modes that it drew are
+compared once the run has ended.
 """
 
 from __future__ import annotations
@@ -26,20 +27,20 @@ Array = NDArray[np.float64]
 InSteps = Generator[None, None, Result]
 """Work in steps, of a slot each."""
 UNLIKELY: Final = 1e-9
-"""Chance of so many jumps that were not seen, by Chernoff's bound; a law's record so unlikely is not of the law that is stated.
+"""Probability below which a count of missed slots, by Chernoff's bound, or the record of a law contradicts what is stated.
 
-One right run in 1e9 loses its certificate.
+One run in 1e9 of a plant or law that is as stated loses its certificate.
 """
 SUSPECT: Final = 1e-3
-"""The same, of a second run that goes many slots at once: where it is less likely, every slot is looked at."""
+"""The same probability for slots that are compared many at once: below it, every slot is compared."""
 FEW: Final = 3
-"""Slots that may miss in any run."""
+"""Slots that may miss in any run, whatever the rates."""
 STRIDE: Final = 32
-"""Slots that a long second run goes at once: a plant takes little longer for them than for one."""
+"""Slots by which a long second run advances at once: that takes a plant little longer than one slot."""
 
 
 class Missed(NamedTuple):
-    """How many steps were compared and how many miss; the slot in which they are too many, and by how much it misses."""
+    """Numbers of compared and of missed steps; the slot in which the missed are too many, and a phrase that says by how much."""
 
     compared: int
     steps: int
@@ -50,7 +51,7 @@ class JumpWatch:
     """Compares a plant's record with the flows of its modes.
 
     Args:
-        step: what the record fulfils.
+        step: the bound of its record.
         start: starts the plant again as in this run.
         period_ns: sample period, ns.
     """
@@ -66,7 +67,7 @@ class JumpWatch:
         self._kept: list[Array] = []
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
-        """Take what a slot has come to: states, outputs, command and disturbance."""
+        """Take states, outputs, command and disturbance of a slot."""
         blocks = self._blocks
         blocks.pack(blocks.seen, blocks.filled, *y, *u, *w)
         blocks.taken()
@@ -89,9 +90,14 @@ class JumpWatch:
         return _too_many(self._missed, self._step.unseen * self._compared)
 
     def _missed_in(self, x: Array, z: Array, begin: int, stride: int, lost: float) -> InSteps[Missed]:
-        """Compare the motion x, (n, steps + 1), in every so many slots of a record z, which begins in a slot.
+        """Compare the motion x, (n, steps + 1), with the flows of the modes.
 
-        Rounding has lost so much of it.
+        Args:
+            x: states every `stride` slots.
+            z: the record, one column a slot.
+            begin: slot of its first column.
+            stride: slots of a step.
+            lost: rounding error of x.
         """
         step, n, m, count = self._step, self._n, self._m, x.shape[1] - 1
         if count < 1:
@@ -143,7 +149,7 @@ class JumpWatch:
         return left
 
     def _beside(self, own: Array, stride: int) -> tuple[int, str] | None:
-        """Return where a record leaves its modes beside a run without commands, compared every so many slots."""
+        """Return where the difference to a run without commands leaves the modes, compared every `stride` slots."""
         n, alone = self._n, self._alone((len(own) - 1) // stride + 1, stride)
         same = own[: stride * len(alone) : stride]
         other = np.flatnonzero(same[:, n] != alone[:, n])
@@ -154,7 +160,7 @@ class JumpWatch:
         return at_once(self._missed_in(difference, np.ascontiguousarray(own.T), self._first, stride, lost)).left
 
     def _alone(self, count: int, stride: int) -> Array:
-        """Return the outputs of a run without commands, every so many slots from the first that was kept, as far as it goes."""
+        """Return the outputs of a run without commands, every `stride` slots from the first that was kept, as far as it runs."""
         run, rows, still, slot = self._start(), [], (0.0,) * self._m, 0
         for k in range(self._first, self._first + stride * count, stride):
             try:
@@ -177,7 +183,7 @@ def _after(flow: Array, known: Array) -> Array:
 
 
 def _beyond(flow: Array, band: Array, known: Array, after: Array, lost: float) -> InSteps[tuple[Array, Array]]:
-    """By how much the states after a slot leave their band: as a share of the terms of the sum, and as it is; (n, slots) each."""
+    """By how much the states after a slot leave their band, (n, slots): as a share of the largest sum of terms, and absolute."""
     left, scale, allowed = after.copy(), np.abs(after), np.full_like(after, lost)
     for i, column in zip(*np.nonzero(flow)):  # in one order on every machine
         yield
@@ -193,7 +199,7 @@ def _beyond(flow: Array, band: Array, known: Array, after: Array, lost: float) -
 
 
 def _too_many(count: int, mean: float, chance: float = UNLIKELY) -> bool:
-    """Whether so many jumps are too many, where so many are to be expected at most."""
+    """Whether a count of jumps is too large for its mean: its probability is below `chance` by Chernoff's bound."""
     return count > max(FEW, mean) and count * log(count / max(mean, 1e-300)) - count + mean > -log(chance)
 
 

@@ -1,10 +1,10 @@
-"""Whether a plant that runs keeps to its model: its record beside the model's next step, a block of slots at a time.
+"""Compares the record of a running plant with its model, by the one-step equation error, a block of slots at a time.
 
 A block is compared in small steps, one in each of the slots that follow: at once, 1024 slots took 250 us where caches are cold,
 and a session in real time would be late.
 
-What the model leaves unexplained is compared with what it leaves of a second run of the same seed, without commands: noise and
-loads are the same in both, and only what depends on the motion differs.
+The equation error is compared with that of a second run of the same seed without commands: noise and loads are the same in both
+runs, so a difference shows an error that depends on the motion.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Array = NDArray[np.float64]
 BLOCK: Final = 512
 """Slots that are compared at once."""
 MOST_KEPT: Final = 200_000
-"""Slots with loads or noise in which what is left over may not grow; what comes behind them is not looked at."""
+"""Slots with loads or noise whose equation error is kept: it may not grow in these, and later slots are not compared."""
 ANOTHER: Final = 2048
-"""Slots with loads or noise of a run with other random numbers, which says what kind of motion they are."""
+"""Slots of a run with other random numbers, by which the kind of the equation error is told; see `kind_of`."""
 
 
 class Blocks:
-    """Takes what slots have come to, and lets a block of them be compared in small steps, one in each slot that follows.
+    """Collects the signals of the slots, and has each block of them compared in small steps, one in each slot that follows.
 
     Args:
         width: numbers of a slot.
@@ -38,19 +38,19 @@ class Blocks:
         compare: given the slot of the first row, and the rows of the slots before the block and of its own, (slots, width).
 
     Attributes:
-        pack, seen, filled: packs what a slot has come to, into these bytes, behind so many.
+        pack, seen, filled: `pack` writes the signals of a slot into the bytes `seen`, at the offset `filled`.
     """
 
     def __init__(self, width: int, history: int, compare: Callable[[int, Array], Iterator[None]]) -> None:
         slot = Struct(f"{width}d")
         self.pack, self._bytes, self.filled = slot.pack_into, slot.size, 0
-        self.seen = bytearray(BLOCK * slot.size)  # numbers, not objects: what is kept as objects leaves the cache cold
+        self.seen = bytearray(BLOCK * slot.size)  # numbers: Python objects would leave the cache cold
         self._past, self._history, self._next = np.zeros((0, width)), history, 0
         self._compare = compare
         self._work: Iterator[None] | None = None
 
     def taken(self) -> None:
-        """Go on to the next slot: what this one has come to is packed."""
+        """Go on to the next slot; the signals of this one are packed."""
         self.filled += self._bytes
         if self._work is not None:
             self._go_on()
@@ -58,13 +58,13 @@ class Blocks:
             self._begin()
 
     def finish(self) -> None:
-        """Compare what is left, at once."""
+        """Compare all slots that are left, without steps."""
         if self.filled:
             self._begin()
         self._catch_up()
 
     def _begin(self) -> None:
-        """Finish the block before, and take the first step of that which is there: of a copy of it."""
+        """Finish the block before, and take the first step of a copy of the new one."""
         self._catch_up()
         now = np.frombuffer(self.seen)[: self.filled // 8].reshape(-1, self._past.shape[1])
         z, begin = np.concatenate([self._past, now]), self._next - len(self._past)
@@ -86,9 +86,9 @@ class PlantWatch:
     """Compares a plant's record with its model.
 
     Args:
-        step: what the record fulfils.
-        start: starts the plant again, as in this run (0) or with other random numbers (1).
-        disturbance: what is added to the commands in a slot.
+        step: the equation of its record.
+        start: starts the plant again, with the random numbers of this run (0) or with others (1).
+        disturbance: disturbance of a slot, added to the commands.
         period_ns: sample period, ns.
     """
 
@@ -103,7 +103,7 @@ class PlantWatch:
         self._count = 0
 
     def take(self, x: Sequence[float], y: Sequence[float], u: Sequence[float], w: Sequence[float]) -> None:
-        """Take what a slot has come to: states, outputs, command and disturbance."""
+        """Take states, outputs, command and disturbance of a slot."""
         blocks = self._blocks
         blocks.pack(blocks.seen, blocks.filled, *x, *y, *map(add, u, w))
         blocks.taken()
@@ -153,7 +153,7 @@ class PlantWatch:
         first = min(again, ANOTHER)
         other, _ = self._alone(1, first)
         own = kind_of(left[:first], other, scale[:first], list(self._step.names))
-        if own.kind == "noise" and len(left) > first:  # what was not run again is judged by its growth alone
+        if own.kind == "noise" and len(left) > first:  # slots that were not run again are judged by growth alone
             own = kind_of(left, other, scale, list(self._step.names))
         if own.kind != "moves":
             return None
@@ -161,7 +161,7 @@ class PlantWatch:
         return self._first + k, f"up to {_rounded(own.size)} {own.signal[1]} in a slot, without inputs ({own.signal[0]})"
 
     def _alone(self, which: int, slots: int) -> tuple[Array, Array]:
-        """Return what is left over of a run without commands in the slots that were kept, and of what sizes."""
+        """Return the equation error of a run without commands in the slots that were kept, and the sizes of its terms."""
         run, history, end = self._start(which), len(self._step.taps) - 1, self._first + slots
         w = self._disturbance(0)
         still, rows = (0.0,) * len(w), []

@@ -1,1 +1,1 @@
-"""What a log can be asked afterwards."""
+"""The replay of a log: verify it, run another controller on it, put it on a link."""

@@ -1,6 +1,6 @@
-"""Avatar and material of a haptic run, computed again: the wall is deterministic in what the log holds.
+"""Avatar and material of a haptic run, recomputed from its log: both are deterministic functions of the logged samples.
 
-Packets carry single precision: the wall saw the measured values rounded to it, and its forces are logged rounded to it.
+Packets carry single precision: the controller received the samples rounded to it, and its forces are logged rounded to it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ContactState(Protocol):
 
 @runtime_checkable
 class HasContact(Protocol):
-    """A running controller that says what it touches."""
+    """A running controller that states the position of its avatar and the material."""
 
     @property
     def contact(self) -> ContactState: ...
@@ -56,14 +56,14 @@ class HasContact(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AvatarPath:
-    """What the wall saw, in every slot that the controller answered from a sample.
+    """The path of the avatar, for every slot that the controller answered from a sample.
 
     Args:
         t_s: session time of the answer (n,), s.
         depth_m: place of the avatar behind the surface (n,), m.
         material: index of the material under it (n,).
-        y_m, z_m: its place along the wall (n,), m: that of the sample, which is as old as the link made it.
-        same: whether the forces computed again are those of the log, bit for bit.
+        y_m, z_m: place of the sample along the wall (n,), m; the sample is delayed by the network.
+        same: whether the recomputed forces are those of the log, bit for bit.
     """
 
     t_s: Array

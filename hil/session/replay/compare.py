@@ -1,4 +1,4 @@
-"""Records of a log beside those of a second run of it, batch by batch: where do they first differ?"""
+"""Finds the first difference between the records of a log and those of a second run, batch by batch."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ BATCH: Final = 2048
 """Slots whose records are compared together."""
 
 NEAR: Final = 1e-9
-"""Of the largest value of a signal so far: what another machine's last bits come to at most, where something is not exact."""
+"""Largest difference that rounding on another machine makes, as a share of the largest value of a signal so far."""
 
 WIRE: Final = 2.0**-22
-"""The same of what a frame carries, which is rounded to single precision: two units in its last place."""
+"""The same for a value in a frame, which is in single precision: two units in the last place."""
 
 _NONE: Final[StructuredArray] = np.empty(0, [("slot", np.int64)])
 
@@ -27,16 +27,16 @@ Difference = tuple[int, str]
 
 
 class Comparison:
-    """What a log holds, and what runs again now: the first difference of every topic.
+    """The first difference, in every topic, between a log and a second run.
 
     Args:
         run: the log.
         channels: the session's table.
         topics: that are compared.
-        slots: records of later slots are left out.
+        slots: number of slots that are compared.
 
     Attributes:
-        sink: takes the records of now.
+        sink: takes the records of the second run.
     """
 
     def __init__(self, run: Run, channels: Mapping[str, Channel], topics: list[str], slots: int) -> None:
@@ -45,7 +45,7 @@ class Comparison:
         self._topics = {topic: _Topic(topic, run, slots) for topic in topics}
 
     def compare(self) -> None:
-        """Compare what has come since the last time."""
+        """Compare the records that have come since the last call."""
         for topic, own in self._topics.items():
             times, payloads = self.sink.times[topic], self.sink.payloads[topic]
             own.take(assemble(self._channels[topic].schema, payloads, times=times))
@@ -56,8 +56,8 @@ class Comparison:
         """Return the first difference of every topic in slots below a number, after the last comparison.
 
         Args:
-            slots: later ones are left out.
-            far: only those beyond `NEAR`.
+            slots: number of slots that count.
+            far: only differences beyond `NEAR`.
         """
         ended = [own.finish(slots) for own in self._topics.values()]
         found = [own.far if far else own.exact for own in ended]
@@ -97,7 +97,7 @@ class _Topic:
 
 
 class _Reader:
-    """The records of pieces, as many at a time as are asked for."""
+    """Reads records that come in pieces, any number at a time."""
 
     def __init__(self, pieces: Iterator[StructuredArray]) -> None:
         self._pieces = pieces
@@ -125,13 +125,13 @@ def in_time(records: StructuredArray) -> StructuredArray:
 
 
 def near_frames(recorded: bytes, now: bytes) -> bool:
-    """Return whether two frames carry the same but for the last bits of their numbers."""
+    """Return whether two frames are equal up to the last bits of their numbers."""
     a, b = decode(recorded), decode(now)
     return type(a) is type(b) and near_values(a, b)
 
 
 def near_values(a: Any, b: Any) -> bool:
-    """Return whether two values of a frame are the same but for the last bits of their numbers."""
+    """Return whether two values of a frame are equal up to the last bits of their numbers."""
     if isinstance(a, tuple) and isinstance(b, tuple):
         return len(a) == len(b) and all(near_values(x, y) for x, y in zip(a, b))
     if isinstance(a, float) and isinstance(b, float):
@@ -147,7 +147,7 @@ def _difference(
     Args:
         topic: of the records.
         recorded, now: the series.
-        largest: of every signal the largest value so far: what is `NEAR` to another then is the same.
+        largest: largest value of every signal so far, for which values within `NEAR` are equal; None: equal means the same bits.
     """
     n = min(len(recorded), len(now))
     a, b = recorded[:n], now[:n]

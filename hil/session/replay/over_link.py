@@ -1,9 +1,8 @@
-"""A log over a real link: a controller's process beside what it said once, and all recorded frames put on a bus again.
+"""Replays a log over a real link: sends the recorded sensor frames to a controller process, or all recorded frames to a bus.
 
-A process is asked the recorded questions, and its answers stand beside the recorded ones. The idea is openpilot's process replay:
-what a process reads and publishes is data, so a change of it shows as a difference of data. The rig's frames are those of the
-log, bit for bit; what the answers may differ in stands in `MAY_DIFFER`. A slot waits for its answer, so nothing depends on how
-fast the process or the machine is.
+The answers of the process are compared with the recorded ones, as in openpilot's process replay: a change of the process shows as
+a difference of its data. The sensor frames are those of the log, bit for bit; `MAY_DIFFER` lists the fields in which answers may
+differ. A slot waits for its answer, so the result does not depend on the speed of the process or the machine.
 """
 
 from __future__ import annotations
@@ -36,10 +35,10 @@ from transport.links.opening import open_link
 from transport.packets import ControlPacket, decode
 
 MAY_DIFFER: Final = ("control_ns", "counter")
-"""Fields of an answer that tell when it was made and how often was asked, not what was computed."""
+"""Fields of an answer that depend on its time and on the number of frames, not on what was computed."""
 
 MOST_TOLD: Final = 20
-"""Differences that are kept."""
+"""Differences that are kept, at most."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +62,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Asked:
-    """What came of it.
+    """Result of sending the recorded frames to a controller process.
 
     Args:
         compared: answers that were compared.
@@ -79,7 +78,7 @@ class Asked:
 def ask_process(
     run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, *, start_s: float = 60.0
 ) -> Asked:  # fmt: skip
-    """Put the recorded questions to a controller that runs, and compare its answers with the recorded ones.
+    """Send the recorded sensor frames to a running controller process, and compare its answers with the recorded ones.
 
     Args:
         run: the log.
@@ -136,7 +135,7 @@ def _answer(link: Link, k: int, patience_s: float) -> ControlPacket | None:
 
 
 def differences(k: int, recorded: ControlPacket, now: ControlPacket | None) -> Iterator[Difference]:
-    """Give the fields in which two answers differ, but for `MAY_DIFFER`; numbers may differ in the last bits of the wire.
+    """Yield the fields in which two answers differ, without `MAY_DIFFER`; numbers may differ in the last bits of the wire.
 
     Args:
         k: their slot.

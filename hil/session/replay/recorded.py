@@ -1,7 +1,4 @@
-"""What a log recorded of the link: the nonces of the questions, and the answers that came in time, slot by slot.
-
-Answers may carry the codes of a key: who had no key can have made none of them.
-"""
+"""The recorded frames of a log: the nonces of the sensor frames, the answers that came in time, and the tags of a key."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ MOST_SORTED: Final = 200_000
 
 
 def frames(parts: Iterator[StructuredArray]) -> Iterator[tuple[int, bytes]]:
-    """Give slot and bytes of every frame."""
+    """Yield slot and bytes of every frame."""
     for piece in parts:
         yield from zip(piece["slot"].tolist(), map(bytes, piece["data"]))
 
@@ -139,7 +136,7 @@ class Woken:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Tags:
-    """What the tags of a log say.
+    """Result of verifying the tags of a log.
 
     Args:
         verified: answers, late ones too, whose tag is that of the key.
@@ -190,7 +187,7 @@ def changes_of(run: Run) -> list[Asked]:
     """Return the changes of a run, in order.
 
     Raises:
-        HilError: an event says otherwise than `hil.runtime.changes.log_change` writes it.
+        HilError: an event is not as `hil.runtime.changes.log_change` writes it.
     """
     found = []
     for event in run.events:
@@ -203,7 +200,7 @@ def changes_of(run: Run) -> list[Asked]:
 
 
 def composed(loop: Loop, asked: Iterable[Asked], *, certify: bool = True) -> Iterator[tuple[int, Change]]:
-    """Give the slot and the loop of each change.
+    """Yield the slot and the loop of each change.
 
     Args:
         loop: what runs at the beginning.

@@ -1,4 +1,4 @@
-"""What a log can be asked afterwards: was it so, what would another controller have done."""
+"""Verifies a log by running it again, and computes the commands of another controller on the recorded samples."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from hil.session.replay.recorded import RecordedAnswers, Woken, changes_of, comp
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 
 REMEMBERED = 4096
-"""Slots beyond the longest delay of which answers are kept."""
+"""Slots beyond the longest delay for which answers are kept."""
 
 
 Likeness = Literal["same bits", "same within 1e-9", "different"]
@@ -89,7 +89,7 @@ def experiment_of(
 
 
 def changed_files(run: Run, experiment: Experiment) -> list[str]:
-    """Return a sentence for every own module that is not, word for word, the one that ran.
+    """Return a sentence for every module of the user's own whose text is not that of the module that ran.
 
     Args:
         run: the log.
@@ -101,7 +101,7 @@ def changed_files(run: Run, experiment: Experiment) -> list[str]:
 
 
 def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
-    """Feed the recorded sensor frames to the loop's controller; give the slot and its answer."""
+    """Feed the recorded sensor frames to the loop's controller; yield the slot and its answer."""
     node = ControlNode(loop)
     for slot, data in frames(run.pieces(SENSOR.name, BATCH)):
         answer = node.on_frame(data)
@@ -110,12 +110,12 @@ def _answers(loop: Loop, run: Run) -> Iterator[tuple[int, bytes]]:
 
 
 class Recorded:
-    """The link of a replay: what was recorded answers, and our controller says whether it would have said the same.
+    """The exchange of a replay: it hands over the recorded answers, and compares them with those of our controller.
 
     Args:
         loop: the composed experiment.
         received: the control packets that arrived in time.
-        foreign: an external controller answered; ours is not asked.
+        foreign: an external controller answered; the answers are not compared.
     """
 
     def __init__(self, loop: Loop, received: RecordedAnswers, foreign: bool) -> None:
@@ -126,12 +126,12 @@ class Recorded:
         self.far: tuple[int, str] | None = None
 
     def ask(self, t_ns: int, frames: Sequence[bytes]) -> None:
-        """Ask our controller."""
+        """Let our controller answer."""
         answers = [answer for answer in map(self.node.on_frame, frames) if answer is not None]
         self._answer = answers[-1] if answers else None
 
     def answer(self, t_ns: int, on_frame: OnFrame) -> None:
-        """Hand over what was recorded, and compare."""
+        """Hand over the recorded answer, and compare it."""
         k = t_ns // self._period_ns
         recorded = self._received.get(k)
         if recorded is None:
@@ -153,7 +153,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     Args:
         run: the log.
         source: its name, for messages.
-        experiment: what `experiment_of` made of it, where it took more than the log.
+        experiment: that of `experiment_of`, where the log alone was not enough.
 
     Raises:
         HilError: if the log has no slots.
@@ -204,7 +204,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
 
 
 def _said(data: bytes | None) -> bytes | None:
-    """Return what an answer says: no tag, which the link adds, and not its counter, which counts what was lost, too."""
+    """Return an answer without its tag, which the link adds, and its counter, which also counts lost answers."""
     packet = decode(data) if data is not None else None
     return encode_control(packet._replace(counter=0)) if isinstance(packet, ControlPacket) else data
 
@@ -217,14 +217,14 @@ def _words(data: bytes | None) -> str:
 def what_if(
     run: Run, controller: Controller | Designer, kind: str, source: str = "log", experiment: Experiment | None = None
 ) -> dict[str, NDArray[np.float64]]:
-    """Ask what another controller would have commanded on the recorded arrivals (the plant does not react).
+    """Compute the commands of another controller on the recorded samples (the plant does not react).
 
     Args:
         run: the log.
         controller: parameters of the other one.
         kind: its name.
         source: name of the log, for messages.
-        experiment: what `experiment_of` made of it, where it took more than the log.
+        experiment: that of `experiment_of`, where the log alone was not enough.
 
     Returns:
         ``t_s``, and per input ``recorded_<name>`` (as applied) and ``<kind>_<name>`` (the row with the recorded d and selection
@@ -261,14 +261,14 @@ def what_if(
 
 
 class _Recent:
-    """The answers of the last slots: what the actuator may still apply."""
+    """The answers of the last slots, which the actuator may still apply."""
 
     def __init__(self, slots: int) -> None:
         self._slots, self._last = slots, -1
         self._packets: dict[int, SensorPacket | ControlPacket | None] = {}
 
     def of(self, g: int, answers: Iterator[tuple[int, bytes]]) -> SensorPacket | ControlPacket | None:
-        """Return the answer of a slot, reading on as far as need be."""
+        """Return the answer of a slot; answers are read on up to this slot."""
         while self._last <= g and (more := next(answers, None)) is not None:
             self._last = more[0]
             self._packets[more[0]] = decode(more[1])

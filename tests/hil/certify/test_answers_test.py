@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from design.controllers import LoopModel, SendAll, SensorNodes, nested
-from hil.certify.answers_test import FAR, SLOTS, compared, drifts, outgrows, question, share_memory
+from hil.certify.answers_test import FAR, SLOTS, drift_at_zero, growing_feedforward, mismatches, random_excitation, shares_memory
 
 TWO = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 1), delays=(None, None))
 
@@ -23,15 +23,16 @@ def model(sensors: SensorNodes | None = None, outputs: int = 1) -> LoopModel:
 
 @pytest.mark.parametrize(("sensors", "outputs"), [(None, 1), (TWO, 2)])
 def test_every_age_is_asked_for_longer_than_any_gain_distinguishes_and_late_in_a_run(sensors: Any, outputs: int) -> None:
-    asked = question(model(sensors, outputs), width=3, longest=5, far=True)
-    for column in asked.ages.T:
+    excitation = random_excitation(model(sensors, outputs), width=3, longest=5, far=True)
+    for column in excitation.ages.T:
         stays = [(age, len(list(run))) for age, run in groupby(column.tolist())]
         assert {age for age, _ in stays} == {0, 1, 2, 3} and max(length for _, length in stays) > 5
-    assert asked.ages.shape == (SLOTS, outputs) and asked.samples.shape == (SLOTS, 3) and np.abs(asked.samples).max() <= 1.0
-    assert asked.slots == (*range(3, 3 + SLOTS - len(FAR)), *FAR) and asked.reference == (1.0,) * outputs
-    near = question(model(), width=1, slots=300, far=True)
+    assert excitation.ages.shape == (SLOTS, outputs)
+    assert excitation.samples.shape == (SLOTS, 3) and np.abs(excitation.samples).max() <= 1.0
+    assert excitation.slots == (*range(3, 3 + SLOTS - len(FAR)), *FAR) and excitation.reference == (1.0,) * outputs
+    near = random_excitation(model(), width=1, slots=300, far=True)
     assert near.slots == tuple(range(3, 303)) and not near.received and not near.modes
-    assert question(model(), width=1, aims=0.0).reference == (0.0,)
+    assert random_excitation(model(), width=1, reference=0.0).reference == (0.0,)
 
 
 def sends(K: np.ndarray) -> Any:
@@ -39,65 +40,66 @@ def sends(K: np.ndarray) -> Any:
 
 
 K = np.arange(1.0, 9.0).reshape(4, 2, 1, 1)
-ASKED = question(model(), width=1, aims=0.0)
+EXCITATION = random_excitation(model(), width=1, reference=0.0)
 NODES = model().nodes
 
 
-def at_rest() -> tuple[np.ndarray, np.ndarray]:
+def at_zero() -> tuple[np.ndarray, np.ndarray]:
     return np.zeros((SLOTS, 2, 1)), np.zeros((SLOTS, 2, 1))
 
 
 def test_a_row_of_one_age_that_differs_is_named_with_both_numbers() -> None:
     other = K.copy()
     other[2, 1] *= 1.25
-    (same,) = compared(sends(K), sends(K), at_rest(), ASKED, NODES, [1.0])
+    (same,) = mismatches(sends(K), sends(K), at_zero(), EXCITATION, NODES, [1.0])
     assert same.share == 0.0
-    for size, found in zip((0.1, 10.0), compared(sends(other), sends(K), at_rest(), ASKED, NODES, [0.1, 10.0])):
-        first = int(np.flatnonzero(ASKED.ages[:, 0] == 2)[0])
-        said = size * K[2, 1, 0, 0] * ASKED.samples[first, 0]
-        assert (found.size, found.age, found.row, found.slot) == (size, 2, 1, ASKED.slots[first])
+    for size, found in zip((0.1, 10.0), mismatches(sends(other), sends(K), at_zero(), EXCITATION, NODES, [0.1, 10.0])):
+        first = int(np.flatnonzero(EXCITATION.ages[:, 0] == 2)[0])
+        said = size * K[2, 1, 0, 0] * EXCITATION.samples[first, 0]
+        assert (found.size, found.age, found.row, found.slot) == (size, 2, 1, EXCITATION.slots[first])
         assert found.foretold == pytest.approx(said) and found.found == pytest.approx(1.25 * said) and 0.05 < found.share <= 0.25
     one_row = SendAll(gains=nested(K[:, :1]), selection="constant")
-    rest = (np.zeros((SLOTS, 1, 1)), np.zeros((SLOTS, 2, 1)))
-    (short,) = compared(lambda: one_row.start(model()), sends(K), rest, ASKED, NODES, [1.0])
+    other_shape = (np.zeros((SLOTS, 1, 1)), np.zeros((SLOTS, 2, 1)))
+    (short,) = mismatches(lambda: one_row.start(model()), sends(K), other_shape, EXCITATION, NODES, [1.0])
     assert short.share == np.inf
 
 
 def test_what_grows_with_time_is_told_from_what_stays() -> None:
-    far = question(model(), width=1, far=True)
-    early, still = np.ones(SLOTS - len(FAR)), at_rest()[1]
+    far = random_excitation(model(), width=1, far=True)
+    early, stated_at_zero = np.ones(SLOTS - len(FAR)), at_zero()[1]
 
     def with_late(*late: float) -> tuple[np.ndarray, np.ndarray]:
-        return np.concatenate([early, late])[:, None, None] * np.ones((1, 2, 1)), still
+        return np.concatenate([early, late])[:, None, None] * np.ones((1, 2, 1)), stated_at_zero
 
-    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 6.0), far) == (FAR[-1], 6.0, 1.0)
-    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 5.4), far) is None  # by a tenth less
-    assert outgrows(with_late(1.0, 1.2, 1.5, 2.0, 2.9), far) is None
-    assert outgrows(with_late(2.0, 3.0, 4.0, 5.0, 6.0), ASKED) is None
+    assert growing_feedforward(with_late(2.0, 3.0, 4.0, 5.0, 6.0), far) == (FAR[-1], 6.0, 1.0)
+    assert growing_feedforward(with_late(2.0, 3.0, 4.0, 5.0, 5.4), far) is None  # by a tenth less
+    assert growing_feedforward(with_late(1.0, 1.2, 1.5, 2.0, 2.9), far) is None
+    assert growing_feedforward(with_late(2.0, 3.0, 4.0, 5.0, 6.0), EXCITATION) is None
     grown, _ = with_late(2.0, 3.0, 4.0, 5.0, 6.0)
-    assert outgrows((grown[:-1], still[:-1]), far) is None and outgrows((grown, still[:, :1]), far) is None
+    assert growing_feedforward((grown[:-1], stated_at_zero[:-1]), far) is None
+    assert growing_feedforward((grown, stated_at_zero[:, :1]), far) is None
 
 
 class Counts:
     """Answers how often it was asked, or how often all of its class were."""
 
     selection = "constant"
-    asked = 0
+    calls = 0
 
     def __init__(self, step: float, shared: bool) -> None:
         self._own, self._step, self._shared = 0.0, step, shared
 
     def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> tuple[tuple[float, ...], ...]:
-        Counts.asked += 1
+        Counts.calls += 1
         self._own += self._step
-        return ((y[0] - r[0] + (Counts.asked if self._shared else self._own),),)
+        return ((y[0] - r[0] + (Counts.calls if self._shared else self._own),),)
 
 
 def test_answers_that_change_by_themselves_or_by_what_another_is_asked_are_told() -> None:
-    assert drifts(lambda: Counts(0.0, False), ASKED, NODES) == 0.0
-    assert drifts(lambda: Counts(0.5, False), ASKED, NODES) == pytest.approx(0.5 * (SLOTS - 1))
-    assert drifts(lambda: Counts(0.0, True), ASKED, NODES) == np.inf
-    Counts.asked = 0
+    assert drift_at_zero(lambda: Counts(0.0, False), EXCITATION, NODES) == 0.0
+    assert drift_at_zero(lambda: Counts(0.5, False), EXCITATION, NODES) == pytest.approx(0.5 * (SLOTS - 1))
+    assert drift_at_zero(lambda: Counts(0.0, True), EXCITATION, NODES) == np.inf
+    Counts.calls = 0
     alone = np.arange(1.0, 1.0 + SLOTS)[:, None, None]
-    assert share_memory(lambda: Counts(0.0, True), alone, ASKED, NODES)
-    assert not share_memory(lambda: Counts(1.0, False), alone, ASKED, NODES)
+    assert shares_memory(lambda: Counts(0.0, True), alone, EXCITATION, NODES)
+    assert not shares_memory(lambda: Counts(1.0, False), alone, EXCITATION, NODES)

@@ -17,8 +17,8 @@ from design.controllers.historical import Historical, HistoricalRun
 from design.controllers.virtual_wall import VirtualWall
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
-from hil.certify.answers_test import over_nodes
-from hil.certify.stated_controller import wall_question
+from hil.certify.answers_test import scheduled_excitation
+from hil.certify.stated_controller import wall_excitation
 from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from plants import SwitchedExample
@@ -222,7 +222,7 @@ def test_a_departure_is_told_by_numbers_that_differ() -> None:
 
 def test_a_wall_is_tested_by_a_device_that_is_in_it_for_half_of_the_time() -> None:
     loop = compose(load_experiment("omni-push"), certify=False)
-    places = wall_question(loop.model, 1).samples
+    places = wall_excitation(loop.model, 1).samples
     assert places.shape[1] == 3 and (np.abs(places) < 2.0).all()
     assert all(0.3 < share < 0.7 for share in (places > 0.0).mean(axis=0))
 
@@ -232,9 +232,9 @@ def test_nodes_whose_packets_are_never_lost_are_known_in_every_turn() -> None:
     model = compose(load_experiment("multisensor-published"), certify=False).model
     turns = model.nodes.turns
     assert turns is not None and turns.cycle and turns.loss == 0.0
-    sure = over_nodes(model, memory=3).received
+    sure = scheduled_excitation(model, memory=3).received
     nodes = msgspec.structs.replace(model.nodes, turns=msgspec.structs.replace(turns, loss=0.3))
-    lossy = over_nodes(msgspec.structs.replace(model, sensors=nodes), memory=3).received
+    lossy = scheduled_excitation(msgspec.structs.replace(model, sensors=nodes), memory=3).received
     newest = [max(slot for node, slot in known if node == 0) for known in sure[10:]]
     assert max(k - s for k, s in enumerate(newest, start=10)) <= turns.phases + max(d or 0 for d in model.nodes.delays)
     assert sum(map(len, lossy)) < sum(map(len, sure))
