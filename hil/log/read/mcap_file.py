@@ -137,12 +137,17 @@ class Columns:
         schema: of its records.
         folder: where those of a long log are kept.
         start_ns: log time of session time 0, ns.
+
+    Attributes:
+        records: how many there are.
+        slots: the first and the last slot that they are of.
     """
 
     def __init__(self, topic: str, schema: Layout, folder: str | os.PathLike[str] | None = None, start_ns: int = 0) -> None:
         self._topic, self.schema = topic, schema
         self._start_ns = start_ns
         self._messages: list[bytes] = []
+        self.records, self.slots = 0, (0, 0)
         self._dtype = run_dtype(schema)
         self._raw = schema.fields[-1].name if schema.raw else None
         self._numbers = AppendColumn([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
@@ -172,6 +177,9 @@ class Columns:
             raise HilError(f"topic {self._topic}: {error}") from error
         self._messages = []
         found[TIME_FIELD] -= self._start_ns
+        self.records += len(found)
+        if "slot" in (self._dtype.names or ()):
+            self.slots = min(self.slots[0], int(found["slot"].min())), max(self.slots[1], int(found["slot"].max()))
         if self._raw is None:
             self._numbers.extend(found)
             return

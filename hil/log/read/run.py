@@ -45,6 +45,25 @@ def check_topics(schemas: Mapping[str, Schema]) -> None:
         raise HilError(f"topic {REFERENCE.name}: signals {', '.join(reference or ())}, expected those that are measured")
 
 
+SLOTS_PER_RECORD: Final = 16
+"""Slots of a log for each of its records: a session writes several of each slot, and `hil recover` may save a part of them."""
+
+
+def check_slots(slots: Mapping[str, tuple[int, int]], records: int) -> None:
+    """Check that a log is of as many slots as its records can be: who reads it takes memory and work for each.
+
+    Args:
+        slots: topic to the first and the last slot that its records are of.
+        records: of all topics.
+
+    Raises:
+        HilError: names the topic.
+    """
+    for topic, (first, last) in slots.items():
+        if first < -1 or last > SLOTS_PER_RECORD * records:
+            raise HilError(f"topic {topic}: slot {first if first < -1 else last} is none of a log of {records} records")
+
+
 def check_events(events: Sequence[Mapping[str, Any]]) -> None:
     """Check of every event what CDR cannot say: that its data are a table, and its instant is one.
 
@@ -209,6 +228,7 @@ class _Reading:
         if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
             summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
         check_topics(schemas)
+        check_slots({topic: each.slots for topic, each in columns.items()}, sum(each.records for each in columns.values()))
         check_events(self._events)
         check_words(head, resolved, summary, certificate)
         text = content.attachments.get("experiment.toml")

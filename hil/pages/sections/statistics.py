@@ -180,7 +180,8 @@ def _measured_ages(run: Run, network: Mapping[str, Any], paths: Sequence[Network
         return None
     counts = np.zeros(0, dtype=np.int64)
     for piece in pieces(array):
-        more = np.bincount(piece[field][piece[known] >= 0], minlength=len(counts))
+        ages = piece[field][(piece[known] >= 0) & (piece[field] >= 0) & (piece[field] <= piece["slot"])]  # an answer says its own
+        more = np.bincount(ages, minlength=len(counts))
         more[: len(counts)] += counts
         counts = more
     way, symbol = DIRECTIONS[side]

@@ -79,8 +79,13 @@ def test_report_of_a_stopped_run_says_why() -> None:
 
 def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
     law = 'network.sc.law={kind="packet", latency="60 ms", loss={p_gb=0.1, p_bg=0.5}, duplication=0.2}'
-    page = report(run_of("dc-motor-smith", law, "network.sc.max_age=8", "allow_uncertified=true"))
+    run = run_of("dc-motor-smith", law, "network.sc.max_age=8", "allow_uncertified=true")
+    page = report(run)
     assert "age of what was used" in page and "copied" in page and "ages that the chain does not distinguish" in page
+    answers = run.arrays["/controller/rows"].copy()
+    answers["tau"][-2:] = 30_000, -5
+    run.arrays["/controller/rows"] = answers
+    assert len(report(run)) < len(page) + 1000, "an age that a foreign controller says and that is none is not counted"
 
 
 def test_report_sets_sojourns_of_a_semi_markov_law_beside_it() -> None:

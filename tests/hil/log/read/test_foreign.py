@@ -86,6 +86,16 @@ def test_a_summary_of_other_types_is_named(summary: dict[str, Any]) -> None:
         check_words({"seed": "7"}, {}, summary, {})
 
 
+@pytest.mark.parametrize("slot", [1 << 62, 17, -2])
+def test_a_slot_that_is_none_of_so_many_records_is_named(tmp_path: Path, slot: int) -> None:
+    for right in (0, 16, -1):
+        log_of(tmp_path / "a.mcap", (at_slot(right),), ("", b""))
+        assert read_run(tmp_path / "a.mcap").arrays["/reference"]["slot"].tolist() == [right]
+    log_of(tmp_path / "a.mcap", (at_slot(slot),), ("", b""))
+    with pytest.raises(HilError, match=rf"a\.mcap: topic /reference: slot {slot} is none of a log of 1 records"):
+        read_run(tmp_path / "a.mcap")
+
+
 @pytest.mark.parametrize("certificate", [{"state": "certified"}, {"state": 3, "reason": ""}, {"state": "", "reason": None}])
 def test_a_certificate_without_its_words_is_named(certificate: dict[str, Any]) -> None:
     with pytest.raises(HilError, match=r"certificate\.json: (state|reason): .*, expected text"):
@@ -93,7 +103,13 @@ def test_a_certificate_without_its_words_is_named(certificate: dict[str, Any]) -
 
 
 HEAD = {"format": FORMAT, "experiment": "x", "seed": "0", "clock": "virtual", "link": ""}
-REFERENCE = ("/reference", SCHEMAS["/reference"].text, "ros2msg", SCHEMAS["/reference"].pack(1.0, 0))
+
+
+def at_slot(k: int) -> tuple[str, str, str, bytes]:
+    return "/reference", SCHEMAS["/reference"].text, "ros2msg", SCHEMAS["/reference"].pack(1.0, k)
+
+
+REFERENCE = at_slot(0)
 OTHER = SCHEMAS["/reference"].text.replace("angle", "speed")
 AT_NO_INSTANT = CDR_HEADER + struct.pack("<d", math.inf) + encode_event(0, "mark", "", data={})[len(CDR_HEADER) + 8 :]
 Topics = tuple[tuple[str, str, str, bytes], ...]
