@@ -186,6 +186,8 @@ class Columns(NamedTuple):
 def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[str]]) -> Columns:
     """Read columns of a file whose first line names them, with units in brackets or without. Lines that begin with # are skipped.
 
+    An empty line is skipped too, but where the file has one column: there it is a missing entry, unless nothing follows it.
+
     Args:
         path: the file.
         what: what the file is, for messages.
@@ -203,9 +205,17 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
             rows = csv.reader(io.TextIOWrapper(file, "utf-8-sig", newline=""), strict=True)
             header = [name.split("[")[0].strip() for name in next(rows, [])]
             at = [header.index(name) for name in picked(header)]
+            empty: list[int] = []
             for row in rows:
-                if not row or row[0].lstrip().startswith("#"):
+                if not row:
+                    empty.append(rows.line_num)
                     continue
+                if row[0].lstrip().startswith("#"):
+                    continue
+                if len(header) == 1:
+                    lines.extend(empty)
+                    numbers.extend([math.nan] * len(empty) * len(at))
+                    empty.clear()
                 if len(row) != len(header):
                     raise HilError(f"{path}:{rows.line_num}: {len(row)} entries, the first line has {len(header)}")
                 lines.append(rows.line_num)

@@ -165,7 +165,8 @@ def read_latencies(path: Path, *, one_clock: bool) -> Recording:
         if len(wrong):
             at = int(wrong[0])
             raise HilError(f"{path}:{lines[at]}: {value}: {columns[value][at]:.9g} is negative, expected a latency >= 0")
-        notes = () if sent is not None else (f"{path}: no column sent_s: the lines are taken as packets in order, one a slot",)
+        slot = f"one a slot (of {NOMINAL_S:g} s without --period)"
+        notes = () if sent is not None else (f"{path}: no column sent_s: the lines are taken as packets in order, {slot}",)
         instants = sent if sent is not None else np.arange(len(found), dtype=np.float64) * NOMINAL_S
         return Recording(source=str(path), ways={name: Way(sent_s=instants, difference_s=found)}, clocks=1, notes=notes)
     if sent is None or "received_s" not in columns:

@@ -44,9 +44,13 @@ def table(path: Path, head: str, rows: list[str]) -> Path:
 
 def test_tables_of_latencies_and_of_time_stamps(tmp_path: Path) -> None:
     expected = np.where(LOST, np.nan, LATENCY)
-    plain = table(tmp_path / "a.csv", "latency_ms", ["lost" if np.isnan(v) else repr(v * 1e3) for v in expected.tolist()])
+    entries = ["lost" if np.isnan(v) else repr(v * 1e3) for v in expected.tolist()]
+    plain = table(tmp_path / "a.csv", "latency_ms", entries)
     np.testing.assert_allclose(only([plain]), expected, rtol=1e-12)
+    empty = table(tmp_path / "empty.csv", "latency_ms", ["" if e == "lost" else e for e in entries] + ["", ""])
+    np.testing.assert_allclose(only([empty]), expected, rtol=1e-12)  # an empty line of the only column was lost, too
     assert read_recording([plain]).ways["sc"].sent_s.tolist() == [*range(N)]
+    assert "one a slot (of 1 s without --period)" in read_recording([plain]).notes[0]
     stamped = table(tmp_path / "b.csv", "sent_s [s],received_s [s]", [
         f"{s!r},{'' if np.isnan(v) else repr(s + v)}" for s, v in zip(SENT.tolist(), expected.tolist())
     ])  # fmt: skip
