@@ -36,20 +36,32 @@ def _topics(_ctx: click.Context, _param: click.Parameter, incomplete: str) -> li
     return [name for name in pages() if name.startswith(incomplete)]
 
 
-def _near(topic: str, found: dict[str, Path]) -> str:
-    """The page whose name is near, else those that speak of it."""
-    if said := nearest(topic, found):
-        return said
-    word = re.compile(rf"\b{re.escape(topic[:60])}\b", re.IGNORECASE)
-    speak = {name: len(word.findall(path.read_text(encoding="utf-8"))) for name, path in found.items()}
-    most = sorted((name for name in speak if speak[name]), key=lambda name: -speak[name])[:3]
-    return f"; it stands in: {', '.join(most)};" if most else nearest(topic, found, cutoff=0.4)
+def _meant(topic: str, found: dict[str, Path]) -> str:
+    """The page of this name, or the one in whose name it stands, in capitals or not.
+
+    Raises:
+        HilError: none, or several; it names them, else the page whose name is near, else those that speak of it.
+    """
+    lower = topic.lower()
+    inside = [lower] if lower in found else [name for name in found if lower and lower in name]
+    if len(inside) == 1:
+        return inside[0]
+    near = f"; it stands in the names {', '.join(inside)};" if inside else nearest(topic, found)
+    if not near:
+        word = re.compile(rf"\b{re.escape(topic[:60])}\b", re.IGNORECASE)
+        speak = {name: len(word.findall(path.read_text(encoding="utf-8"))) for name, path in found.items()}
+        most = sorted((name for name in speak if speak[name]), key=lambda name: -speak[name])[:3]
+        near = f"; it stands in: {', '.join(most)};" if most else nearest(topic, found, cutoff=0.4)
+    raise HilError(f"no topic {topic!r} in the guide{near or ';'} `hil guide` lists them")
 
 
 @click.command()
 @click.argument("topic", required=False, shell_complete=_topics)
 def guide(topic: str | None) -> None:
-    """Show the guide's page on TOPIC, in a pager ($PAGER, less) where it is long; without a topic, list them."""
+    """Show the guide's page on TOPIC, in a pager ($PAGER, less) where it is long; without a topic, list them.
+
+    A part of a name that no other has is enough: hil guide designs
+    """
     import sys
 
     found = pages()
@@ -58,9 +70,7 @@ def guide(topic: str | None) -> None:
         for name, path in found.items():
             print(f"{name:<{width}}  {path.read_text(encoding='utf-8').partition(chr(10))[0].removeprefix('# ')}")
         return
-    if topic not in found:
-        raise HilError(f"no topic {topic!r} in the guide{_near(topic, found) or ';'} `hil guide` lists them")
-    text = found[topic].read_text(encoding="utf-8")
+    text = found[_meant(topic, found)].read_text(encoding="utf-8")
     if not sys.stdout.isatty():
         print(text, end="")
         return

@@ -50,8 +50,16 @@ def test_the_page_of_figures_is_made_of_what_was_measured() -> None:
 
 def test_an_unknown_topic_is_refused_with_the_nearest(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
-        main(["guide", "real-tim"])
+        main(["guide", "real-tmie"])
     assert end.value.code == 2 and "did you mean 'real-time'?" in capsys.readouterr().err
+
+
+def test_a_part_of_one_name_is_enough_and_of_several_is_refused_with_them(capsys: pytest.CaptureFixture[str]) -> None:
+    for part, title in (("designs", "# Designs and certificates\n"), ("CI", "# In continuous integration\n")):
+        assert CliRunner().invoke(command, [part]).stdout.startswith(title)
+    with pytest.raises(SystemExit) as end:
+        main(["guide", "can"])
+    assert end.value.code == 2 and "it stands in the names vcan, can-bus;" in capsys.readouterr().err
 
 
 def test_a_word_that_is_no_topic_is_answered_with_the_pages_that_speak_of_it(capsys: pytest.CaptureFixture[str]) -> None:
