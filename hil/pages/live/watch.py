@@ -75,10 +75,9 @@ def watch(
     with _page(sides, asked[0].clock, port, opened) as desk:
         while True:
             desk.again.clear()
-            sessions = _run(asked, sides, seed, beside)
+            sessions, status = _run(asked, sides, seed, beside)
             for session in sessions:
                 finished(session)
-            status = max(session.status for session in sessions)
             if not desk.again.is_set() and (not stay or status > 128 or not _stays(desk)):
                 return status
             seed = desk.seed
@@ -86,8 +85,10 @@ def watch(
                 side.forget(each.pacer())
 
 
-def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside: Onlooker | None) -> list[Session]:
-    """Run every experiment to its end: one here, where signals come; more in threads of their own."""
+def _run(
+    asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside: Onlooker | None
+) -> tuple[list[Session], int]:  # fmt: skip
+    """Run every experiment to its end: one here, where signals come; more in threads of their own. Sessions and exit status."""
 
     def stop(number: int) -> None:
         for side in sides:
@@ -106,12 +107,11 @@ def _run(asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside
             side.status = "ended"
 
     if len(asked) == 1:
-        return [run(asked[0], sides[0])]
+        sessions = [run(asked[0], sides[0])]
+        return sessions, sessions[0].status
     with StopSignals(stop) as signals, ThreadPoolExecutor(len(asked), "run") as threads:
         sessions = [*threads.map(run, asked, sides)]
-    if signals.seen is not None:
-        raise SystemExit(128 + signals.seen)
-    return sessions
+    return sessions, max(session.status for session in sessions) if signals.seen is None else 128 + signals.seen
 
 
 def _stays(desk: Desk) -> bool:

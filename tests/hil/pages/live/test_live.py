@@ -367,6 +367,25 @@ def test_a_log_is_served_until_a_signal_comes(tmp_path: Path) -> None:
     assert answers == [200] and signal.getsignal(signal.SIGINT) == plain
 
 
+def test_a_signal_ends_two_runs_and_both_are_handed_on(tmp_path: Path) -> None:
+    names, sessions = ["dc-motor-hinf", "dc-motor-h2"], list[Session]()
+    runs = [asked(tmp_path, name, [], held=True) for name in names]
+
+    def held(url: str, side: int) -> bool:
+        with urlopen(f"{url.partition('?')[0]}view?side={side}", timeout=30) as answer:
+            return b'"status":"held"' in answer.read().replace(b'": "', b'":"')
+
+    def end(url: str) -> None:
+        until(lambda: held(url, 0) and held(url, 1), "the runs")
+        os.kill(os.getpid(), signal.SIGINT)
+
+    def opened(url: str) -> None:
+        threading.Thread(target=end, args=(url,), daemon=True).start()
+
+    assert watch(runs, opened=opened, finished=sessions.append) == 130
+    assert [session.summary["experiment"] for session in sessions] == names
+
+
 def test_a_run_may_begin_anew_with_every_seed_of_63_bits() -> None:
     desk = Desk([Side(acts=True)])
     try:
