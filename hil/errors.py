@@ -15,6 +15,21 @@ class HilError(Exception):
     status = 2
 
 
+class Terminated(KeyboardInterrupt):
+    """A signal that ends everything in order, such as SIGTERM, raised where Ctrl-C would be.
+
+    Args:
+        number: which.
+
+    Attributes:
+        status: exit status on the command line.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.status = 128 + number
+
+
 def is_message(error: type[BaseException]) -> bool:
     """Return whether an error is a message to the user: ours, or one of the other packages, which are not imported for a name."""
     return any(each.__name__ in ("HilError", "TransportError", "PlantError", "DesignError") for each in error.__mro__)

@@ -12,8 +12,8 @@ from typing import Any
 
 import click
 
-from hil.cli.guard import Guard, Terminated, signals_as_exceptions
-from hil.errors import HilError, is_message, nearest
+from hil.cli.guard import Guard, signals_as_exceptions
+from hil.errors import HilError, Terminated, is_message, nearest
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
 from hil.plugins.user_modules import WATCH, ProcessState, refuse_shadowed_packages
 

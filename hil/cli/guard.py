@@ -23,6 +23,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final, NoReturn
 
+from hil.errors import Terminated
 from hil.plugins.first_instants import ENDING, leave_at_once
 from hil.plugins.user_modules import ProcessState
 
@@ -34,18 +35,6 @@ _AGAIN_S: Final = 0.005
 _held: Final[list[int]] = []
 _theirs: Final[list[Any]] = []
 """Handler and timer of SIGALRM before a signal was held."""
-
-
-class Terminated(KeyboardInterrupt):
-    """SIGTERM, SIGHUP or SIGQUIT, raised where Ctrl-C would be: everything is taken down in order.
-
-    Args:
-        number: which.
-    """
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.status = 128 + number
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from errno import EMFILE, ENFILE
 from typing import Any, Protocol
 
-from hil.errors import HilError
+from hil.errors import HilError, Terminated
 from hil.log.events import PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write.mcap_sink import McapSink
@@ -96,7 +96,7 @@ def run_in_real_time(
         real = run_real(
             loop, loop.experiment.seed, link, sink, external=external, hello_timeout_s=wait_s, taps=taps, changes=changes
         )
-    except HilError:  # nothing ran: nothing is left behind
+    except (HilError, Terminated):  # nothing ran: nothing is left behind
         sink.discard()
         raise
     except OSError as error:

@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ import pytest
 from mcap.reader import make_reader
 
 from hil.compose.loop import compose
+from hil.errors import Terminated
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.log.read.run import read_run
 from hil.log.topics import FRAME_TOPICS
@@ -249,6 +251,20 @@ def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bo
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=200)  # not 600 s
     assert message in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_before_a_controller_answers_leaves_no_log(tmp_path: Path, number: int) -> None:
+    plain, log = signal.getsignal(number), tmp_path / "run.mcap"
+
+    def end() -> None:
+        until(lambda: signal.getsignal(number) not in (plain, signal.SIG_IGN), "who waits for a signal")
+        os.kill(os.getpid(), number)
+
+    threading.Thread(target=end, daemon=True).start()
+    with pytest.raises(Terminated) as ended:
+        run_session(load_experiment("dc-motor-hinf"), clock="real", link=f"can:hil:s{os.getpid()}", external=True, path=log)
+    assert ended.value.status == 128 + number and not log.exists()
 
 
 def test_foreign_controller_drives_the_rig(tmp_path: Path) -> None:

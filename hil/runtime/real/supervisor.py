@@ -17,7 +17,7 @@ from typing import Final
 from msgspec import DecodeError
 from msgspec.json import decode
 
-from hil.errors import HilError
+from hil.errors import HilError, Terminated
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
 from hil.log.write.pump import PumpReport, pump, rehearse
@@ -170,6 +170,7 @@ def run_real(
 
     Raises:
         HilError: if rig or controller ended before the run began, or no controller answered.
+        Terminated: a signal came before the run began.
     """
     if external and link.traits.in_process:
         raise HilError(f"{link.uri} runs our controller in the rig's process: an external one needs a link")
@@ -215,7 +216,9 @@ def run_real(
             os.close(read_fd)
     outcome.interrupted = signals.seen
     outcome.rig_status = rig.poll()
-    if signals.seen is None and not outcome.pump.records:
+    if not outcome.pump.records:
+        if signals.seen is not None:
+            raise Terminated(signals.seen)
         if outcome.controller_lost is None and outcome.rig_status == NO_CONTROLLER:
             raise HilError(f"no controller answered on {link.uri} within {hello_s:g} s")
         why = outcome.rig_silent or outcome.controller.failed or outcome.controller_lost or rig.how()

@@ -26,7 +26,8 @@ while time.monotonic() < end:
 """
 WAITS = """
 import time
-from hil.cli.guard import Terminated, signals_as_exceptions
+from hil.cli.guard import signals_as_exceptions
+from hil.errors import Terminated
 try:
     with signals_as_exceptions():
         import swallows
@@ -66,7 +67,8 @@ def test_an_import_without_an_end_is_ended(tmp_path: Path) -> None:
 
 DELETES = """
 import time
-from hil.cli.guard import Terminated, signals_as_exceptions
+from hil.cli.guard import signals_as_exceptions
+from hil.errors import Terminated
 class Slow:
     def __del__(self):
         print("deleting", flush=True)
