@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hil.errors import HilError
 from hil.experiment.rig_tables import BIT_ERRORS
 from hil.log.append_column import pieces
 from hil.log.topics import BUS
@@ -115,6 +116,8 @@ def bus_of(view: RunView) -> BusLoad | None:
     if records is None or rig is None or bus is None or not len(records):
         return None
     medium, rates, names, counted = bus.table, rates_of(bus.table), bus_nodes(rig, bus), _counted(records)
+    if not all(0 <= each.node < len(names) for each in counted.values()):
+        raise HilError(f"topic {BUS.name}: node: expected numbers of the {len(names)} nodes of the bus")
     answers = sum(each.length for each in counted.values() if names[each.node] == CONTROLLER)
     rows = answers // (4 * len(rig.inputs)) or None
     stated = {(each.extended, each.identifier): each for each in analysed(rig, bus, rows)}

@@ -28,6 +28,7 @@ from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT, Record
 from hil.log.records import TIME_FIELD
 from hil.log.records import Schema as Layout
 from hil.log.run import StructuredArray, assemble, run_dtype
+from hil.log.topics import CONTROL, TIMING
 
 
 @contextmanager
@@ -140,14 +141,18 @@ class Columns:
 
     Attributes:
         records: how many there are.
-        slots: the first and the last slot that they are of.
+        extremes: least and largest number of the fields that say in which slot and at what time. A control frame may come from
+            anyone, and says what slot it likes.
     """
 
     def __init__(self, topic: str, schema: Layout, folder: str | os.PathLike[str] | None = None, start_ns: int = 0) -> None:
         self._topic, self.schema = topic, schema
         self._start_ns = start_ns
         self._messages: list[bytes] = []
-        self.records, self.slots = 0, (0, 0)
+        self.records = 0
+        self.extremes: dict[str, tuple[float, float]] = {}
+        checked = {TIMING.name: ("slot", "lateness_us", "round_trip_us"), CONTROL.name: ()}.get(topic, ("slot",))
+        self._checked = [each.name for each in schema.fields if each.name in checked]
         self._dtype = run_dtype(schema)
         self._raw = schema.fields[-1].name if schema.raw else None
         self._numbers = AppendColumn([(name, self._dtype[name]) for name in self._dtype.names or () if name != self._raw], folder)
@@ -178,8 +183,12 @@ class Columns:
         self._messages = []
         found[TIME_FIELD] -= self._start_ns
         self.records += len(found)
-        if "slot" in (self._dtype.names or ()):
-            self.slots = min(self.slots[0], int(found["slot"].min())), max(self.slots[1], int(found["slot"].max()))
+        for name in self._checked:
+            own = found[name]
+            if name != "slot":  # without an answer there is no round trip
+                own = np.where(np.isnan(own), 0.0 if name == "round_trip_us" else np.inf, own)
+            least, largest = self.extremes.get(name, (own[0].item(), own[0].item()))
+            self.extremes[name] = min(least, own.min().item()), max(largest, own.max().item())
         if self._raw is None:
             self._numbers.extend(found)
             return

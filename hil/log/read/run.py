@@ -49,19 +49,24 @@ SLOTS_PER_RECORD: Final = 16
 """Slots of a log for each of its records: a session writes several of each slot, and `hil recover` may save a part of them."""
 
 
-def check_slots(slots: Mapping[str, tuple[int, int]], records: int) -> None:
-    """Check that a log is of as many slots as its records can be: who reads it takes memory and work for each.
+LATEST_US: Final = 1e15
+
+
+def check_extremes(extremes: Mapping[str, Mapping[str, tuple[float, float]]], records: int) -> None:
+    """Check that a log is of as many slots as its records can be, for who reads it takes memory and work for each; and its times.
 
     Args:
-        slots: topic to the first and the last slot that its records are of.
+        extremes: of each topic, see `Columns`.
         records: of all topics.
 
     Raises:
-        HilError: names the topic.
+        HilError: names the topic and the field.
     """
-    for topic, (first, last) in slots.items():
-        if first < -1 or last > SLOTS_PER_RECORD * records:
-            raise HilError(f"topic {topic}: slot {first if first < -1 else last} is none of a log of {records} records")
+    for topic, found in extremes.items():
+        for name, (least, largest) in found.items():
+            low, high = (-1, SLOTS_PER_RECORD * records) if name == "slot" else (-LATEST_US, LATEST_US)
+            if not low <= least <= largest <= high:
+                raise HilError(f"topic {topic}: {name}: {least} to {largest}; in a log of {records} records {low:g} to {high:g}")
 
 
 def check_events(events: Sequence[Mapping[str, Any]]) -> None:
@@ -228,7 +233,8 @@ class _Reading:
         if content.metadata.get("recovery", {}).get("closed") == "False" and isinstance(summary.setdefault("problems", {}), dict):
             summary["problems"]["recovered"] = "rebuilt from a torn log: its end is missing"
         check_topics(schemas)
-        check_slots({topic: each.slots for topic, each in columns.items()}, sum(each.records for each in columns.values()))
+        records = sum(each.records for each in columns.values())
+        check_extremes({topic: each.extremes for topic, each in columns.items()}, records)
         check_events(self._events)
         check_words(head, resolved, summary, certificate)
         text = content.attachments.get("experiment.toml")

@@ -275,7 +275,7 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a wish has {MOST_BYTES} bytes at most, and says how many")
         try:
             number = self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))
-        except (HilError, msgspec.DecodeError, RecursionError) as error:
+        except (HilError, ValueError, RecursionError) as error:
             raise Refused(HTTPStatus.BAD_REQUEST, str(error)[:1000]) from error
         return "application/json", _json({"number": number})
 

@@ -36,7 +36,8 @@ def newest_ages(draws: npt.NDArray[np.void], node: int, slots: int) -> npt.NDArr
     """
     newest = np.full(slots, -1, dtype=np.int64)
     for piece in pieces(draws):
-        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED)) & (piece["slot"] < slots)
+        came = (piece["node"] == node) & np.isin(piece["reason"], (DELIVERED, DISORDERED))
+        came &= (piece["slot"] >= 0) & (piece["slot"] < slots)
         np.maximum.at(newest, piece["slot"][came], piece["packet_slot"][came])
     newest = np.maximum.accumulate(newest) if slots else newest
     return np.where(newest >= 0, np.arange(slots) - newest, np.nan)

@@ -88,12 +88,29 @@ def test_a_summary_of_other_types_is_named(summary: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("slot", [1 << 62, 17, -2])
 def test_a_slot_that_is_none_of_so_many_records_is_named(tmp_path: Path, slot: int) -> None:
+    schema = SCHEMAS["/link/control"]
     for right in (0, 16, -1):
         log_of(tmp_path / "a.mcap", (at_slot(right),), ("", b""))
         assert read_run(tmp_path / "a.mcap").arrays["/reference"]["slot"].tolist() == [right]
+    stranger = ("/link/control", schema.text, "ros2msg", schema.pack(slot, 1, b""))
+    log_of(tmp_path / "a.mcap", (stranger, at_slot(0)), ("", b""))
+    assert read_run(tmp_path / "a.mcap").arrays["/link/control"]["slot"].tolist() == [slot], "a stranger's frame"
     log_of(tmp_path / "a.mcap", (at_slot(slot),), ("", b""))
-    with pytest.raises(HilError, match=rf"a\.mcap: topic /reference: slot {slot} is none of a log of 1 records"):
+    with pytest.raises(HilError, match=rf"a\.mcap: topic /reference: slot: {slot} to {slot}; in a log of 1 records -1 to 16"):
         read_run(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize(("late", "trip"), [(math.nan, 1.0), (-math.inf, 1.0), (0.0, math.inf), (0.0, -1e16)])
+def test_a_time_that_no_slot_takes_is_named(tmp_path: Path, late: float, trip: float) -> None:
+    schema = SCHEMAS["/timing/slot"]
+    for values in ((5.0, math.nan), (late, trip)):
+        payload = schema.pack(*values, 1.0, 0, 0, 0)
+        log_of(tmp_path / "a.mcap", (("/timing/slot", schema.text, "ros2msg", payload),), ("", b""))
+        if values == (late, trip):
+            with pytest.raises(HilError, match=r"a\.mcap: topic /timing/slot: (lateness_us|round_trip_us): "):
+                read_run(tmp_path / "a.mcap")
+        else:
+            assert len(read_run(tmp_path / "a.mcap").arrays["/timing/slot"]) == 1
 
 
 @pytest.mark.parametrize("certificate", [{"state": "certified"}, {"state": 3, "reason": ""}, {"state": "", "reason": None}])

@@ -9,14 +9,19 @@ import numpy as np
 import pytest
 
 from hil.compose.loop import compose
+from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.log.topics import BUS, SC
+from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Table
 from hil.pages.sections import theory
 from hil.pages.sections.theory import section as theory_section
+from hil.pages.sections.traffic import sensor_nodes
 from hil.pages.sections.wall import section as wall_section
 from hil.runtime.virtual import simulate
 from hil.session import run_session
+from tests.hil.pages.runs import run_of
 
 
 @pytest.mark.parametrize(("name", "mean", "sd"), [("dc-motor-hinf", 12.03, 0.41), ("dc-motor-h2", 12.33, 0.46)])
@@ -89,3 +94,15 @@ def test_a_wall_without_a_coupler_shows_depth_force_and_energy() -> None:
     assert depth.series[0].y == pytest.approx(1e3 * run.arrays["/plant/measurement"]["position"])
     assert depth.series[0].y[-1] == pytest.approx(1.0, abs=0.05) and force.series[0].y[-1] == pytest.approx(1.0, abs=0.05)
     assert energy.series[0].y.max() > 500.0
+
+
+def test_numbers_of_an_edited_log_that_are_none_are_left_out_or_named() -> None:
+    run = run_of("dc-motor-busy-can", "duration=0.1")
+    for topic, field, value in ((SC.name, "slot", -1), (BUS.name, "node", -(10**6))):
+        records = run.arrays[topic].copy()
+        records[field] = value
+        run.arrays[topic] = records
+        if topic == SC.name:
+            sensor_nodes(view_of(run))
+    with pytest.raises(HilError, match="topic /link/bus: node: expected numbers of the"):
+        bus_of(view_of(run))
