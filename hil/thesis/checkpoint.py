@@ -37,6 +37,8 @@ CLASSES: dict[str, Any] = {
     )
 }
 KINDS = {"f": np.float64, "i": np.int64, "b": np.bool_}
+TUPLES: dict[Any, Any] = {"tuple[Check, ...]": Check, "tuple[Figure | Bars | Histogram, ...]": (Figure, Bars, Histogram)}
+"""What stands in a tuple, by how its field is written."""
 
 
 def as_plain(value: Any) -> Any:
@@ -75,10 +77,15 @@ def from_plain(plain: Any) -> Any:
         return np.array(plain["values"], dtype=KINDS[plain["array"]])
     if "tuple" in plain:
         return tuple(from_plain(each) for each in plain["tuple"])
-    return CLASSES[plain["is"]](**{name: from_plain(each) for name, each in plain["has"].items()})
+    made = CLASSES[plain["is"]](**{name: from_plain(each) for name, each in plain["has"].items()})
+    for field in fields(made):
+        value = getattr(made, field.name)
+        if (field.type == "str" and not isinstance(value, str)) or (field.type in TUPLES and not _are(value, TUPLES[field.type])):
+            raise TypeError(f"{field.name}: expected {field.type}")
+    return made
 
 
-def _are(values: object, kind: type) -> bool:
+def _are(values: object, kind: Any) -> bool:
     return isinstance(values, tuple) and all(isinstance(each, kind) for each in values)
 
 

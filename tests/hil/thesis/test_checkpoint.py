@@ -100,6 +100,8 @@ def test_a_torn_line_is_cut_off(tmp_path: Path, end: bytes) -> None:
     "line",
     ["notes\n", '{"format": "x"}\n', '{\n "mine": 1\n}\n', "\nnotes\n", "{\n", None, '{"is": "Path", "has": {}}', "3",
      '{"array": "O"}', '{"is": "Part", "has": {"rows": 5}}',
+     '{"is": "Part", "has": {"figures": {"tuple": [{"is": "Plot", "has": {"title": 3, "panels": {"tuple": []}}}]}}}',
+     '{"is": "Part", "has": {"figures": {"tuple": [{"is": "Plot", "has": {"title": "", "panels": {"tuple": [3]}}}]}}}',
      '{"is": "Row", "has": {}}', '{"array": "i", "values": [1e999]}', '{"array": "i", "values": [' + "9" * 40 + "]}"],
 )  # fmt: skip
 def test_a_file_of_another_kind_is_refused_and_left(tmp_path: Path, line: str | None) -> None:
