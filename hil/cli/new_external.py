@@ -154,7 +154,7 @@ def _words(of: ExternalController, stem: str, usage: str, uri: str) -> dict[str,
     e = of.loop.experiment
     return {
         "CONTROLLER": f"'{in_comment(e.kinds.get('controller', '?'))}'", "EXPERIMENT": in_comment(e.name),
-        "ARGUMENT": in_comment(of.argument), "STEM": stem,
+        "ARGUMENT": quote(in_comment(of.argument)), "STEM": stem,
         "FILE": f"{stem}.py", "USAGE": usage, "LINK": of.rig_link(uri),
         "WHY": in_comment(of.law.why_none), "FIRST": 2 if of.keyed else 1,
     }  # fmt: skip

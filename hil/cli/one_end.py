@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -161,6 +162,6 @@ def signing(folder: Path) -> None:
     """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
     from hil.files.signature import make_signing_key
 
-    key, public = (visible(str(path)) for path in make_signing_key(folder))
+    key, public = (quote(visible(str(path))) for path in make_signing_key(folder))
     print(f"hil run EXPERIMENT --sign {key}      signs the log: keep this file")
     print(f"hil replay LOG --verify --key {public}   checks it: give this file away")

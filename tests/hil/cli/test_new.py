@@ -93,6 +93,9 @@ def test_the_rig_beside_a_program_has_the_frames_that_the_program_has(cli: Hil, 
     if language == "python":
         rig = link_of(rig_of(load_experiment("classic.toml")), f"{at}?{options}").identifiers
         assert rig is not None and f"SENSORS = {rig.sensors} " in text and f"CONTROL = {rig.control}\n" in text
+    Path("classic.toml").rename("my loop.toml")
+    assert cli("new", "controller", "drive", "--language", language, "--for", "my loop.toml", "-o", "more")[0] == 0
+    assert f"hil rig 'my loop.toml' --link '{at}?" in "".join(path.read_text() for path in Path("more").glob("drive.*"))
 
 
 def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(cli: Hil) -> None:

@@ -19,7 +19,9 @@ from tests.hil.cli.conftest import cli as cli
 @pytest.fixture
 def signed(cli: Hil, tmp_path: Path) -> Path:
     """A log of a second with its signature, and the keys beside it."""
-    assert cli("keys", "signing", "k")[0] == 0
+    status, out, _ = cli("keys", "signing", "my keys")
+    assert status == 0 and "--sign 'my keys/signing.key' " in out and "--key 'my keys/signing.pub' " in out
+    Path("my keys").rename("k")
     status, out, err = cli("run", "dc-motor-hinf", "--duration", "1", "-o", "l.mcap", "--sign", "k/signing.key", "--json")
     assert status == 0 and '"signature": "l.mcap.sig"' in out, err
     return tmp_path / "l.mcap"
