@@ -261,7 +261,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     if call.excinfo is not None and is_message(call.excinfo.type):
         steps = call.excinfo.traceback
         at = next((user for user, ours in pairwise(steps) if str(ours.path).startswith(OUR_FOLDERS)), steps[-1])
-        report.longrepr = "\n".join(f"{at.path}:{at.lineno + 1}: {line}" for line in str(call.excinfo.value).splitlines())
+        report.longrepr = f"{call.excinfo.value}\n\n{at.path}:{at.lineno + 1}: {call.excinfo.typename}"
     for session, changes in zip(rig.sessions, rig.changes, strict=True):
         report.sections.append(("hil log", explained(session, changes)))
 
