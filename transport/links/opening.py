@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 
 from transport.errors import nearest
 from transport.installed import Point, points
-from transport.links import FORMS, Link, Role, TransportError, key_file, split_uri
+from transport.links import FORMS, Link, LinkCounters, Role, TransportError, key_file, split_uri
 from transport.links.can_identifiers import BASES, base_of
 
 
@@ -109,6 +109,8 @@ def check_is_link(made: object) -> None:
     missing = [f"`{name}` ({meaning})" for name, meaning in LINK.items() if not hasattr(made, name)]
     if missing:
         raise AssertionError(f"{type(made).__name__}, what the plug-in returned, needs {', '.join(missing)}")
+    if not isinstance(counters := made.counters, LinkCounters):  # type: ignore[attr-defined]
+        raise AssertionError(f"{type(made).__name__}.counters: a {type(counters).__name__}, expected {LINK['counters']}")
 
 
 def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:

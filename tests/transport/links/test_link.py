@@ -73,6 +73,9 @@ def test_a_users_link_comes_in_by_the_same_entry_point(monkeypatch: pytest.Monke
     assert open_link("mine:x", "rig").uri == "mine:xrig"
     with pytest.raises(TransportError, match="plug-in nowhere:Link cannot be loaded"):
         open_link("broken:x", "rig")
+    monkeypatch.setattr("tests.transport.links.test_link.LinkCounters", dict)
+    with pytest.raises(TransportError, match=r"MemoryLink\.counters: a dict, expected a transport\.LinkCounters"):
+        open_link("mine:x", "rig")
 
 
 @pytest.mark.parametrize(("option", "times"), [("", 0), ("?auth=KEY", 1)])
