@@ -34,7 +34,7 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
         width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
 
     Raises:
-        HilError: if matplotlib is not installed, or for another ending or size.
+        HilError: if matplotlib is not installed, for another ending or size, or if the file cannot be written.
     """
     context = paper_style("plot")
     from matplotlib.figure import Figure
@@ -51,7 +51,10 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
         paint(sheet)
         if path is not None:
             metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
-            sheet.savefig(path, dpi=300, metadata=metadata)
+            try:
+                sheet.savefig(path, dpi=300, metadata=metadata)
+            except OSError as error:
+                raise HilError(f"plot: {path}: cannot be written: {error.strerror}") from error
     return sheet
 
 

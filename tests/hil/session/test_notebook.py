@@ -78,9 +78,12 @@ def test_several_inputs_stand_on_one_axis_with_their_names() -> None:
     assert len({line.get_color() for line in (*inputs.lines, outputs.lines[1])}) == 3
 
 
-@pytest.mark.parametrize("path, size", [("step.tiff", 85.0), (None, 1.0)])
-def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: str | None, size: float) -> None:
-    with pytest.raises(hil.HilError, match="plot: "):
+@pytest.mark.parametrize(
+    "path, size, said",
+    [("step.tiff", 85.0, "plot: "), (None, 1.0, "plot: "), ("nowhere/step.svg", 85.0, "cannot be written: No such file")],
+)
+def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: str | None, size: float, said: str) -> None:
+    with pytest.raises(hil.HilError, match=said):
         session.plot(path, width_mm=size)
 
 
