@@ -109,9 +109,19 @@ def command(
         ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples{moves}, any passive hand, "
                       f"{beta:g} N s/m of damping", ""),
         *weighed,
-        ("taps", f"{len(found.coupler.taps_m_per_n)}: " + " ".join(f"{c:.5g}" for c in found.coupler.taps_m_per_n), ""),
+        ("taps", f"{len(found.coupler.taps_m_per_n)}, m/N: {_listed(found.coupler.taps_m_per_n)}", ""),
     )  # fmt: skip
     answer(document, print_facts, facts)
+
+
+def _listed(taps: tuple[float, ...]) -> str:
+    """Taps to five digits; what is rounding beside the largest is 0.
+
+    >>> _listed((0.01, 4.36e-17, -0.0))
+    '0.01 0 0'
+    """
+    least = 1e-12 * max(map(abs, taps))
+    return " ".join(f"{tap:.5g}" if abs(tap) > least else "0" for tap in taps)
 
 
 def _header(design: CouplerDesign) -> str:

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 def report(file: str, output: Path | None, figures: Path | None, folder: Path | None, show: bool, force: bool) -> None:
     """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
 
-    Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs; each gets its own page.
+    Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs; each gets its own page,
+    unless -o puts that of the folder elsewhere.
 
     A page that is there is replaced; the log is never changed.
     """
@@ -43,7 +44,7 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
     with Working(f"page of {file}"):
         page, *drawn = report(file, output=output, force=force, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
-    if Path(file).is_dir():
+    if drawn and Path(file).is_dir():
         click.echo(f"written: {len(drawn)} page{'s' * (len(drawn) != 1)} of runs beside it")
     if figures is not None:
         click.echo(f"written: {len(drawn)} figures in {visible(figures)}")

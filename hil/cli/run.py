@@ -147,8 +147,10 @@ def run(
     checked = load_experiment(experiment, sets, seed=seed, duration=duration)
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
-    if wait is not None and not (external and 0.0 < wait <= LONGEST_WAIT_S):
-        raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s, with --external")
+    if wait is not None and not external:
+        raise HilError("--wait goes with --external: for so long the rig waits for a program of your own")
+    if wait is not None and not 0.0 < wait <= LONGEST_WAIT_S:
+        raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
     on = link_of(rig_of(checked), link) if clock == "real" else None
     # An external controller may be there already: do not let it meet this end.
     if on is not None and not external and not on.traits.in_process:

@@ -65,7 +65,8 @@ def load_experiment(
     try:
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        hint = (near_shipped(name) or ";") + " `hil list` shows the shipped ones"
+        files = map(str, path.parent.glob("*.toml")) if name.endswith(".toml") else ()
+        hint = (nearest(name, files) or near_shipped(name) or ";") + " `hil list` shows the shipped ones"
         where = f" in {Path.cwd()}" if name.endswith(".toml") and not path.is_absolute() else ""
         raise HilError(f"no experiment {name!r}: neither a file{where} nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so

@@ -245,8 +245,9 @@ class Experiment(Table, frozen=True, kw_only=True):
                 yield f"duration: {duration:g} s is shorter than the period {period:g} s"
             elif duration / period > 1e8:
                 yield f"duration: {duration / period:.3g} slots; at most 1e8"
-        if not 0 <= values.get("seed", 0) < 2**63:
-            yield f"seed: {values['seed']} is not between 0 and 2^63 - 1"
+        seed = values.get("seed", 0)
+        if not 0 <= seed < 2**63 and seed.bit_length() <= 64:  # what is longer is refused wherever it stands
+            yield f"seed: {seed} is not between 0 and 2^63 - 1"
 
     @property
     def period_ns(self) -> int:

@@ -82,7 +82,9 @@ def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]])
         (["rig", "dc-motor-hinf", "--link", "foo:bar"], "no link is called 'foo'"),
         (["rig", "dc-motor-hinf", "--wait", "0"], "--wait: 0; expected more than 0 s"),
         (["rig", "dc-motor-hinf", "--wait", "0.2", "--link", "can:hil:nobodyrig"], "no controller answered on can:hil:nobodyrig"),
-        (["run", "dc-motor-hinf", "--wait", "9"], "with --external"),
+        (["run", "dc-motor-hinf", "--wait", "9"], "--wait goes with --external"),
+        (["run", "dc-motor-hinf", "--seed", str(2**87)], "seed: an integer of 88 bits, at most 64 are allowed\n"),
+        (["run", "dc-motor-hinf", "--seed", str(2**63)], "seed: 9223372036854775808 is not between 0 and 2^63 - 1"),
         (["controller", "nosuch"], "no experiment 'nosuch'"),
         (["controller", "dc-motor-hinf", "--link", ""], "link '': no scheme"),
         (["controller", "dc-motor-hinf", "--link", "foo:bar"], "no link is called 'foo'"),
@@ -101,6 +103,13 @@ def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]])
 def test_bad_input_is_one_message_and_status_2(cli: Hil, arguments: list[str], says: str) -> None:
     status, out, err = cli(*arguments)
     assert (status, out) == (2, "") and says in err and "Ctrl-C" not in err
+    assert says.count("\n") in (0, err.count("\n"))  # one fault, one line
+
+
+def test_a_file_that_is_not_there_is_answered_with_the_one_that_is_near(cli: Hil) -> None:
+    Path("my_cart.toml").write_text("")
+    assert "did you mean 'my_cart.toml'?" in cli("run", "my-cart.toml")[2]
+    assert "did you mean 'dc-motor-hinf'?" in cli("run", "dc-motor-hinf.toml")[2]
 
 
 def test_an_interrupted_command_says_so_in_one_line(cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
