@@ -1,12 +1,13 @@
 """A sensor node: measures named outputs, keeps a buffer of its last measurements, and decides whether to send.
 
 Its trigger is an event trigger of section 8.2.2, or the turn of a schedule, which does without. A node that is silent is no loss:
-the controller holds what it last received.
+the controller holds what it last received. What is not finite is sent by every trigger: safety sees what arrives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from math import inf
 from operator import itemgetter
 
 from hil.experiment.nodes import TriggerTable
@@ -65,7 +66,7 @@ def above(threshold: float) -> Trigger:
 
     Reference: thesis Section 8.2.2, [217].
     """
-    return lambda y: any(abs(v) > threshold for v in y)
+    return lambda y: not all(abs(v) <= threshold for v in y)
 
 
 class Band:
@@ -87,7 +88,7 @@ class Band:
     def sends(self, y: Sequence[float]) -> bool:
         """Return whether y is beyond the band; see `Trigger`."""
         band, share, around = self._threshold, self._share, self._around
-        within = bool(around) and all(abs(a - b) <= band + share * abs(a) for a, b in zip(y, around))
+        within = bool(around) and all(abs(a - b) <= band + share * abs(a) < inf for a, b in zip(y, around))
         if not (within and self._around_sent):
             self._around = tuple(y)
         return not within

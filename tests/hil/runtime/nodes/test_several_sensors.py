@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import Any
 
 import numpy as np
@@ -343,6 +344,7 @@ def test_triggers_of_section_8_2_2(kind: Any, threshold: float, slots: list[int]
     sends = trigger_of(TriggerTable(kind=kind, threshold=threshold))
     assert sends is not None and trigger_of(TriggerTable()) is None
     assert [k for k, y in enumerate(((0.0,), (0.3,), (0.5,), (0.6,), (-2.0,), (-1.9,))) if sends(y)] == slots
+    assert all(sends((broken,)) for broken in (math.inf, math.inf, math.nan, math.nan))  # safety sees what is sent
 
 
 def test_the_controller_counts_frames_of_another_rig() -> None:
