@@ -131,6 +131,9 @@ class Arrays(MutableMapping[str, StructuredArray]):
 
     Args:
         held: of every topic, an array or what makes it.
+
+    >>> Arrays({"/plant/state": np.zeros(3), "/reference": np.zeros(3)})
+    Arrays(/plant/state, /reference)
     """
 
     def __init__(self, held: Mapping[str, StructuredArray | InPieces]) -> None:
@@ -158,6 +161,9 @@ class Arrays(MutableMapping[str, StructuredArray]):
 
     def __len__(self) -> int:
         return len(self._held)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(self)})"
 
     def pieces(self, topic: str, rows: int) -> Iterator[StructuredArray]:
         """Give the records of a topic piece by piece."""
