@@ -74,9 +74,11 @@ def lqr_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
     control = solver("control")
 
     try:
-        return np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
+        F = np.asarray(control.dlqr(A, B, C.T @ C, input_weight**2 * np.eye(B.shape[1]))[0], dtype=np.float64)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"lqr: the Riccati equation has no stabilising solution ({error})") from error
+    _stable(A - B @ F, "lqr")
+    return F
 
 
 def game_feedback(A: Array, B: Array, C: Array, input_weight: float) -> Array:
@@ -130,4 +132,13 @@ def _filter(A: Array, B: Array, C: Array, noise: float) -> Array:
         P = np.asarray(control.dlqe(A, B, C, np.eye(B.shape[1]), V)[1], dtype=np.float64)
     except (ValueError, np.linalg.LinAlgError) as error:
         raise DesignError(f"filter: the Riccati equation has no stabilising solution ({error})") from error
-    return np.asarray(np.linalg.solve(C @ P @ C.T + V, C @ P).T, dtype=np.float64)
+    L = np.asarray(np.linalg.solve(C @ P @ C.T + V, C @ P).T, dtype=np.float64)
+    _stable(A @ (np.eye(len(A)) - L @ C), "filter")
+    return L
+
+
+def _stable(closed: Array, what: str) -> None:
+    """Refuse a solution that leaves a mode as it is: python-control returns one where a mode is not reached, or not seen."""
+    radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    if radius >= 1.0:
+        raise DesignError(f"{what}: the spectral radius is {radius:.6g}, expected below 1", value=radius)

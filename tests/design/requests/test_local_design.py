@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import control
 import numpy as np
 import pytest
 
 from design.controllers import LinearFeedback, LinearLaw, LoopModel, OutputFeedback, RowsLaw
-from design.errors import FieldError
+from design.errors import DesignError, FieldError
 from design.jump_linear.certificate import certify_system
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
-from design.requests.local_design import game_feedback, local_design, lqr_feedback
+from design.requests.local_design import _filter, game_feedback, local_design, lqr_feedback
 from design.requests.tracking import DesignTask, LocalDesigned
 from tests.design.chapter7 import LAMBDA, MOTOR, PI
 
@@ -80,6 +82,13 @@ def test_delays_that_the_design_does_not_know_can_undo_it() -> None:
     )
     assert certify_system(now.system(gains)).state == "certified"
     assert certify_system(over.system(late)).state == "refused"
+
+
+@pytest.mark.parametrize("solve", [lqr_feedback, _filter])
+def test_an_integrator_that_no_input_reaches_and_no_output_shows_is_refused(solve: Callable[..., object]) -> None:
+    """python-control returns gains for it, with the spectral radius 1."""
+    with pytest.raises(DesignError, match=r"spectral radius|stabilising"):
+        solve(np.eye(2), np.array([[0.0], [1.0]]), np.array([[0.0, 1.0]]), 0.01)
 
 
 def test_the_game_is_alike_in_every_unit_of_the_output() -> None:
