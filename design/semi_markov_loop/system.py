@@ -32,17 +32,15 @@ def _check(owner: object, shapes: Mapping[str, str], known: Mapping[str, int] | 
     """Make fields read-only float arrays, and return the sizes of their axes: a letter of a shape has one size in all of them.
 
     Args:
-        owner: whose fields; one that is None stays so.
+        owner: whose fields.
         shapes: a letter for every axis of each.
         known: sizes that are known before.
         path: before the field's name in an error.
     """
     sizes = {**(known or {})}
     for name, shape in shapes.items():
-        if (value := getattr(owner, name)) is None:
-            continue
         try:
-            array = np.array(value, dtype=float)
+            array = np.array(getattr(owner, name), dtype=float)
         except (TypeError, ValueError):
             raise FieldError(path + name, "is not an array of numbers (do all modes have the same shape?)") from None
         if array.ndim != len(shape):
@@ -168,7 +166,9 @@ class JumpSystem(_Sized):
     sensors: FloatArray | None = None
 
     def __post_init__(self) -> None:
-        sizes = _check(self, {"a": "Nnn", "b": "Nnm", "c": "Npn", "e": "Nnq", "sensors": "Nnn"})
+        may = {"c": "Npn", "e": "Nnq", "sensors": "Nnn"}
+        given = {name: shape for name, shape in may.items() if getattr(self, name) is not None}
+        sizes = _check(self, {"a": "Nnn", "b": "Nnm"} | given)
         if self.uncertainty is not None:
             _check(self.uncertainty, self.uncertainty.shapes, {size: sizes[size] for size in "Nnm"}, "uncertainty.")
 

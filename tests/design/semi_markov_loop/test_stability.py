@@ -234,6 +234,7 @@ def test_certificate_is_judged_by_its_own_matrices() -> None:
             lambda: JumpSystem(a=np.full((1, 2, 2), np.nan), b=np.zeros((1, 2, 1))),
             r"a\[0, 0, 0\]: nan is not finite",
         ),
+        (lambda: JumpSystem(a=np.zeros((1, 2, 2)), b=None), r"b: 0 axes, expected 3"),  # type: ignore[arg-type]
         (lambda: equal_probability(PROCESS, 0), "sections: 0"),
     ],
 )
