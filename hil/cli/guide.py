@@ -71,7 +71,7 @@ def guide(topic: str | None) -> None:
             print(f"{name:<{width}}  {path.read_text(encoding='utf-8').partition(chr(10))[0].removeprefix('# ')}")
         return
     text = found[_meant(topic, found)].read_text(encoding="utf-8")
-    if not sys.stdout.isatty():
+    if sys.stdout is None or not sys.stdout.isatty():
         print(text, end="")
         return
     from rich.markdown import Markdown

@@ -50,6 +50,8 @@ def port_of(plant: Plant) -> Port | None:
     model = plant.model()
     if isinstance(plant, JumpPlant) or model.A.shape != (2, 2) or model.B.shape != (2, 1) or model.A[0].tolist() != [0.0, 1.0]:
         return None
+    if not model.B[1, 0]:
+        return None
     mass = 1.0 / float(model.B[1, 0])
     force, pairs = plant.inputs[0].unit, zip(model.C.tolist(), plant.outputs)
     found = [i for i, (row, y) in enumerate(pairs) if row == [1.0, 0.0] and (force, y.unit) in CONJUGATE]

@@ -19,7 +19,9 @@ from hil.compose.loop import compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop, digest_of
+from hil.rig.spec import port_of
 from hil.runtime.virtual import simulate
+from plants import LinearPlant
 
 
 @cache
@@ -217,6 +219,7 @@ def test_a_wall_over_what_is_no_device_under_one_force_is_undecided() -> None:
         verdict = certify(loop)
         assert (verdict.kind, verdict.state) == ("passivity", "undecided") and loop.port is None
         assert verdict.reason == "a wall is certified for a device with position, speed and one force only"
+    assert port_of(LinearPlant(A=((0.0, 1.0), (-1.0, 0.0)), B=((0.0,), (0.0,)), C=((1.0, 0.0),))) is None  # no force moves it
 
 
 def test_a_request_says_which_of_its_fields_is_wrong() -> None:

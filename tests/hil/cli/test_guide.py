@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from importlib.metadata import distributions
 from pathlib import Path
 
@@ -26,6 +27,12 @@ def test_without_a_topic_it_lists_every_page_with_its_title() -> None:
 @pytest.mark.parametrize("topic", list(pages()))
 def test_a_page_is_printed_as_it_stands_where_it_is_piped(topic: str) -> None:
     assert CliRunner().invoke(command, [topic]).stdout == pages()[topic].read_text(encoding="utf-8")
+
+
+def test_a_page_goes_nowhere_where_standard_output_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert command.callback is not None
+    command.callback("figures")
 
 
 @pytest.mark.parametrize("topic", list(pages()))
