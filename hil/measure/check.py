@@ -15,7 +15,7 @@ from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
 from hil.measure.batch_protocols import BatchMeasure
-from hil.measure.measure import Measure, Quantity, made_of, own_measures, quantities_of
+from hil.measure.measure import Measure, made_of, own_measures, quantities_of, stated_by
 from hil.measure.view import RunView
 from hil.plugins.user_plugins import asked, in_own_words, needs
 
@@ -44,10 +44,7 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
     name = type(measure).__name__
     needs(measure, f"{name}, a measure,", MEASURE)
     _check_topics(measure.topics)
-    given = asked("quantities(signals)", lambda: tuple(measure.quantities(view.signals)))
-    for quantity in given:
-        if not isinstance(quantity, Quantity):
-            raise AssertionError(f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.measure.Quantity objects")
+    stated_by(measure, view.signals)
     names = [quantity.name for quantity in quantities_of([measure], view.signals)]
     if not names:
         raise AssertionError("a measure has at least one quantity")

@@ -22,7 +22,7 @@ from hil.log.topics import NUMBER_TOPICS
 from hil.measure.signals import Signals
 from hil.measure.view import RunView, view_of
 from hil.plugins import registry
-from hil.plugins.user_plugins import in_own_words, words
+from hil.plugins.user_plugins import asked, in_own_words, words
 from hil.rig.loop import Loop
 
 
@@ -172,13 +172,31 @@ class MeasureOfFunction:
         return {self._name: found if found is None or math.isfinite(found) else None}
 
 
+def stated_by(measure: Measure, signals: Signals) -> tuple[Quantity, ...]:
+    """Return what a measure says that it measures.
+
+    Raises:
+        AssertionError: it says nothing of the kind, in the words of its author.
+    """
+    stated: tuple[Quantity, ...] = asked("quantities(signals)", lambda: tuple(measure.quantities(signals)))
+    for quantity in stated:
+        if not isinstance(quantity, Quantity):
+            raise AssertionError(f"quantities(signals) gave {quantity!r:.80}, expected hil.measure.measure.Quantity objects")
+    return stated
+
+
 def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quantity, ...]:
     """Return what some measures measure over these signals.
 
     Raises:
-        HilError: if two of them use one name.
+        HilError: if two of them use one name, or one of the user's own states none.
     """
-    found = tuple(quantity for measure in measures for quantity in measure.quantities(signals))
+    found: tuple[Quantity, ...] = ()
+    for measure in measures:
+        try:
+            found += stated_by(measure, signals)
+        except AssertionError as fault:
+            raise HilError(f"report.measures: {type(measure).__name__}: {fault}") from fault
     names = [quantity.name for quantity in found]
     for name in names:
         if names.count(name) > 1:

@@ -12,8 +12,19 @@ from numpy.typing import NDArray
 
 from plants.errors import PlantError
 from plants.parts.exponential import Rows
-from plants.parts.linear import Signal
-from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
+from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
+from plants.parts.protocols import (
+    BeyondModel,
+    Departure,
+    HasCost,
+    HasDepartures,
+    HasSensorNoise,
+    HasStateDelays,
+    HasStateHistory,
+    JumpPlant,
+    MovesOtherwise,
+    Plant,
+)
 
 if TYPE_CHECKING:
     from plants.parts.semi_markov import JumpModel
@@ -122,6 +133,16 @@ def _further(plant: Plant, name: str) -> list[str]:
         )
         what = f"it has {', '.join(beyond)}, so a claim on its model is undecided for it" if beyond else "now it has nothing"
         said.append(f"{name} is BeyondModel: it states the effects that its model lacks; {what}")
+    if isinstance(plant, MovesOtherwise):
+        moves, sees = plant.motion(), plant.model()
+        _demand(
+            isinstance(moves, StateSpace | DiscreteStateSpace) and (moves.B.shape, moves.C.shape) == (sees.B.shape, sees.C.shape),
+            f"{name}.motion(): {moves!r:.80}, expected a StateSpace with the states, inputs and outputs of model()",
+        )
+    if isinstance(plant, HasDepartures):
+        bounded = plant.departures()
+        good = isinstance(bounded, tuple) and all(isinstance(each, Departure) for each in bounded)
+        _demand(good, f"{name}.departures(): {bounded!r:.80}, expected a tuple of plants.Departure")
     if isinstance(plant, HasStateDelays):
         delayed = np.asarray(plant.state_delays(), dtype=float)
         n = len(plant.states)

@@ -197,6 +197,9 @@ def test_a_measure_of_a_file_is_checked_before_the_run(tmp_path: Path, name: str
     assert not (tmp_path / "a.mcap").exists()
     with pytest.raises(HilError, match=reported):
         run_sweep(experiment, [0], workers=Workers())
+    if name == "Pairs":  # before anything is composed
+        with pytest.raises(HilError, match=r"report\.measures: Pairs: quantities\(signals\) gave"):
+            columns_of(experiment)
     if name in ("NoUnits", "Asks"):  # of a log that names it nothing runs
         with pytest.raises(HilError, match=f"report.measures: 'mine:{name}'(: .*TypeError| is no measure: it lacks title, note)"):
             measures_of(experiment)

@@ -83,6 +83,16 @@ class Delayed(Integrator):
         return np.zeros((2, 1, 2))
 
 
+class Elsewhere(Integrator):
+    def motion(self):
+        return self.model().A
+
+
+class Vague(Integrator):
+    def departures(self):
+        return ("wind",)
+
+
 class Costly(Integrator):
     def cost_weights(self):
         return np.array([[-1.0]]), np.eye(1)
@@ -107,6 +117,8 @@ def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
     ("plant", "message"),
     [
         (Delayed(), r"Delayed.state_delays\(\): shape \(2, 1, 2\), expected \(tau, 1, 1\)"),
+        (Elsewhere(), r"Elsewhere.motion\(\): array\(\[\[0.\]\]\), expected a StateSpace with the states"),
+        (Vague(), r"Vague.departures\(\): \('wind',\), expected a tuple of plants.Departure"),
         (Costly(), r"Costly.cost_weights\(\): Xi has the eigenvalue -1"),
         (Unseeded(), "Unseeded.start: same seed, another state"),
         (Twins(), "Twins.states: a name comes twice"),
