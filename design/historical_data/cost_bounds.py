@@ -196,7 +196,8 @@ def cost_moments(loop: LiftedLoop, x0: npt.ArrayLike, phases: Array) -> CostMome
     .. math:: Z_j(k+1) = \sum_i p_{ij} (L_i \otimes L_i) Z_i(k) (L_i \otimes L_i)^T,
         \qquad Z_i = E[(X \otimes X)(X \otimes X)^T; i]
 
-    on the symmetric part of X x X, N (N + 1) / 2 numbers. The sum ends where the loop is stable in the fourth moment.
+    on the symmetric part of X x X, N (N + 1) / 2 numbers. The sum ends where the loop is stable in the fourth moment: after as
+    many slots as there are phases, so that chance has its turn, that add nothing.
 
     Args:
         loop: the lifted loop of order N; it takes N^4 numbers a phase.
@@ -219,13 +220,14 @@ def cost_moments(loop: LiftedLoop, x0: npt.ArrayLike, phases: Array) -> CostMome
     price = np.array([sum(p * np.outer(f, f) for p, f in zip(P[i], forms[i])) for i in range(len(S))])
     z = X[upper[0]] * X[upper[1]]
     Z = phases[:, None, None] * np.outer(z, z)
-    variance = float(phases @ (first - mean) ** 2)
+    variance, idle = float(phases @ (first - mean) ** 2), 0
     for _ in range(SLOTS):
         added = float(np.vdot(price, Z))
         variance += added
         if not np.isfinite(variance):
             break
-        if added <= SETTLED * variance:
+        idle = idle + 1 if added <= SETTLED * variance else 0
+        if idle >= len(P):
             return CostMoments(mean, variance)
         Z = np.tensordot(P.T, L2 @ Z @ L2.transpose(0, 2, 1), axes=1)
     raise NotStable("the variance of the cost has no finite sum: the loop is not stable in the fourth moment")

@@ -82,17 +82,20 @@ class Sweep(ShownResult):
 
 
 def statistics(values: NDArray[np.float64]) -> dict[str, Any]:
-    """Return mean, standard deviation, standard error and percentiles of one metric over the runs that have it."""
+    """Return mean, standard deviation, standard error and percentiles of one metric over the runs that have it.
+
+    One run has no deviation, and equal ones have 0.
+    """
     finite = values[np.isfinite(values)]
     if not finite.size:
         return {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
-    sd = float(finite.std(ddof=1)) if finite.size > 1 else 0.0
+    sd = None if finite.size == 1 else float(finite.std(ddof=1)) if np.ptp(finite) > 0.0 else 0.0
     points = (1, 5, 25, 50, 75, 95, 99)
     return {
         "n": int(finite.size),
         "mean": float(finite.mean()),
         "sd": sd,
-        "se": sd / float(np.sqrt(finite.size)),
+        "se": None if sd is None else sd / float(np.sqrt(finite.size)),
         "percentiles": {str(p): float(v) for p, v in zip(points, np.percentile(finite, points))},
     }
 

@@ -62,10 +62,12 @@ def _numbers(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> list[t
     ]
 
 
-def verdict(found: Mapping[str, Any], law: NetworkLaw | None) -> Badge:
-    """Return whether the record of a network agrees with its law."""
-    p = found["p_value"]
-    if p is not None and p >= DOUBTFUL and len(found["mode_counts"]) == 1:
+def verdict(found: Mapping[str, Any], path: NetworkPath) -> Badge:
+    """Return whether the record of a network agrees with its law, which says nothing of a medium before it."""
+    p, law = found["p_value"], path.law
+    if p == 1.0 and len(found["mode_counts"]) == 1:  # nothing was left to chance
+        if path.medium:
+            return Badge(label="no test", detail=f"for {path.medium}")
         return Badge(label="one mode", detail="nothing is random")
     if p is None and law is not None and is_testable(law):
         return Badge(label="no test", detail="too few slots")
@@ -85,7 +87,7 @@ def network_table(network: Mapping[str, Any], paths: Sequence[NetworkPath]) -> T
         [
             capital(way),
             found["through"],
-            verdict(found, path.law),
+            verdict(found, path),
             found["lost"],
             found["late"],
             found["duplicated"],

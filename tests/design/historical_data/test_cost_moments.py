@@ -43,6 +43,15 @@ def test_a_cycle_from_one_phase_has_no_variance_and_from_two_that_of_the_draw() 
     assert drawn.variance == pytest.approx(FIRST.prod() * (sure[0].mean - sure[1].mean) ** 2, rel=1e-9)
 
 
+def test_chance_that_comes_after_slots_without_any_counts() -> None:
+    """The first two slots are sure: the variance is that from where they lead to."""
+    later = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.2, 0.3]])
+    loop = LiftedLoop(L=0.6 * L[[0, 1, 0]], Q=Q[[0, 1, 0]], transition=later)
+    found = cost_moments(loop, X0, np.array([1.0, 0.0, 0.0])).variance
+    third = 0.6 * L[1] @ (0.6 * L[0] @ [*X0, 0.0])  # the state in slot 2
+    assert found == pytest.approx(cost_moments(loop, third, np.array([0.0, 0.0, 1.0])).variance, rel=1e-9) and found > 0.0
+
+
 def test_a_cost_may_have_a_mean_and_no_variance() -> None:
     """x grows by 1.4 with probability 1/2 and is 0 after that: E x^2 falls by 0.98 a slot, E x^4 grows by 1.92."""
     both = LiftedLoop(L=np.array([[[1.4]], [[0.0]]]), Q=np.ones((2, 1, 1)), transition=np.full((2, 2), 0.5))

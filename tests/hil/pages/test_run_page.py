@@ -100,6 +100,13 @@ def test_law_test_of_a_few_slots_gives_no_verdict() -> None:
     assert "too few slots" in page and "agrees with its law" not in page
 
 
+def test_a_law_of_one_mode_may_be_random_and_what_is_before_it_too() -> None:
+    """Losses and latencies of a packet law are tested; turns that are drawn, and lose a tenth, are not what the law says."""
+    assert "nothing is random" not in report(run_of("dc-motor-packets", 'duration="5 s"'))
+    page = report(run_of("multisensor-lossy", 'duration="1 s"'))
+    assert page.count("nothing is random") == 1 and page.count("for random turns, loss 0.1") == 4  # that of the actuator
+
+
 def test_run_without_a_step_is_not_blamed_for_not_settling() -> None:
     page = report(run_of("smjls-robust-published", 'duration="1 s"'))
     assert "no step" in page and "not settled" not in page and 'class="tile warning"' not in page

@@ -108,6 +108,7 @@ def test_statistics_are_those_of_the_runs_that_have_a_number() -> None:
     assert (found["n"], found["mean"], found["sd"], found["se"]) == (2, 2.0, pytest.approx(2.0**0.5), pytest.approx(1.0))
     assert found["percentiles"] == pytest.approx({str(p): 1.0 + p / 50.0 for p in (1, 5, 25, 50, 75, 95, 99)})
     one = statistics(np.array([5.0, np.nan]))
-    assert (one["n"], one["mean"], one["sd"], one["se"]) == (1, 5.0, 0.0, 0.0)
+    assert (one["n"], one["mean"], one["sd"], one["se"]) == (1, 5.0, None, None)
+    assert statistics(np.full(7, 0.1))["sd"] == 0.0 < np.full(7, 0.1).std()
     none = statistics(np.array([np.nan]))
     assert none == {"n": 0, "mean": None, "sd": None, "se": None, "percentiles": {}}
