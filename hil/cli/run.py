@@ -266,8 +266,12 @@ def live(
     if clock == "virtual" and link is not None:
         raise HilError("--link needs --clock real: virtual time runs in one process, without a link")
 
+    at_end = click.get_current_context().call_on_close
+
     def path(experiment: Experiment) -> Path:
-        return reserve(output, f"{experiment.name}-live-seed{experiment.seed}", force)
+        log = reserve(output, f"{experiment.name}-live-seed{experiment.seed}", force)
+        at_end(partial(let_go, log))  # a run that is refused leaves nothing
+        return log
 
     if script is not None:
         from hil.pages.live.script import Scripted, read_script

@@ -102,7 +102,8 @@ def inputs_among(names: Sequence[str]) -> list[str]:
 
 
 def _inputs(names: Sequence[str], outputs: Sequence[str]) -> list[Curve]:
-    own = [Curve(panel=name, field=field, place=2) for name in inputs_among(names) for field in (name, f"w_{name}")]
+    inputs = ((name, field) for name in inputs_among(names) for field in (name, f"w_{name}") if field in names)
+    own = [Curve(panel=name, field=field, place=2) for name, field in inputs]
     return [*own, Curve(panel="delays, samples", field="d", place=4)]
 
 

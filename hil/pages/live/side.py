@@ -20,7 +20,7 @@ from hil.log.write.sinks import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, LATE, Change, Changes
 from hil.runtime.clock import PacedClock
-from hil.session.replay.recorded import Asked
+from hil.session.replay.recorded import Asked, changes_of
 from transport.draws import REASONS
 
 EVENTS: Final = 300
@@ -146,14 +146,18 @@ class Side:
         return {**{topic: tail.put for topic, tail in tails.items()}, EVENTS_TOPIC: self._event}
 
     def show(self, run: Run, loop: Loop) -> None:
-        """Watch the run of a log: it is there from its beginning to its end."""
+        """Watch the run of a log: it is there from its beginning to its end.
+
+        Raises:
+            HilError: a change in it is none.
+        """
         arrays = {topic: run.numbers(topic) for topic, schema in run.schemas.items() if not schema.raw and topic in run.arrays}
         schemas = {topic: run.schemas[topic] for topic, records in arrays.items() if len(records)}
         self._records = lambda: arrays
         self._take(loop, schemas)
         self._certificate = run.certificate or None
-        for event in run.events:
-            self._note(event)
+        self.done.extend(changes_of(run))
+        self._events.extend(zip(self._numbers, run.events))
         self.status = "log"
 
     def _take(self, loop: Loop, schemas: Mapping[str, Schema]) -> None:

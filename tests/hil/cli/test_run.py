@@ -193,6 +193,14 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
         assert "a log is shown alone" in cli("live", hil_log, *more)[2]
 
 
+def test_a_script_whose_change_is_refused_leaves_no_log(cli: Hil, tmp_path: Path) -> None:
+    script = tmp_path / "changes.jsonl"
+    script.write_text('{"slot": 5, "field": "plant.gain", "value": "x"}\n')
+    words = ("live", "dc-motor-local", "--duration", "0.5", "--script", script, "-o", tmp_path / "a.mcap")
+    assert cli(*words)[::2] == (2, "hil: change: resolved experiment: plant.gain: expected a number, got text\n")
+    assert [path.name for path in tmp_path.glob("*.mcap")] == []
+
+
 def test_a_device_that_takes_no_log_stays(cli: Hil, tmp_path: Path) -> None:
     device = tmp_path / "full"
     try:

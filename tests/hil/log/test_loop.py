@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 import hil
 from hil.errors import HilError
+from hil.log.records import Schema
 from hil.log.topics import TOPICS, Logged, MissingTopic, channels, panels
 from hil.log.topics.topic import SLOT, Topic
 from tests.hil.log.recording import Signal
@@ -127,4 +128,9 @@ def described(logged: Logged) -> list[str]:
 def test_every_topic_is_as_it_is_printed() -> None:
     """`print(*described(BARE), *described(WHOLE), sep="\\n")` prints the file: who changes a topic changes it too."""
     assert [*described(BARE), *described(WHOLE)] == (ROOT / "tests/data/topics.txt").read_text().splitlines()
-    assert [*panels({name: c.schema for name, c in channels(BARE).items()}, ["/timing/slot"])] == ["timing, us"]
+    schemas = {name: c.schema for name, c in channels(BARE).items()}
+    assert [*panels(schemas, ["/timing/slot"])] == ["timing, us"]
+    applied = schemas["/actuator/applied"]
+    lacks = Schema(name=applied.name, fields=tuple(f for f in applied.fields if not f.name.startswith("w_")))
+    assert all(curve.field in {f.name for f in lacks.fields} for curves in panels({"/actuator/applied": lacks}).values()
+               for _, curve in curves), "a log may lack the disturbances"  # fmt: skip

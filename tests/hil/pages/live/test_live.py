@@ -348,6 +348,10 @@ def test_a_log_is_shown_as_it_was_and_takes_no_change(tmp_path: Path) -> None:
     finally:
         desk.close()
     rows = np.frombuffer(picture(side.records(), side.traces, Window.over(0, 80, 80)), "<f4").reshape(len(side.traces), 2, 80)
+    run, kinds = read_run(tmp_path / "a.mcap"), ("change late", "change")
+    run.events.extend({"slot": 1, "t_s": 0.05, "kind": kind, "severity": "info", "message": "", "data": {}} for kind in kinds)
+    with pytest.raises(HilError, match="event of slot 1: a change without path and value"):
+        Side().show(run, side.loop)
     at = next(i for i, trace in enumerate(side.traces) if trace.topic == "/reference")
     assert rows[at, 0].tolist() == rows[at, 1].tolist() == [0.0] * 20 + [3.0] * 60
 
@@ -369,14 +373,14 @@ def test_a_log_is_served_until_a_signal_comes(tmp_path: Path) -> None:
 
 def test_a_signal_ends_two_runs_and_both_are_handed_on(tmp_path: Path) -> None:
     names, sessions = ["dc-motor-hinf", "dc-motor-h2"], list[Session]()
-    runs = [asked(tmp_path, name, [], held=True) for name in names]
+    runs = [asked(tmp_path, name, [], paused=True) for name in names]
 
-    def held(url: str, side: int) -> bool:
+    def paused(url: str, side: int) -> bool:
         with urlopen(f"{url.partition('?')[0]}view?side={side}", timeout=30) as answer:
-            return b'"status":"held"' in answer.read().replace(b'": "', b'":"')
+            return b'"status":"paused"' in answer.read().replace(b'": "', b'":"')
 
     def end(url: str) -> None:
-        until(lambda: held(url, 0) and held(url, 1), "the runs")
+        until(lambda: paused(url, 0) and paused(url, 1), "the runs")
         os.kill(os.getpid(), signal.SIGINT)
 
     def opened(url: str) -> None:
