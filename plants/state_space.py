@@ -167,6 +167,8 @@ OUTPUT: Final = Signal("y", "1")
 class TransferFunction:
     """A linear plant: y(s) = num(s) / den(s) (u(s) + w(s)), realised in controllable canonical form, at rest at time 0.
 
+    B has the largest coefficient of ``num`` and C the others as shares of it: without zeros the first state is the output.
+
     Args:
         num: coefficients of the numerator, the highest power of s first; of a lower degree than ``den``.
         den: coefficients of the denominator, the highest power of s first.
@@ -178,6 +180,8 @@ class TransferFunction:
 
     >>> TransferFunction(num=(170.0,), den=(1.0, 20.0, 0.0)).model().A.tolist()
     [[0.0, 1.0], [-0.0, -20.0]]
+    >>> TransferFunction(num=(170.0,), den=(1.0, 20.0, 0.0)).model().C.tolist()
+    [[1.0, 0.0]]
     """
 
     num: tuple[float, ...]
@@ -200,12 +204,14 @@ class TransferFunction:
     def _realised(self) -> LinearPlant:
         n = len(self.den) - 1
         den = [a / self.den[0] for a in self.den[1:]]
-        num = [b / self.den[0] for b in np.trim_zeros(self.num, "f")]
+        num = np.trim_zeros(self.num, "f")
+        largest = max(num, key=abs)
+        shares = [b / largest for b in num]
         shift = [tuple(float(j == i + 1) for j in range(n)) for i in range(n - 1)]
         return LinearPlant(
             A=(*shift, tuple(-a for a in reversed(den))),
-            B=tuple((float(i == n - 1),) for i in range(n)),
-            C=(tuple(map(float, (*reversed(num), *(0.0,) * (n - len(num))))),),
+            B=(*((0.0,),) * (n - 1), (largest / self.den[0],)),
+            C=((*reversed(shares), *(0.0,) * (n - len(shares))),),
             inputs=(self.input,),
             outputs=(self.output,),
         )

@@ -67,7 +67,7 @@ class GainsOrWall(click.Command):
     "--uncertainty",
     multiple=True,
     metavar="NAME=WIDTH",
-    help="Guarantee the design for a parameter of the plant within gain=10% or pole=0.3 (to either side); repeatable.",
+    help="Guarantee the design for a parameter of the plant within gain=10%, pole=0.3 (to either side) or A.1.0=10%; repeatable.",
 )
 @click.option("--robust", is_flag=True, help="--uncertainty: gains of least guaranteed H2 norm, not those for the nominal plant.")
 @click.option(

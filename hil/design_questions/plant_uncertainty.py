@@ -15,7 +15,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,8 @@ class PlantSet(NamedTuple):
 def interval(plant: Plant, said: str) -> Interval:
     """Return what ``name=10%`` (a share of the nominal value) or ``name=0.2`` (to either side) says of a plant's parameter.
 
+    ``A.1.0=10%`` says it of an entry of a matrix.
+
     Raises:
         HilError: no such parameter, or no width above 0.
     """
@@ -84,11 +86,29 @@ def interval(plant: Plant, said: str) -> Interval:
 
 
 def parameters(plant: Plant) -> dict[str, float]:
-    """Return the numbers among a plant's own parameters, by name."""
+    """Return the numbers among a plant's own parameters, by name; those of a list or matrix by their places, as in ``A.1.0``."""
     if not dataclasses.is_dataclass(plant):
         return {}
-    numbers = {name: value for name, value in dataclasses.asdict(plant).items() if isinstance(value, float | int)}
-    return {name: float(value) for name, value in numbers.items() if not isinstance(value, bool)}
+    found: dict[str, float] = {}
+
+    def take(name: str, value: object) -> None:
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            found[name] = float(value)
+        elif isinstance(value, tuple | list):
+            for i, entry in enumerate(value):
+                take(f"{name}.{i}", entry)
+
+    for field in dataclasses.fields(plant):
+        take(field.name, getattr(plant, field.name))
+    return found
+
+
+def _changed(of: Any, at: Sequence[str], value: float) -> Any:
+    """A value with another number at a place within it."""
+    if not at:
+        return value
+    i = int(at[0])
+    return (*of[:i], _changed(of[i], at[1:], value), *of[i + 1 :])
 
 
 def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> PlantSet:
@@ -125,7 +145,10 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
 def _discrete(target: TrackingTarget, values: dict[str, float], names: Sequence[str]) -> Array:
     """[A B] of the plant with other values of its parameters, as it moves; without any, of its model; (n, n + m)."""
     try:
-        changed = dataclasses.replace(target.of, **values) if values else target.of  # type: ignore[type-var]
+        changed: Any = target.of
+        for name, value in values.items():
+            field, *at = name.split(".")
+            changed = dataclasses.replace(changed, **{field: _changed(getattr(changed, field), at, value)})
         moves = changed.motion() if values and isinstance(changed, MovesOtherwise) else changed.model()
         found = moves.discretise(target.period_s)
     except (PlantError, ValueError) as error:

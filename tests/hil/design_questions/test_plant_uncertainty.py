@@ -17,7 +17,7 @@ from hil.design_questions.design_problem import problem_for, tracking_target, ve
 from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from plants import LinearRun, Signal, StateSpace
+from plants import DCMotor, LinearPlant, LinearRun, Signal, StateSpace, TransferFunction
 from plants.parts.actuators import Friction
 
 
@@ -141,3 +141,22 @@ def test_every_plant_between_is_covered(names):
         delta = np.linalg.pinv(found.M) @ change @ np.linalg.pinv(N)
         assert np.linalg.norm(delta, 2) <= 1.0 + 1e-9
         np.testing.assert_allclose(found.M @ delta @ N, change, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("plant", "names"),
+    [
+        (LinearPlant(A=((0.0, 1.0), (0.0, -2.0)), B=((0.0,), (170.0,)), C=((1.0, 0.0),)), ("B.1.0=10%", "A.1.1=0.5")),
+        (TransferFunction(num=(170.0,), den=(1.0, 2.0, 0.0)), ("num.0=10%", "den.1=0.5")),
+    ],
+)
+def test_entries_of_matrices_and_coefficients_are_parameters_of_a_plant(plant, names):
+    motor = DCMotor(gain=170.0, pole=2.0)
+    found = []
+    for of, said in ((motor, ("gain=10%", "pole=0.5")), (plant, names)):
+        moves = of.model().discretise(0.05)
+        target = tracking_target("dc-motor")._replace(A=moves.A, B=moves.B, C=moves.C, of=of)
+        found.append(plants_between(target, [interval(of, each) for each in said]))
+    np.testing.assert_allclose(*(np.sort(each.changes, axis=0) for each in found), atol=1e-12)  # -pole falls as the pole rises
+    with pytest.raises(HilError, match=r"--uncertainty: B\.2\.0: the plant has no such number"):
+        interval(plant, "B.2.0=10%")
