@@ -205,4 +205,6 @@ def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> 
         with_unit(f"difference to the {which} point", quantity.unit), "its 95 % interval",
     )  # fmt: skip
     note = "Differences are run by run, on the same seeds."
+    if best is not None:
+        note += " Each interval is of two points that were named before; the answer allows for the choice of the best."
     return Table(columns=columns, rows=rows, highlight=frozenset() if best is None else frozenset({best}), note=note)

@@ -92,9 +92,18 @@ def in_no_run(titles: Sequence[str]) -> str:
     return f"no run has a number for: {', '.join(titles)}"
 
 
-def interval_of(values: NDArray[np.float64]) -> Interval:
-    """Return the mean over the runs that have a number, and its 95 % interval."""
-    return mean_interval(values[np.isfinite(values)])
+def interval_of(values: NDArray[np.float64], level: float = 0.95) -> Interval:
+    """Return the mean over the runs that have a number, and its interval."""
+    return mean_interval(values[np.isfinite(values)], level)
+
+
+def all_together(intervals: int) -> float:
+    """Return the level at which so many intervals hold, all of them, with 95 % (Bonferroni): one may be chosen by its values.
+
+    >>> all_together(1), round(all_together(10), 3)
+    (0.95, 0.995)
+    """
+    return 1.0 - 0.05 / max(intervals, 1)
 
 
 def pairs(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -134,9 +143,15 @@ def ends_of(interval: Interval) -> tuple[float, float]:
     return (interval.low, interval.high) if interval.bounded else (interval.value, interval.value)
 
 
-def mean_and_interval(values: NDArray[np.float64], quantity: Quantity) -> str:
-    """Return the mean of a quantity with its interval, in one line, and how many runs it is over where some lack the number."""
-    found = interval_of(values)
+def mean_and_interval(values: NDArray[np.float64], quantity: Quantity, of: int = 1) -> str:
+    """Return the mean of a quantity with its interval, in one line, and how many runs it is over where some lack the number.
+
+    Args:
+        values: of the runs.
+        quantity: what they are of.
+        of: means from which this one was chosen.
+    """
+    found = interval_of(values, all_together(of))
     if not found.n:
         return f"{quantity.title} undefined in all runs"
     unit = f" {quantity.unit}" if quantity.unit else ""
