@@ -108,7 +108,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.experiment import load_experiment
     from hil.files import check_output, write_output
     from hil.log.read.run import read_run
-    from hil.log.topics import channels_of
+    from hil.log.topics import channels_of, panels
     from hil.pages.viewers import foxglove, plotjuggler
 
     if output is not None:
@@ -118,6 +118,8 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     else:
         loop = compose(load_experiment(source), certify=False)
         schemas = {topic: channel.schema for topic, channel in channels_of(loop).items()}
+    if not panels(schemas):
+        raise HilError(f"{source}: none of its topics is plotted over time; expected an experiment, or the log of a run")
     text = plotjuggler(schemas) if viewer == "plotjuggler" else foxglove(schemas) + "\n"
     if output is None:
         click.echo(text, nl=False)

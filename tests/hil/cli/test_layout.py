@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import pytest
+
+from hil.bench.probe import Trip, write_probe_log
 from hil.log.read.run import read_run
 from hil.log.records import EVENTS_TOPIC
 from tests.hil.cli.conftest import Hil
@@ -26,6 +29,9 @@ ELEMENTS = {
     "DockSplitter": {"orientation", "count", "sizes"}, "DockArea": {"name"}, "plot": {"mode", "style", "flip_x", "flip_y"},
     "limitY": set(), "curve": {"name", "color"}, "currentTabIndex": {"index"}, "use_relative_time_offset": {"enabled"},
 }  # fmt: skip
+
+
+NO_PLOT = "none of its topics is plotted over time; expected an experiment, or the log of a run"
 
 
 def leaves(node: Any) -> list[str]:
@@ -67,6 +73,12 @@ def test_a_layout_has_what_the_viewers_read_and_nothing_else(hil_log: Path, cli:
     (splitter,) = root.iterfind("tabbed_widget/Tab/Container/DockSplitter")
     assert len(splitter.attrib["sizes"].split(";")) == len(splitter) and splitter.attrib["orientation"] in "|-"
     assert all([child.tag for child in area][:2] == ["plot"] for area in splitter)
+
+
+@pytest.mark.parametrize("viewer", ["foxglove", "plotjuggler"])
+def test_a_log_of_a_probe_has_no_layout(cli: Hil, viewer: str) -> None:
+    write_probe_log(Path("link.mcap"), "can:hil:x", 1000.0, [Trip(10**6, 2 * 10**6, 3 * 10**6)], one_clock=True)
+    assert cli("layout", viewer, "link.mcap")[::2] == (2, f"hil: link.mcap: {NO_PLOT}\n")
 
 
 def test_a_layout_replaces_nothing_unasked(cli: Hil) -> None:
