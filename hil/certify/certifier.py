@@ -170,23 +170,34 @@ def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict
     )
 
 
+FROM_REST: Final = {
+    "stability in a region": "it may lead the run out of the region",
+    "passivity": "what is stored when it ends comes back, and passivity is claimed from rest",
+}
+"""Why a claim does not hold behind a fault, by its kind: it is not from any state."""
+
+
 def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Extend a verdict on the loop without the faults on its time line to the loop with them.
 
-    In the mean square a linear loop that is stable from any state and any modes is stable behind faults that end, too: finitely
-    many slots of linear maps leave E|x|^2 finite. It is not known behind what may outlast a fault, a trigger that believes its
-    packet received or a mode that was seen late; nor of norms, passivity, and whatever is not linear.
+    A fault that is over is left behind in finitely many slots: what it took is then too old to be used, what a restart forgot has
+    come again (or is waited for, see `limited_to_received`), and a mode that was seen late, or a stay that was counted anew, has
+    changed or has lasted so long that no gain distinguishes it. In these slots every map is bounded, a restart is a linear map
+    that resets a part of the state, and an answer of zeros instead of u* is bounded. So E|x|^2 is finite where the loop is again
+    that of the verdict, and what is proved, or refuted, from any state and mode is so there: mean-square stability, and bounds
+    within which a loop ends. A claim from rest or from a region is not.
     """
     if not loop.faults:
         return verdict
     faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
-    why = loop.whole if isinstance(loop.whole, str) else "no proof knows what it leaves behind"
-    linear = verdict.kind == "mean-square stability" and not (loop.slack or loop.shares or isinstance(loop.plant, JumpPlant))
-    if verdict.certified and linear and not isinstance(loop.whole, str):
-        reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}"
-        return msgspec.structs.replace(verdict, reason=reason)
-    without = f"{verdict.state} without what happens on the time line ({faults})"
-    return _undecide(verdict, f"{without}; undecided with it, as {why}: {verdict.reason}")
+    why = loop.whole if isinstance(loop.whole, str) else FROM_REST.get(verdict.kind, "") if verdict.certified else ""
+    if why:
+        without = f"{verdict.state} without what happens on the time line ({faults})"
+        return _undecide(verdict, f"{without}; undecided with it, as {why}: {verdict.reason}")
+    reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}"
+    if verdict.certified and verdict.kind == "guaranteed cost":
+        return msgspec.structs.replace(verdict, kind="mean-square stability", reason=f"{reason}; the cost is that without them")
+    return verdict if verdict.state == "undecided" else msgspec.structs.replace(verdict, reason=reason)
 
 
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:

@@ -24,7 +24,7 @@ from hil.experiment import experiment_from_resolved, set_field
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE
 from hil.rig.normal_form import rig_of
-from hil.rig.schedules import SCHEDULES
+from hil.rig.schedules import SCHEDULES, outlasts
 from plants.parts.protocols import GoesOn, JumpPlant, Plant
 
 ON_THE_TIME_LINE: Final = ("reference", "disturbance", "fault")
@@ -76,8 +76,8 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     raw: dict[str, Any] = copy.deepcopy((replace(e, **{table: ()}) if table in SCHEDULES else e).resolved())
     raw["allow_uncertified"] = True  # whoever changes it sees the certificate before
     if table not in SCHEDULES and "fault" in raw:  # what is over takes no certificate away
-        ends = [fault.slots(float(e.period))[1] for fault in e.fault]
-        raw["fault"] = [entry for entry, end in zip(raw["fault"], ends, strict=True) if end >= k]
+        left = [fault.slots(float(e.period))[1] >= k or bool(outlasts(fault, loop.rig)) for fault in e.fault]
+        raw["fault"] = [entry for entry, kept in zip(raw["fault"], left, strict=True) if kept]
     try:
         if table in ON_THE_TIME_LINE:
             entry = dict(value) if isinstance(value, dict) else {"value": value}

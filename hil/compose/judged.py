@@ -47,6 +47,10 @@ BOUNDED = (
     "second instance that shares no memory with the first"
 )
 NOT_COMPARED = "the plant keeps to its model beyond the test: in the run it is not compared"
+RESTARTED = (
+    "a controller that was restarted answers again when its restart ends: in real time its process may take seconds to start, "
+    "and what it answered before is not compared"
+)
 DELAYED = f"{NOT_COMPARED}, for its delay reaches states between the samples, which no record holds"
 
 
@@ -73,6 +77,7 @@ def judge(
         assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
         assumed += _run_again_in_part(problem, verdict, watched.plant, experiment.slots)
         assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
+        assumed += (RESTARTED,) if any(first < experiment.slots for first, _ in rig.fault_schedule.restarts) else ()
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
             assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
@@ -151,7 +156,7 @@ def _problem(
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
-        damped=rig.passivity, whole=whole_again(e, _ages(ca, model.d_max)),
+        damped=rig.passivity, whole=whole_again(e, rig, _ages(ca, model.d_max)),
         faults=sum(fault.slots(float(e.period))[0] < e.slots for fault in e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
@@ -168,7 +173,7 @@ def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:
     Where commands may be missing anyhow, the cuts alone count: what they leave has a chance, see `chance_behind_cuts`.
     """
     if ca is None or ca.holds.any():
-        return d_max, d_max, d_max
+        return 0, 0, 0
     return int(ca.delay.min()), int(ca.delay.max()), d_max
 
 

@@ -33,7 +33,7 @@ from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
 from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.receiver import Received, recorded_chain
-from hil.rig.schedules import as_one, cuts_of
+from hil.rig.schedules import as_one, no_commands
 from hil.rig.spec import RigSpec
 from transport.laws import AgeChain, RecordedLaw
 
@@ -296,7 +296,7 @@ def chance_behind_cuts(chains: Chains, experiment: Experiment, d_max: int) -> fl
         experiment: with its watchdog and its faults.
         d_max: largest delay that a packet has a row for.
     """
-    law, cuts = chains.applied.ages, as_one(cuts_of(experiment))
+    law, cuts = chains.applied.ages, as_one(no_commands(experiment))
     if not cuts or not isinstance(law, AgeChain):
         return 0.0
     ages, matrix, most = np.array(law.mode_ages), law.transition_matrix(), experiment.limits.watchdog_slots

@@ -13,6 +13,7 @@ from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
 from transport.medium import FaultInterval
 
 if TYPE_CHECKING:
+    from hil.rig.spec import RigSpec
     from transport.can_bus_model.disturbances import BusFault
 
 
@@ -93,20 +94,23 @@ def beyond_the_end(e: Experiment) -> str:
     )
 
 
-def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
+def whole_again(e: Experiment, rig: RigSpec, ages: tuple[int, int, int]) -> float | str:
     """Return from when on the last fault of a checked experiment has no more effect, s; or the reason why that is unknown.
 
     The watchdog looks at the way to the actuator alone, see `starves`: a controller that gets no sample answers all the same.
 
     Args:
         e: the experiment.
+        rig: its rig.
         ages: smallest and largest age of a command that the network law draws, and the largest that a packet has rows for.
 
     >>> from hil.experiment import load_experiment
+    >>> from hil.rig.normal_form import rig_of
     >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='ca'}]"
-    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=20"]), (0, 1, 1))
+    >>> for slots in (12, 11):
+    ...     e = load_experiment("dc-motor-hinf", [cut, f"limits.watchdog_slots={slots}"])
+    ...     whole_again(e, rig_of(e), (0, 1, 1))
     3.5
-    >>> whole_again(load_experiment("dc-motor-hinf", [cut, "limits.watchdog_slots=11"]), (0, 1, 1))
     'network.ca may bring no command for 11 slots from slot 60 on, and the watchdog trips after 11'
     """
     over = 0
@@ -114,22 +118,54 @@ def whole_again(e: Experiment, ages: tuple[int, int, int]) -> float | str:
         first, end = fault.slots(float(e.period))
         if first >= e.slots:
             continue
-        if fault.kind not in ("cut", "corrupt", "freeze"):
-            return f"fault[{i}], the {fault_text(fault)}, may outlast its time"
-        if end >= e.slots:
-            return f"fault[{i}] lasts to the end of the run"
+        why = "it lasts to the end of the run" if end >= e.slots else outlasts(fault, rig)
+        if why:
+            return f"of fault[{i}], the {fault_text(fault)}, {why}"
         over = max(over, end)
-    for first, slots in starves(cuts_of(e), *ages):
+    for first, slots in starves(no_commands(e, *ages[:2]), *ages):
         if slots >= e.limits.watchdog_slots:
             said = f"network.ca may bring no command for {slots} slots from slot {first} on"
             return f"{said}, and the watchdog trips after {e.limits.watchdog_slots}"
     return over * float(e.period)
 
 
-def cuts_of(e: Experiment) -> list[tuple[int, int]]:
-    """Return first slot and end of every time in which no command arrives."""
-    spells = [fault.slots(float(e.period)) for fault in e.fault if fault.link == "ca" and fault.kind in ("cut", "corrupt")]
-    return [(first, end) for first, end in spells if first < e.slots]
+def outlasts(fault: Fault, rig: RigSpec) -> str:
+    """Return the reason why the effect of a fault may last for any time behind its end; empty: it does not.
+
+    Args:
+        fault: of the time line.
+        rig: what it breaks.
+    """
+    if fault.kind == BIT_ERRORS or (fault.kind == "bus-off" and any(shared.table.kind == "can" for shared in rig.media)):
+        return "error counters and queues are left, and no analysis bounds how late frames are then"
+    for sensor in rig.sensors:
+        if sensor.trigger.kind != "every-slot" and _reaches(fault, sensor.name):
+            return f"{sensor.path}.trigger knows nothing: it may keep the node silent for any time, while what it sent is missing"
+    return ""
+
+
+def _reaches(fault: Fault, node: str) -> bool:
+    """Return whether the controller gets other samples of a node by a fault, or forgets them."""
+    off_bus = fault.link == "ca" and fault.kind == "bus-off"  # a controller that is off the bus receives nothing either
+    return fault.link == "sc" or fault.node == node or off_bus or fault.kind == RESTART
+
+
+def no_commands(e: Experiment, youngest: int = 0, oldest: int = 0) -> list[tuple[int, int]]:
+    """Return first slot and end of every time in which no command arrives, by a cut or as none was sent.
+
+    Args:
+        e: a checked experiment.
+        youngest, oldest: ages that the network law draws. Of those that were sent up to slot f one may come until f + oldest, and
+            of those from slot g on one may come in slot g + youngest.
+    """
+    spells = []
+    for fault in e.fault:
+        first, end = fault.slots(float(e.period))
+        if first < e.slots and fault.link == "ca" and fault.kind in ("cut", "corrupt", "bus-off"):
+            spells.append((first, end))
+        if first < min(end, e.slots) and (fault.kind == RESTART or (fault.link == "ca" and fault.kind == "bus-off")):
+            spells.append((first + oldest, end + youngest))
+    return spells
 
 
 def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: int) -> list[tuple[int, int]]:
@@ -139,7 +175,7 @@ def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: 
     law may draw it again behind the end of the cut, until it is older than `oldest`.
 
     Args:
-        cuts: first slot of each, and the one in which it is over; they may overlap.
+        cuts: first slot of each, and the one in which it is over, see `no_commands`; they may overlap.
         youngest, oldest: ages that the law draws.
         d_max: largest age that rows cover.
 
@@ -163,7 +199,7 @@ def as_one(cuts: Sequence[tuple[int, int]], gap: int = 0) -> list[tuple[int, int
 
 
 def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
-    """Return the time line of a checked experiment. A controller that is off the bus receives nothing either.
+    """Return the time line of a checked experiment.
 
     Args:
         e: the experiment.
@@ -183,7 +219,7 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
         if fault.link == "ca":
             actuator.append(spell)
         for i, name in enumerate(names):
-            if fault.link == "sc" or fault.node == name or (fault.link == "ca" and fault.kind == "bus-off"):
+            if _reaches(fault, name):
                 nodes[i].append(spell)
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
 

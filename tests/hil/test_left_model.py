@@ -85,6 +85,13 @@ def test_a_controller_that_lies_late_loses_its_certificate(late: str) -> None:
     assert 285 < int(why.split(" slot ")[1].split()[0]) < 305
 
 
+def test_a_restart_of_the_controller_is_no_lie_and_hides_none() -> None:
+    restart = [{"at": 15, "kind": "controller-restart"}]
+    assert not said(simulated_session(loop_of(Plant(), Table(), fault=restart), 3))
+    why = said(simulated_session(loop_of(Plant(), LateTable(late="once it was asked 290 times"), fault=restart), 3))
+    assert why.startswith("certificate withdrawn: the controller left its table at slot 290 by"), "the restart is in slot 300"
+
+
 @dataclass(frozen=True)
 class Replaced(Table):
     """Starts what it states, until it has been started so often."""

@@ -171,7 +171,7 @@ class ControlNode:
         self._set_loop(loop)
         self._input: NewestSample | EverySample = controller_input(loop)
         self._to_come = 0
-        self._departed: tuple[int, str] | None = None  # of a controller that was changed
+        self._departed: tuple[int, str] | None = None  # of a controller that was changed or restarted
         self.counts = Refusals()
         self._questions = Questions(self.counts, self._period_ns)
         self._counter = self._hellos = 0
@@ -267,5 +267,6 @@ class ControlNode:
     def _down(self, k: int) -> bool:
         """Forget everything where a restart has begun; return whether nothing is received in slot k."""
         while self._to_come < len(self._restarts) and self._restarts[self._to_come][0] <= k:
+            self._departed = self.departed
             self._input, self._to_come = controller_input(self._loop), self._to_come + 1
         return any(first <= k < end for first, end in self._restarts)

@@ -130,8 +130,17 @@ def test_a_fault_that_is_over_takes_no_certificate_away(motor: Loop) -> None:
     assert mended.verdict is not None and mended.verdict.certified and not mended.verdict.reason.startswith("behind")
     restarted = changed(motor, 10, "fault", {"kind": "controller-restart"})
     at_once, later = (changed(restarted, k, "network.ca.law", LATE).verdict for k in (10, 11))
-    assert at_once is not None and not at_once.certified
-    assert later is not None and later.certified
+    assert at_once is not None and at_once.certified and at_once.reason.startswith("behind")
+    assert later is not None and later.certified and not later.reason.startswith("behind")
+
+
+def test_a_trigger_does_not_see_that_a_fault_took_what_it_sent_when_that_is_over() -> None:
+    node = "network.nodes.s={outputs=['angle'],trigger={kind='dead-band',threshold=0.05}}"
+    banded = compose(load_experiment("dc-motor-h2", ["controller={kind='local',gain=[[-0.05]]}", node]))
+    for link, certified in (("ca", True), ("sc", False)):
+        broken = changed(banded, 10, "fault", {"kind": "cut", "for": 0.05, "link": link})
+        for verdict in (broken.verdict, changed(broken, 40, "network.ca.law", LATE).verdict):
+            assert verdict is not None and verdict.certified == certified
 
 
 def test_claim_on_a_run_that_began_without_one_says_what_is_not_compared() -> None:
