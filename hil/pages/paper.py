@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -65,12 +66,13 @@ def slug(title: str) -> str:
 
 
 def draw(plot: Plot, axis: Any) -> None:
-    """Draw one plot of a report.
+    """Draw one plot of a report. Its texts may be a stranger's: a dollar sign in them begins no formula.
 
     Args:
         plot: the plot.
         axis: of matplotlib.
     """
+    plot = _literal(plot)
     if isinstance(plot, Figure):
         _curves(plot, axis)
     elif isinstance(plot, Bars):
@@ -87,6 +89,17 @@ def draw(plot: Plot, axis: Any) -> None:
         axis.set_xlabel(with_unit(plot.x_label, plot.x_unit))
         axis.set_ylabel(plot.y_label)
         _marks(axis, plot.markers)
+
+
+def _literal(value: Any) -> Any:
+    """Return a plot, or a part of it, whose texts matplotlib draws as they are."""
+    if isinstance(value, str):
+        return value.encode("utf-8", "backslashreplace").decode().replace("$", r"\$")
+    if isinstance(value, tuple | list):
+        return type(value)(map(_literal, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        return replace(value, **{field.name: _literal(getattr(value, field.name)) for field in fields(value)})
+    return value
 
 
 def _curves(plot: Figure, axis: Any) -> None:

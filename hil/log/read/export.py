@@ -119,7 +119,15 @@ def _events(run: Run) -> Iterator[Sequence[Any]]:
     names = ["slot", "t_s", "kind", "severity", "message"]
     yield [*names, "data"]
     for event in run.events:
-        yield [*(event.get(name, "") for name in names), json.dumps(event.get("data", {}))]
+        yield [*(_cell(event.get(name, "")) for name in names), json.dumps(event.get("data", {}))]
+
+
+def _cell(value: Any) -> Any:
+    """Return a number as it is; a text in one line, behind an apostrophe where a spreadsheet would take it for a formula."""
+    if not isinstance(value, str):
+        return value
+    text = value.replace("\r", r"\r")
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t")) else text
 
 
 def _npz(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bool) -> None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 import hil
 from hil.errors import HilError
-from hil.pages.html.figures import Section, Text
+from hil.pages.html.figures import Figure, Section, Series, Text
 from hil.pages.paper import write_figures
 from tests.hil.cli.conftest import run_main
 from tests.hil.pages.whole_pages import FIGURES
@@ -34,6 +36,13 @@ def test_plots_are_numbered_and_of_the_size_asked_for(tmp_path: Path) -> None:
     ]  # fmt: skip
     size = ElementTree.parse(drawing).getroot()
     assert (size.get("width"), size.get("height")) == ("360pt", "144pt") and document.read_bytes().startswith(b"%PDF")
+
+
+def test_a_dollar_sign_of_a_stranger_begins_no_formula(tmp_path: Path) -> None:
+    curve = Series(label="$x$", x=np.arange(2.0), y=np.arange(2.0))
+    plot = Figure(title="t", y_label="$^{$ \udcff", series=(curve, replace(curve, label="y")))
+    drawing, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path)
+    assert all(text in drawing.read_text() for text in ("$^{$ \\udcff", "$x$"))
 
 
 def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

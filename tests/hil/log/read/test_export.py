@@ -69,6 +69,16 @@ def test_every_topic_becomes_a_table_of_its_own(run: Run, tmp_path: Path) -> Non
     assert [bytes.fromhex(frame["data [1]"]) for frame in frames] == run.arrays["/link/sensor"]["data"].tolist()
 
 
+def test_a_text_of_an_event_is_no_formula(run: Run, tmp_path: Path) -> None:
+    texts = ("=cmd|' /C calc'!A0", "+1", "-1", "@x", "\tx", "\rx", "a=1", "")
+    said = [{**run.events[0], "message": text, "slot": -1} for text in texts]
+    export(replace(run, events=said), tmp_path / "e.csv", ["/events"])
+    with open(tmp_path / "e.csv", newline="") as file:
+        found = list(csv.DictReader(file))
+    assert [each["message"] for each in found] == [*(f"'{text}" for text in texts[:5]), r"\rx", *texts[6:]], "and no row"
+    assert {each["slot"] for each in found} == {"-1"}
+
+
 def test_numpy_reads_the_arrays_back(run: Run, tmp_path: Path) -> None:
     export(run, tmp_path / "run.npz")
     with np.load(tmp_path / "run.npz", allow_pickle=False) as found:
