@@ -23,7 +23,9 @@ Stopping: looking again and again at an ordinary 95 % interval and stopping at t
 the truth more often than 5 %. Here the sample is looked at only at n_1 < n_2 < ... (growing by a factor), and look k
 uses the error alpha_k = alpha / (k (k + 1)); these sum to alpha. So with probability at least 1 - alpha *all* intervals
 hold, the one at which it stops among them, whatever the rule for stopping: the bound is a union bound and needs only that
-each single interval has its level (asymptotic in n_k; ``first_look`` keeps n_1 large enough).
+each single interval has its level (asymptotic in n_k; ``first_look`` keeps n_1 large enough). Of a deviation it has where the
+sample shows its tails, and a narrow one is likely where it does not: of lognormal samples that stopped at a half width of 0.2 or
+0.3 deviations one in seven missed, of exponential ones one in seventeen.
 
 Reference: P. Hall, "On the removal of skewness by transformation", J. R. Statist. Soc. B 54 (1992) 221-228. D. G. Bonett,
 "Approximate confidence interval for standard deviation of nonnormal distributions", Comput. Stat. Data Anal. 50 (2006) 775-782.

@@ -231,7 +231,9 @@ def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
         title = titles[wanted["metric"]]
         print_folded(
             f"{wanted['statistic']} of {title}: {seen['value']:.6g} in [{seen['low']:.6g}, {seen['high']:.6g}] "
-            f"with {wanted['level']:.6g} confidence, whenever it stops ({seen['n']} runs"
+            f"with {wanted['level']:.6g} confidence, whenever it stops"
+            + (", if these runs show its tails" if wanted["statistic"] == "sd" else "")
+            + f" ({seen['n']} runs"
             + (")" if seen["n"] == out["runs"] else f" of {out['runs']}: those that have it)")
             + ("" if wanted["reached"] else f"; {seen['n']} runs did not suffice for +-{wanted['half_width']:g}")
         )

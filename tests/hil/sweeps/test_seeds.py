@@ -238,6 +238,10 @@ def test_status_is_1_when_the_runs_did_not_suffice() -> None:
     wanted = json.loads(done.stdout)["until"]
     assert wanted["statistic"] == "sd"
     assert not wanted["reached"]
+    words = ["dc-motor-hinf", "--set", "duration=3", "--runs", "150", "--jobs", "1", "--until"]
+    said = [" ".join(CliRunner().invoke(command, [*words, each]).stdout.split()) for each in ("sse=9", "sd:sse=9")]
+    shown = ["whenever it stops, if these runs show its tails" in each for each in said]
+    assert shown == [False, True] and "whenever it stops (" in said[0]
     refused = CliRunner().invoke(command, ["dc-motor-hinf", "--backend", "dask"])
     assert isinstance(refused.exception, HilError)
     assert "--scheduler" in str(refused.exception)
