@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import errno
+import io
 import os
 import resource
 import sys
@@ -153,6 +154,8 @@ def cli() -> None:
 def guarded_main() -> Any:
     """Run the command line of this process; a user's module that ends it in silence is reported, see `hil.cli.guard`."""
     atexit.register(pass_over_signals)  # the first, and so the last that runs
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as standard error: a locale without a sign of ours ends no command
     guard = Guard(ProcessState.now())
     WATCH.set(guard)
     status = 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pty
 import re
+import subprocess
+import sys
 from contextlib import suppress
 from itertools import product
 from pathlib import Path
@@ -179,3 +181,12 @@ def test_the_help_of_a_group_cuts_no_sentence(cli: Hil, group: str, monkeypatch:
     monkeypatch.setenv("COLUMNS", "80")
     status, out, _ = cli(group, "--help")
     assert status == 0 and "..." not in out.replace("[ARGS]...", "") and max(map(len, out.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
+def test_a_locale_without_a_sign_of_ours_ends_no_command(tmp_path: Path, encoding: str) -> None:
+    (tmp_path / "t.csv").write_text("name,can_id,length,period\nfront\u2013rear,0x12,2,9 ms\n", "utf-8")
+    words = [sys.executable, "-m", "hil", "can", "analyse", "t.csv", "--bitrate", "500k"]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding, "PYTHONPATH": os.pathsep.join(sys.path)}
+    done = subprocess.run(words, capture_output=True, cwd=tmp_path, env=environment, timeout=120)
+    assert done.returncode == 0 and rb"front\u2013rear" in done.stdout, done.stderr
