@@ -161,7 +161,8 @@ def claimed_to_the_end(run: Run) -> dict[str, Any]:
     lost = next((each for each in changes if each.certificate.get("state") != "certified"), None)
     if lost is None:
         times = sum(each.path not in SCHEDULES for each in changes)
-        began = f"when the run began: {found['reason']}; its loop was then changed {times} times, and certified each time"
+        often = "once, and certified again" if times == 1 else f"{times} times, and certified each time"
+        began = f"when the run began: {found['reason']}; its loop was then changed {often}"
         return {**found, "reason": began} if times else found
     state, why = (str(lost.certificate.get(name, "undecided")) for name in ("state", "reason"))
     reason = f"certified until slot {lost.slot}, where {lost.path} was changed; then {why}"

@@ -64,6 +64,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   const delay = Object.assign(document.createElement("input"), { type: "range", min: 0, max: 1, step: 0.05, value: 0 });
   loss.setAttribute("aria-label", "Loss, share of packets");
   delay.setAttribute("aria-label", "Delay, share of the longest");
+  const checkMatrix = row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" }));
   const lossLabel = text("label", "loss 0 %"), delayLabel = text("label", "delay 0 samples");
   const laws = () => about.network[direction.value];
   function offer() {
@@ -72,7 +73,8 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   }
   function chain(matrix) {
     heat.replaceChildren();
-    if (!matrix) return heat.append(text("caption", "this law has no chain of ages"));
+    checkMatrix.hidden = !matrix;
+    if (!matrix) return heat.append(text("caption", "this law has no matrix"));
     matrix.forEach((line, i) => {
       const tr = document.createElement("tr");
       line.forEach((p, j) => {
@@ -102,8 +104,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   };
   for (const slide of [loss, delay]) { slide.addEventListener("input", sliders); slide.addEventListener("change", () => check(path(), sliders())); }
   if (direction.length) {
-    field("Network", row(direction, preset), row(lossLabel, loss), row(delayLabel, delay), heat,
-      row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" })));
+    field("Network", row(direction, preset), row(lossLabel, loss), row(delayLabel, delay), heat, checkMatrix);
     offer();
   }
 

@@ -75,6 +75,9 @@ def test_a_person_watches_holds_steps_and_makes_the_network_worse(page: Page, br
     shows(browser, DRAFT, "reference: acts from slot")
     browser.evaluate("document.getElementById('push').click()")
     shows(browser, DRAFT, "disturbance: acts from slot")
+    browser.evaluate(choose("Preset", "always late"))  # a law without a matrix: one line, and no button
+    assert browser.evaluate("document.querySelector('.heat').offsetHeight") < 40
+    assert browser.evaluate("document.getElementById('check-matrix').offsetParent === null")
     browser.evaluate(choose("Preset", "as it was"))
     shows(browser, DRAFT, "stable")
     browser.evaluate("document.querySelector('.heat input').value = '0.9'; document.getElementById('check-matrix').click()")
