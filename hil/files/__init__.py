@@ -134,16 +134,23 @@ def _put(part: Path, target: Path) -> None:
 
 
 def new_files(files: Sequence[File]) -> list[Path]:
-    """Make files that are not there yet, and return their paths.
+    """Make files that are not there yet, all of them or none, and return their paths.
 
     Raises:
         OSError: one is there, or cannot be written.
     """
-    for path, data, mode in files:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
-        with open(descriptor, "wb") as file:
-            file.write(data)
-    return [path for path, _, _ in files]
+    made: list[Path] = []
+    try:
+        for path, data, mode in files:
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, mode)
+            made.append(path)
+            with open(descriptor, "wb") as file:
+                file.write(data)
+    except BaseException:
+        for path in made:
+            path.unlink(missing_ok=True)
+        raise
+    return made
 
 
 PAGE = b"<!doctype html"  # as our pages begin

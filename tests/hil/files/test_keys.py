@@ -17,6 +17,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from hil.errors import HilError
 from hil.files.keys import BEFORE, authority_key, issue_certificate, make_keys, read_certificate, renew_certificates, revoke_names
 from hil.files.signature import Signer, make_signing_key
+from tests.file_limit import files_up_to
 from tests.hil.cli.conftest import Hil
 from tests.hil.cli.conftest import cli as cli
 
@@ -86,6 +87,9 @@ def test_a_folder_that_is_not_new_or_not_ones_own_takes_no_keys(folder: Path, tm
         make_keys(tmp_path / "file")
     with pytest.raises(HilError, match="--host 'ä': neither an address nor a name"):
         make_keys(tmp_path / "new", ["ä"])
+    with files_up_to(550), pytest.raises(HilError, match=r"cannot be written: File too large"):  # ca.pem and ca.key fit
+        make_keys(tmp_path / "new")
+    assert not any((tmp_path / "new").iterdir()) and make_keys(tmp_path / "new"), "all of them, or none"
 
 
 def test_the_commands_print_each_file_and_how_a_link_takes_it(cli: Hil) -> None:
