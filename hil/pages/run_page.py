@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hil.errors import HilError
 from hil.files import check_page, write_output
 from hil.log.run import Run
@@ -31,8 +33,9 @@ MOST_NUMBERS = 5
 _WORST = ("bad", "warning", "neutral", "good")
 
 
+@np.errstate(all="ignore")
 def render_report(view: RunView) -> str:
-    """Return the report of a run as one self-contained HTML page.
+    """Return the report of a run as one self-contained HTML page; numbers of a log that are beyond all others are no news.
 
     Args:
         view: the run.

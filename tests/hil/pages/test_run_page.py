@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +87,17 @@ def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
     answers["tau"][-2:] = 30_000, -5
     run.arrays["/controller/rows"] = answers
     assert len(report(run)) < len(page) + 1000, "an age that a foreign controller says and that is none is not counted"
+
+
+def test_numbers_beyond_all_others_are_shown_without_a_warning() -> None:
+    run = run_of("dc-motor-hinf", 'duration="1.5 s"')
+    for topic, field in (("/plant/measurement", "angle"), ("/plant/state", "angle")):
+        records = run.arrays[topic].copy()
+        records[field][-3:] = 1e308, -1e308, np.inf
+        run.arrays[topic] = records
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "1e+308" in report(run) or "inf" in report(run)
 
 
 def test_report_sets_sojourns_of_a_semi_markov_law_beside_it() -> None:
