@@ -116,10 +116,10 @@ def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.files.toml_text import toml_value
-    from hil.log.recordings.recording import WORDS, independence_said
+    from hil.log.recordings.recording import class_said, independence_said
 
     tested = fit.tested
-    print_folded(f"{way}: {WORDS[fit.law_class]}; {said['packets']} packets, {said['lost']} did not come")
+    print_folded(f"{way}: {class_said(fit)}; {said['packets']} packets, {said['lost']} did not come")
     for note in said["notes"]:
         _line(note)
     for line in independence_said(fit):

@@ -129,6 +129,12 @@ WORDS = {
 }
 
 
+def class_said(fit: LawFit) -> str:
+    """Return the class of a fitted law in words: that latencies are independent is told from slots alone where it is rejected."""
+    in_slots = fit.law_class in ("constant", "independent", "gilbert-elliott") and not fit.tested.independent
+    return WORDS[fit.law_class] + (", as far as slots show" if in_slots else "")
+
+
 def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:
     """Return what was found of one direction as plain values.
 
@@ -190,7 +196,7 @@ def law_text(fit: LawFit, said: dict[str, Any]) -> str:
         fit: what was fitted.
         said: from `fit_said`.
     """
-    head = f"# {WORDS[fit.law_class]}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
+    head = f"# {class_said(fit)}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
     head += '# In an experiment: law = { file = "NAME.toml" }\n'
     rows = toml_lines({key: value for key, value in said.items() if key != "tried"})
     tried = "".join(f"\n[[fit.tried]]\n{toml_lines(each)}" for each in said["tried"])

@@ -102,6 +102,13 @@ def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -
         measured(fit_law(*way.values(), 0.01), holds_input=False)
 
 
+def test_latencies_that_depend_on_each_other_within_a_slot_are_not_called_independent(cli: Hil, tmp_path: Path) -> None:
+    values = 0.002 + 0.001 * np.sin(np.arange(1000)) + np.random.default_rng(0).uniform(0, 1e-4, 1000)
+    (tmp_path / "wave.csv").write_text("\n".join(["latency_s", *map(repr, values.tolist())]))
+    out = cli("identify", "law", "wave.csv", "--period", "10ms")[1]
+    assert "independent latencies, as far as slots show; 1000 packets" in out and "losses is rejected" in out
+
+
 def test_what_comes_at_an_age_has_no_interval_where_losses_come_in_bursts(cli: Hil, tmp_path: Path) -> None:
     lost = np.isin(np.arange(2000) // 8, np.random.default_rng(0).integers(0, 250, 25))
     (tmp_path / "bursts.csv").write_text("\n".join(["latency_s", *np.where(lost, "nan", "0.001").tolist()]))
