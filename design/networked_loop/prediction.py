@@ -34,7 +34,9 @@ from design.networked_loop.loop_parts import check_gains, check_held, steady_sta
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 SPARSE = 0.05
-"""Share of transitions below which they are multiplied one by one."""
+"""Share of a large matrix's entries that are not zero, below which these are multiplied one by one."""
+LARGE = 2**17
+"""Entries of the matrices of all modes from which on it pays to look for zeros: one mebibyte."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,18 +135,18 @@ def predict_tracking(
         start[n : n + structure.stored_outputs * p] += np.tile(output @ first, structure.stored_outputs)
     with one_blas_thread():
         walk.begin(start, _initial_modes(structure, sc, ca, initial))
-        mean, second, square, fourth = np.empty((len(r), p)), np.empty((len(r), p)), np.empty(len(r)), np.empty(len(r))
+        mean, variance, square, fourth = np.empty((len(r), p)), np.empty((len(r), p)), np.empty(len(r)), np.empty(len(r))
         for k in range(len(r)):
             if k and (r[k] != r[k - 1]).any():
                 walk.jump(ideal(r[k - 1]) - ideal(r[k]))
             walk.aim(r[k] - aim[k])
-            mean[k], second[k], square[k], fourth[k] = walk.read()
+            mean[k], variance[k], square[k], fourth[k] = walk.read()
             hold = np.zeros(m) if star is None else star.input @ r[k]
             walk.step(k, w[k], f[k], hold)
         sums = walk.sums()
     return Prediction(
         error_mean=mean,
-        error_sd=np.sqrt(np.maximum(second - mean**2, 0.0)),
+        error_sd=np.sqrt(np.maximum(variance, 0.0)),
         square_mean=square,
         square_sd=np.sqrt(np.maximum(fourth - square**2, 0.0)),
         sum_mean=sums[0],
@@ -170,8 +172,8 @@ class _Recursion:
         self.G[:, : C.shape[1]] = C
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
-        self._lifted: dict[tuple[object, ...], Array] = {}
-        self._followed = follow(structure.transition)
+        self._lifted: dict[tuple[object, ...], Any] = {}
+        self._followed = sparse(structure.transition.T)
         self.M: Array = np.empty(0)
 
     def aim(self, offset: Array) -> None:
@@ -209,9 +211,9 @@ class _Recursion:
             if silent:
                 self._silence(affine, self.tau > k, hold, rows)
             weights = self.period_s * np.array(counted, dtype=np.float64)
-            self._lifted[key] = self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights)
+            self._lifted[key] = _blocks(self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights))
         W = self._lifted[key]
-        moved = W @ self.M @ W.transpose(0, 2, 1)
+        moved = _multiplied(W, _multiplied(W, self.M).transpose(0, 2, 1))  # M is symmetric
         self.M = np.asarray(self._followed @ moved.reshape(len(moved), -1)).reshape(moved.shape)
 
     def _rows(self, k: int) -> tuple[npt.NDArray[np.int64], bool]:
@@ -248,12 +250,13 @@ class _Recursion:
         return full
 
     def read(self) -> tuple[Array, Array, float, float]:
-        """E e, E e^2 per output, E |e|^2, E |e|^4 at this slot."""
+        """E e and its variance per output, E |e|^2, E |e|^4 at this slot."""
         M = self.M.sum(axis=0)
         moment = to_matrix(M[: self.size, self.size - 1], self.d)  # the last coordinate of eta is 1 * 1
+        C, mean = self.G[:, :-1], self.G[:, :-1] @ moment[:-1, -1]  # from the ideal response: the rest of e is known
         return (
-            self.G @ moment[:, -1],
-            np.einsum("ca,ab,cb->c", self.G, moment, self.G),
+            mean + self.G[:, -1],
+            np.einsum("ca,ab,cb->c", C, moment[:-1, :-1], C) - mean**2,
             float(self.square @ M[: self.size, self.size - 1]),
             float(self.square @ M[: self.size, : self.size] @ self.square),
         )
@@ -264,13 +267,27 @@ class _Recursion:
         return M[self.size :, self.size - 1].copy(), np.diagonal(M)[self.size :].copy()
 
 
-def follow(transition: Array) -> Any:
-    """Return P' of a matrix of transitions P (N, N), sparse where most modes never follow each other: a stay of many slots."""
-    if np.count_nonzero(transition) >= SPARSE * transition.size:
-        return np.ascontiguousarray(transition.T)
+def sparse(matrix: Array) -> Any:
+    """Return a matrix, sparse where most of it is zero: where a mode is followed by few, as in a stay of many slots."""
+    if np.count_nonzero(matrix) >= SPARSE * matrix.size:
+        return np.ascontiguousarray(matrix)
     from scipy.sparse import csr_array  # a seventh of the time of `hil report`, which seldom needs it
 
-    return csr_array(transition.T)
+    return csr_array(matrix)
+
+
+def _blocks(W: Array) -> Any:
+    """Return matrices (N, n, n) as they are; where they are large and most entries zero, as one sparse block-diagonal matrix."""
+    if W.size < LARGE or np.count_nonzero(W) >= SPARSE * W.size:
+        return W
+    from scipy.sparse import block_diag, csr_array
+
+    return block_diag([csr_array(each) for each in W], format="csr")
+
+
+def _multiplied(W: Any, M: Array) -> Array:
+    """Return the products of every mode, (N, n, n), of what `_blocks` gives."""
+    return np.asarray(W @ M) if isinstance(W, np.ndarray) else np.asarray(W @ M.reshape(W.shape[0], -1)).reshape(M.shape)
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -125,7 +125,6 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     groups = [signals.tracked] if one_unit else [(name,) for name in signals.tracked]
     sums: list[PredictedSum] = []
     try:
-        error = _moments(loop, loop.controller, chains, r, motion)
         for group in groups:
             tracked = [list(signals.outputs).index(name) for name in group]
             found = _moments(
@@ -141,8 +140,9 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
                 )
     except (ValueError, DesignError):
         return None
+    error_mean = found.error_mean + goal - r  # y - r: what is squared is the distance from the step's value, from slot 0 on
     return PredictedTracking(
-        names=signals.tracked, error_mean=error.error_mean[:, columns], error_sd=error.error_sd[:, columns], sums=tuple(sums),
+        names=signals.tracked, error_mean=error_mean[:, columns], error_sd=found.error_sd[:, columns], sums=tuple(sums),
         left_out=left_out(loop),
     )  # fmt: skip
 

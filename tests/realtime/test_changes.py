@@ -109,7 +109,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 def test_the_controller_is_killed_and_restarted_from_the_page_and_the_loop_goes_into_its_safe_state(page: Page) -> None:
     until(lambda: page.view()["slots"] > 5, "the run")
-    status, answer = page.wish(do="hold")
+    status, answer = page.wish(do="pause")
     assert status == 400 and "paces a run in real time" in answer["error"]
     assert page.wish(do="check", path="controller", value={"kind": "h2"})[0] == 200
     assert "the controller is a process of its own" in page.settled("refused")["message"]

@@ -237,7 +237,8 @@ def test_transitions_one_by_one_predict_what_all_of_them_do(monkeypatch, share):
     r, w = schedule(60)
     known = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
     monkeypatch.setattr(prediction, "SPARSE", share)
+    monkeypatch.setattr(prediction, "LARGE", 0)
     found = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
-    assert isinstance(prediction.follow(PI), np.ndarray) == (share == 0.0)
+    assert isinstance(prediction.sparse(PI), np.ndarray) == (share == 0.0)
     for name in ("error_mean", "error_sd", "sum_mean", "sum_sd"):
         assert getattr(found, name) == pytest.approx(getattr(known, name), rel=1e-6, abs=1e-6)

@@ -37,7 +37,7 @@ def channels(client: Client) -> dict[str, dict[str, Any]]:
 
 
 def test_a_client_reads_the_values_of_a_running_rig(tmp_path: Path) -> None:
-    side = Side(PacedClock(held=True), acts=True)
+    side = Side(PacedClock(paused=True), acts=True)
     with Foxglove(0) as server:
         experiment = load_experiment("dc-motor-hinf", ["duration=600"])
         run = threading.Thread(
@@ -50,7 +50,7 @@ def test_a_client_reads_the_values_of_a_running_rig(tmp_path: Path) -> None:
             channel = channels(client)["/plant/measurement"]
             assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg") and "float64 angle" in channel["schema"]
             client.send({"op": "subscribe", "subscriptions": [{"id": 1, "channelId": channel["id"]}]})
-            side.clock.set(speed=10.0, held=False)  # until the subscription has come, slots pass unseen
+            side.clock.set(speed=10.0, paused=False)  # until the subscription has come, slots pass unseen
             reported: list[tuple[int, float]] = []
             while len(reported) < 30:
                 kind, data = client.receive()
