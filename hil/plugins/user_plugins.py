@@ -10,9 +10,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from numbers import Integral
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from design.controllers import Controller, LoopModel, RunningController
+from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
 from hil.plugins.registry import Group
 from hil.plugins.user_modules import OUR_FOLDERS
 from plants.errors import PlantError
@@ -177,8 +178,11 @@ def own_fault(group: Group, made: Any) -> str | None:
             if group == "hil.plants":
                 needs(made, f"{what}, a plant,", PLANT)
                 check_plant(made)
-            elif group == "hil.controllers" and not isinstance(made, Controller | Designer):
-                needs(made, f"{what}, a controller,", {"start": "a method that returns the running controller"})
+            elif group == "hil.controllers":
+                if not isinstance(made, Controller | Designer):
+                    needs(made, f"{what}, a controller,", {"start": "a method that returns the running controller"})
+                if isinstance(made, SeveralSamples) and not (isinstance(made.samples, Integral) and made.samples > 0):
+                    raise AssertionError(f"samples: {made.samples!r:.40}, expected a whole number above 0")
             elif group == "hil.laws":
                 from hil.plugins.checks import check_law  # with the emulated network, which no other reading of a file needs
 

@@ -288,6 +288,9 @@ def test_a_plant_that_was_replaced_is_never_logged_as_the_one_of_the_file() -> N
 def test_what_is_no_plant_and_no_controller_says_what_it_lacks() -> None:
     with pytest.raises(hil.HilError, match=r"plant: builtins\.int: .*int, a plant, needs `inputs`.*\n.*.*needs `start`"):
         hil.run(hil.load_experiment("dc-motor-hinf"), plant=3, controller=object())
+    wide = type("Wide", (Law,), {"samples": "two"})()
+    with pytest.raises(hil.HilError, match=r"check_controller: samples: 'two', expected a whole number above 0"):
+        hil.run(hil.load_experiment("dc-motor-hinf"), controller=wide)
     with pytest.raises(hil.HilError, match="takes no changes but a plant and a controller"):
         hil.run(hil.load_experiment("dc-motor-hinf"), **{"plant.gain": 3})
     simulate(compose(hil.load_experiment("dc-motor-hinf", duration=1, controller=Law(), allow_uncertified=True)), 0)
