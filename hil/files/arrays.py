@@ -18,6 +18,7 @@ import zipfile
 import zlib
 from array import array
 from collections.abc import Callable, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -186,7 +187,8 @@ class Columns(NamedTuple):
 def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[str]]) -> Columns:
     """Read columns of a file whose first line names them, with units in brackets or without. Lines that begin with # are skipped.
 
-    An empty line is skipped too, but where the file has one column: there it is a missing entry, unless nothing follows it.
+    An empty line is skipped too, but where the file has one column: there it is a missing entry, unless nothing follows it. Where
+    semicolons separate the names, numbers may have a decimal comma.
 
     Args:
         path: the file.
@@ -202,7 +204,10 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
         if os.fstat(file.fileno()).st_size > MOST_BYTES:
             raise HilError(f"{path}: more than {MOST_BYTES} bytes, the limit of {what}")
         try:
-            rows = csv.reader(io.TextIOWrapper(file, "utf-8-sig", newline=""), strict=True)
+            text = io.TextIOWrapper(file, "utf-8-sig", newline="")
+            first = text.readline(1 << 20)
+            separator = ";" if ";" in first and "," not in first else ","
+            rows = csv.reader(chain([first], text), delimiter=separator, strict=True)
             header = [name.split("[")[0].strip() for name in next(rows, [])]
             at = [header.index(name) for name in picked(header)]
             empty: list[int] = []
@@ -217,11 +222,13 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
                     numbers.extend([math.nan] * len(empty) * len(at))
                     empty.clear()
                 if len(row) != len(header):
-                    raise HilError(f"{path}:{rows.line_num}: {len(row)} entries, the first line has {len(header)}")
+                    comma = "; numbers have a decimal point" if len(header) == 1 else ""
+                    raise HilError(f"{path}:{rows.line_num}: {len(row)} entries, the first line has {len(header)}{comma}")
                 lines.append(rows.line_num)
                 for i in at:
+                    entry = row[i].replace(",", ".") if separator == ";" else row[i]
                     try:
-                        numbers.append(math.nan if row[i].strip().lower() in MISSING else float(row[i]))
+                        numbers.append(math.nan if entry.strip().lower() in MISSING else float(entry))
                     except ValueError:
                         raise HilError(f"{path}:{rows.line_num}: {row[i]!r:.40} is no number") from None
         except (OSError, UnicodeDecodeError, csv.Error) as e:

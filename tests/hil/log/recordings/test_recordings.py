@@ -55,6 +55,10 @@ def test_tables_of_latencies_and_of_time_stamps(tmp_path: Path) -> None:
         f"{s!r},{'' if np.isnan(v) else repr(s + v)}" for s, v in zip(SENT.tolist(), expected.tolist())
     ])  # fmt: skip
     np.testing.assert_allclose(only([stamped], one_clock=True), expected, atol=1e-12)
+    spreadsheet = table(tmp_path / "d.csv", "sent_s;latency_ms", [
+        f"{s!r};{e}".replace(".", ",") for s, e in zip(SENT.tolist(), entries)
+    ])  # fmt: skip
+    np.testing.assert_allclose(only([spreadsheet]), expected, rtol=1e-12)
     trips = table(tmp_path / "c.csv", "sent_s,rtt_s", [f"{s!r},{v!r}" for s, v in zip(SENT.tolist(), LATENCY.tolist())])
     halves, notes = packet_records(read_recording([trips]), halve=True)
     np.testing.assert_allclose(halves["ca"].latency_s, LATENCY / 2.0)
@@ -336,6 +340,9 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
     assert "capture of one direction" in fails([capture(tmp_path / "one.pcap", replies=False)])
     assert "a CAN log has no latencies by itself" in fails([tmp_path / "one.log"])
     assert "names no column of latencies" in fails([table(tmp_path / "other.csv", "a,b", ["1,2"])])
+    assert "comma.csv:2: 2 entries, the first line has 1; numbers have a decimal point" in fails(
+        [table(tmp_path / "comma.csv", "latency_ms", ["3,5", "4,5"])]
+    )
     assert "bad.csv:3: 'soon' is no number" in fails([table(tmp_path / "bad.csv", "latency_s", ["0.1", "soon"])])
     assert "names no record of packets" in fails([tmp_path / "x.txt"])
     before = [f"{s},{s - 0.001}" for s in SENT.tolist()]
