@@ -96,7 +96,7 @@ def _show_comparison(comparison: Comparison, output: Path | None) -> None:
     note = "; ".join([f"differences are against {comparison.first}, run by run on the same delays", *filter(None, said)])
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
     if output is not None:
-        print(f"page: {visible(output)}")
+        print(f"written: {visible(output)}")
 
 
 def _as_json(gap: Interval) -> dict[str, float | None]:

@@ -292,7 +292,7 @@ def _show_differences(run: Run, kind: str, differences: dict[str, dict[str, floa
             f"{name}: {kind} would have differed by {d['rms']:.4g}{u} rms, {d['max']:.4g}{u} at most "
             f"(largest command {d['max_abs_replayed']:.4g}{u}, recorded {d['max_abs_recorded']:.4g}{u})"
         )
-    print(f"series: {output}" if output else "the plant does not react to it; -o FILE.csv writes the series")
+    print(f"written: {visible(output)}" if output else "the plant does not react to it; -o FILE.csv writes the series")
 
 
 def _write_series(output: Path, series: dict[str, npt.NDArray[np.float64]]) -> None:

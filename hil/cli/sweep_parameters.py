@@ -149,9 +149,8 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
             print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
     for said in (*(sweep.answer(q.name) for q in sweep.judged()[:1]), *sweep.said()):
         print_folded(said)
-    for what, path in (("page", page), ("csv", table)):
-        if path is not None:
-            print(f"{what}: {visible(path)}")
+    for path in filter(None, (page, table)):
+        print(f"written: {visible(path)}")
 
 
 def points_of(grids: Sequence[str], ranges: Sequence[str], count: int | None) -> Points:

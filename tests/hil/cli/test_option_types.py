@@ -105,6 +105,7 @@ def test_people_read_titles_and_programs_read_keys(cli: Hil, tmp_path: Path) -> 
         cli("compare", "dc-motor-hinf", "dc-motor-h2", *many, "-o", str(page))[1],
         page.read_text(),
     ]
+    assert f"written: {page}\n" in read[3]
     for text in read:
         words = " ".join(text.split())
         assert "squared tracking error" in words and "steady-state" in words

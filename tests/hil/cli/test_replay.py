@@ -33,6 +33,7 @@ def test_tags_are_asked_only_of_a_log_that_has_them(cli: Hil, hil_log: Path, tmp
 def test_another_controller_gives_a_series(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
     status, out, _ = cli("replay", hil_log, "--controller", "h2", "-o", "h2.csv", "--json")
     assert status == 0 and json.loads(out)["inputs"]["voltage"]["rms"] > 0
+    assert "written: again.csv\n" in cli("replay", hil_log, "--controller", "h2", "-o", "again.csv")[1]
     lines = (tmp_path / "h2.csv").read_text().splitlines()
     assert lines[0] == "t_s,recorded_voltage,h2_voltage" and len(lines) == 81
 

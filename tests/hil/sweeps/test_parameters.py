@@ -138,7 +138,7 @@ def test_the_command_writes_a_page_and_a_table_loop(tmp_path: Path, capsys: pyte
     with pytest.raises(SystemExit):
         main([*arguments, "--force"])
     shown = capsys.readouterr().out
-    assert f"page: {page}" in shown and "squared tracking error (rad² s)" in shown
+    assert f"written: {page}" in shown and "squared tracking error (rad² s)" in shown
 
 
 def test_a_point_whose_mean_converges_badly_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
