@@ -117,7 +117,7 @@ def assert_law(session: Session, side: str, *, alpha: float = 1e-6) -> float:
     """Assert that the delays of a run are those of its network law, by the law's own test of goodness of fit.
 
     A run whose network is the law's fails with probability ``alpha``. Power at 1e-6: where one probability of a chain of three
-    modes is off by 0.2, nearly all runs of 1000 slots fail and hardly any of 200; where by 0.1, one in eight of 1000 slots, and
+    modes is off by 0.2, nearly all runs of 1000 slots fail and hardly any of 200; where by 0.1, one in nine of 1000 slots, and
     nearly all of 5000. That it passes says no more.
 
     Args:
