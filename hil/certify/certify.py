@@ -89,7 +89,8 @@ def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIE
         try:
             verdict = certifier(loop)
         except (np.linalg.LinAlgError, OverflowError) as error:
-            return undecided(loop, "mean-square stability", f"its proof cannot be computed in double precision: {error}")
+            said = f"its proof cannot be computed in double precision: {error}"
+            return limited_to_received(loop, undecided(loop, "mean-square stability", said))
         except TooLarge as error:
             return undecided(loop, "mean-square stability", str(error))
         except MemoryError as error:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.controllers import RowsLaw
+from design.controllers import Local, RowsLaw
 from design.jump_linear.certificate import observed_part
 from design.jump_linear.mjls import MJLS
 from hil.api.experiment_source import load_experiment
@@ -147,6 +147,15 @@ def test_a_loop_that_waits_for_a_node_for_ever_is_not_refused(by_nodes: bool) ->
     assert loop.verdict is not None and loop.verdict.state == "undecided", loop.verdict
     assert "no sample of network.nodes.n1 ever comes to the controller: none is in time under its law" in loop.verdict.reason
     assert np.abs(simulate(loop, 0, ["/plant/state"]).arrays["/plant/state"]["x1"][-1]) < 1e-3
+
+
+def test_a_loop_whose_proof_overflows_says_for_which_node_it_waits() -> None:
+    plant = {"kind": "state-space", "A": [[-1.0]], "B": [[1.0]], "C": [[1.0], [1.0]], "initial_state": [1.0]}
+    made = experiment(np.random.default_rng(0), plant, controller=Local(gain=((1e160, 0.0),)))  # a file may not state it
+    made["network.nodes"]["n1"]["law"] = {"kind": "packet", "latency": "90 ms", "discard_older": 0}
+    verdict = composed(made).verdict
+    assert verdict is not None and verdict.state == "undecided" and "cannot be computed in double precision" in verdict.reason
+    assert "no sample of network.nodes.n1 ever comes to the controller" in verdict.reason
 
 
 @pytest.mark.parametrize(
