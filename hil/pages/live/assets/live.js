@@ -220,7 +220,8 @@ async function begin() {
   $("title").textContent = document.title = about.runs.map((r) => r.name).join(" beside ");
   $("seed").value = about.runs[0].seed;
   const acts = about.acts && about.runs[0].controllable;
-  $("pace").hidden = !acts;
+  $("pace").hidden = $("act-keys").hidden = !acts;
+  $("pace-keys").hidden = !acts || !about.runs[0].paced;
   for (const id of ["pause", "step", "speed-of"]) $(id).hidden = !about.runs[0].paced; // in real time the clock on the wall paces
   runs = about.runs.map(makeRun);
   if (acts) act = makeAct($("act"), about.runs, wish, () => runs, async () => (await fetch("controllers", { headers })).json());
