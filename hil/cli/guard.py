@@ -70,7 +70,7 @@ def _see(number: int, frame: FrameType | None) -> None:
     _theirs[:] = signal.getsignal(signal.SIGALRM), signal.getitimer(signal.ITIMER_REAL)
 
     def look(_number: int, frame: FrameType | None) -> None:
-        if _swallowed(frame) and time.monotonic() < end:
+        if _swallowed(frame) and (time.monotonic() < end or _swallowed(frame, always=True)):
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
             return
         _raise(_released())
@@ -92,9 +92,11 @@ def _raise(number: int) -> NoReturn:
     raise KeyboardInterrupt if number == signal.SIGINT else Terminated(number)
 
 
-def _swallowed(frame: FrameType | None) -> bool:
+def _swallowed(frame: FrameType | None, *, always: bool = False) -> bool:
+    """Return whether what is raised in a frame may be dropped, or always is: in a callback of the import's own locks, too."""
     while frame is not None:
-        if frame.f_code.co_filename.startswith("<frozen importlib") or frame.f_code.co_name == "__del__":
+        importing, name = frame.f_code.co_filename.startswith("<frozen importlib"), frame.f_code.co_name
+        if name == "__del__" or (importing and (name == "cb" or not always)):
             return True
         frame = frame.f_back
     return False

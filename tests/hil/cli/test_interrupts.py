@@ -72,7 +72,7 @@ from hil.errors import Terminated
 class Slow:
     def __del__(self):
         print("deleting", flush=True)
-        time.sleep(0.3)
+        time.sleep(1.0)  # longer than an import may take
         print("deleted", flush=True)
 try:
     with signals_as_exceptions():
