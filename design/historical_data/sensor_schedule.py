@@ -6,6 +6,8 @@ phase is the node whose packet came.
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import numpy.typing as npt
 
@@ -87,10 +89,9 @@ def mask_of(nodes: SensorNodes, memory: int | None = None, uses: Uses = "history
             known[0, delay:, list(own)] = True
             continue
         if cycle:
-            for i in range(count):
-                for e in range(delay, memory + 1):
-                    for age in [age for node, age in cycle[(i - e) % count] if node == n]:
-                        known[i, e + age : e + age + buffer, list(own)] = True
+            for i, e in product(range(count), range(delay, memory + 1)):
+                for age in [age for node, age in cycle[(i - e) % count] if node == n]:
+                    known[i, e + age : e + age + buffer, list(own)] = True
             continue
         for i in range(count):  # a phase of the current packet is the turn in which it was sent
             if (turns.order[i] if turns.order else i) == n:

@@ -22,7 +22,8 @@ from design.jump_linear.mjls import STABILITY_MARGIN
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs
-from hil.certify.region import ClosedLoop, ends_from_anywhere, escapes, inside
+from hil.certify.region import ClosedLoop, judge_region
+from hil.certify.saturation import ends_from_anywhere, escapes
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
 
 Array = NDArray[np.float64]
@@ -177,7 +178,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     lost = None if by_plant is None else escapes(loop, found, limits=pushed.within, pushes=by_plant.states, named=named)
     if lost is not None:
         return lost
-    region = inside(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
+    region = judge_region(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)
     if region.certified or not pushed.clips:
         return region
     return ends_from_anywhere(loop, region, within, limits=pushed.within, pushes=pushed.states, adds=pushed.outputs)

@@ -6,31 +6,23 @@ or ends within the bound of the departures. `design.jump_linear.leaving` bounds 
 The state is moved at the start of the run, at every step of the reference and at every disturbance. If that probability is at
 most `RISK` for all of these together, the run is certified; else the verdict is undecided and states the region.
 
-Two further results hold where a command beyond its limit acts as the limit: a loop around an integrator ends within a bound from
-any state (`ends_from_anywhere`), and a run that begins where no command holds an unstable mode is refused (`escapes`).
+Where a command beyond its limit acts as the limit, `hil.certify.saturation` knows more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import pairwise, product
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import (
-    GainTable,
-    integral_limit,
-    integrates,
-    packet_samples,
-    row_sojourns_distinguished,
-    sojourns_distinguished,
-)
+from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished
 from design.errors import DesignError
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, table_of
+from hil.certify.certifier import CertificationProblem
 from hil.certify.motion_test import SEED
 from hil.plugins.user_modules import is_ours
 from plants.parts.protocols import HasOwnInputs, HasSensorNoise
@@ -40,7 +32,6 @@ RISK = 0.01
 """Largest probability of leaving at which a run is certified."""
 RISKS = (RISK, 0.1)
 """Probabilities whose regions are stated."""
-ROUNDING = 1e-6
 
 
 class ClosedLoop(NamedTuple):
@@ -59,7 +50,7 @@ class ClosedLoop(NamedTuple):
     standing: Array
 
 
-def inside(
+def judge_region(
     loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, clips: bool,
     named: str,
 ) -> Verdict:
@@ -181,8 +172,8 @@ def _first_slots(loop: CertificationProblem) -> float:
     return 1.0 + sum(chain.max_delay for chain in chains) if len(chains) == 2 else np.inf
 
 
-def _first_state(loop: CertificationProblem) -> Array | None:
-    """The state in slot 0, (n,); None where it is drawn, or is not that of the model."""
+def first_state(loop: CertificationProblem) -> Array | None:
+    """Return the state in slot 0, (n,); None where it is drawn, or is not that of the model."""
     one, two = (np.array(loop.plant.start(np.random.default_rng(seed)).state) for seed in (SEED, SEED + 1))
     return one if len(one) == len(loop.motion.A) and np.array_equal(one, two) else None
 
@@ -196,7 +187,7 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     from design.networked_loop.loop_parts import check_held, steady_state
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
-    m, first = B.shape[1], _first_state(loop)
+    m, first = B.shape[1], first_state(loop)
     references = [np.array(value) for _, value in sorted(loop.steps)]
     points, steady = [np.zeros(len(A))], np.zeros(m)
     if any(r.any() for r in references):
@@ -223,113 +214,3 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     for slot, jump in zip(slots, jumps):
         begun[slot] = begun.get(slot, np.zeros(len(A))) + jump
     return [*begun.items(), *pushes], steady, ""  # pushes on their own: of a disturbance a share may act
-
-
-def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, pushes: Array, named: str) -> Verdict | None:
-    r"""Return the refusal of a run that begins where no command within its limits brings it back; None where none is known.
-
-    A left eigenvector of the plant, l A = lambda l with |lambda| > 1, grows whatever the controller answers: f is the most that
-    commands within their limits, disturbances and departures move l x by in a slot. Noise of mean 0 leaves it true of E l x.
-
-    .. math:: |l x(k+1)| \ge |\lambda| |l x(k)| - f, \qquad |l x(0)| > f / (|\lambda| - 1) \Rightarrow |l x(k)| \to \infty
-
-    Args:
-        loop: the loop; beyond a limit its plant acts as at the limit.
-        verdict: on the loop within its limits.
-        limits: largest command, (m,); inf where there is none.
-        pushes: (n, q), what signals of size 1 move the plant's state by in a slot.
-        named: what departs, as phrases.
-    """
-    plant, A, B, first = loop.plant, loop.motion.A, loop.motion.B, _first_state(loop)
-    if first is None or (isinstance(plant, HasOwnInputs) and plant.own_inputs()):
-        return None
-    disturbed = np.max([np.abs(w) for _, _, w in loop.pulses], axis=0, initial=0.0) if loop.pulses else np.zeros(B.shape[1])
-    rates, left = np.linalg.eig(A.T)
-    for rate, mode in sorted(zip(np.abs(rates), left.T), key=lambda each: -each[0]):
-        moved = np.abs(mode @ B)
-        if rate <= 1.0 + ROUNDING or np.isinf(limits[moved > 0.0]).any():
-            continue
-        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbed) + np.abs(mode @ pushes).sum())
-        begins = float(abs(mode @ first)) * (rate - 1.0)
-        if begins > (1.0 + ROUNDING) * most > 0.0:
-            return replace(
-                verdict, kind="stability in a region", state="refused", number=begins / most, limit=1.0,
-                quantity="growth of an unstable mode in the first slot over the most that moves it back",
-                reason=f"no controller brings this run back: a mode of the plant that grows by {100.0 * (rate - 1.0):.3g} % in a "
-                f"slot begins at {begins / most:.4g} times what the largest command can hold ({named}); {verdict.reason}",
-                details={**verdict.details, "stable": False, "unstable_mode_begins_at": begins / most},
-                assumptions=(*verdict.assumptions, "start and disturbances are the experiment's"),
-                method=f"left eigenvector of the open plant; {verdict.method}",
-            )  # fmt: skip
-    return None
-
-
-def ends_from_anywhere(
-    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array
-) -> Verdict:
-    """Extend an undecided verdict by the bound within which the loop ends from any state; unchanged where none is known.
-
-    Args:
-        loop: the loop; beyond a limit its plant acts as at the limit.
-        verdict: undecided, on the loop within its limits.
-        closed: that loop.
-        limits: largest command, (m,).
-        pushes: (n, q), what signals of size 1 move the plant's state by in a slot, the share of a clamped integral among them.
-        adds: what departures add to each output, at most, (p,).
-    """
-    controller, m, p = loop.controller, loop.motion.B.shape[1], len(loop.motion.C)
-    if not isinstance(controller, GainTable) or packet_samples(controller) > 1 or (m, p) != (1, 1):
-        return verdict
-    if integrates(controller) and not integral_limit(controller):
-        return verdict
-    if loop.sc is None or loop.ca is None or loop.neglects or not_judged(loop):
-        return verdict
-    if loop.sc.holds.any() or loop.ca.holds.any():  # what is held has no largest age
-        return verdict
-    from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean, integrator
-
-    A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
-    delay = int(loop.sc.delay.max() + loop.ca.delay.max())
-    known: Any = {"limit": float(limits[0]), "delay": delay, "pushes": pushes, "adds": float(adds[0])}
-    try:
-        try:
-            ends, surely = ends_in_every_order(A, B, C, gains=table_of(loop, controller)[..., :p], **known), True
-        except DesignError:
-            if loop.sc.open or loop.ca.open:
-                return verdict
-            gains, chances = _acting(closed, integrator(A, C)[1], int(loop.ca.delay.max()))
-            ends, surely = ends_in_mean(A, B, C, gains=gains, chances=chances, **known), False
-    except (DesignError, np.linalg.LinAlgError):
-        return verdict
-    signal = loop.plant.outputs[0]
-    order = f"in every order of delays up to {delay} slots" if surely else "in the root mean square"
-    return replace(
-        verdict, kind="practical stability", state="certified", number=ends.share, limit=1.0,
-        quantity="what departs from the model as a share of what the limited command moves",
-        reason=f"from anywhere it {'surely ' if surely else ''}ends with {signal.name} within {ends.output:.4g} {signal.unit} of "
-        f"its reference, {order}, however long commands saturate; {verdict.reason}",
-        details={
-            **verdict.details, "stable": True, "ends_surely_within" if surely else "ends_from_anywhere_within":
-            {str(s.name): float(bound) for s, bound in zip(loop.plant.states, ends.states)},
-        },
-        assumptions=(*verdict.assumptions, "the last step of the reference, and the last disturbance, are over"),
-        method=f"{'sign of the delayed sample' if surely else 'drift'} around a saturated integrator; {verdict.method}",
-    )  # fmt: skip
-
-
-def _acting(closed: ClosedLoop, v: Array, delay: int) -> tuple[Array, Array]:
-    """The gain that acts after each path of modes, for a plant that has long stood at v, (n,); and the order of these gains."""
-    from design.networked_loop.saturated_integrator import MOST_STATES
-
-    modes = range(len(closed.matrices))
-    if len(modes) ** (delay + 1) > MOST_STATES:
-        raise DesignError("too many paths of modes say which gain acts")
-    paths, gains = list(product(modes, repeat=delay + 1)), []
-    for path in paths:
-        state = closed.standing @ v
-        for mode in path[:-1]:
-            state = closed.matrices[mode] @ state
-            state[: len(v)] = v
-        gains.append(float(closed.inputs[path[-1], 0] @ state))
-    follows = [[closed.chances[a[-1], b[-1]] if a[1:] == b[:-1] else 0.0 for b in paths] for a in paths]
-    return np.array(gains), np.array(follows)

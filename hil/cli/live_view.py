@@ -94,18 +94,17 @@ class LiveView:
             self._taus.append(_TAU.unpack_from(payload, len(payload) - _TAU.size)[0])
         elif topic == EVENTS_TOPIC:
             self._events.append(decode_event(payload))
-        elif topic in SHOWN:
+        elif topic == TIMING.name:
             self._newest[topic] = payload
-            if topic != TIMING.name:
-                self._t_ns = t_ns
+            slot = self._record(topic, payload)
+            self._lateness.append(float(slot["lateness_us"]))
+            self._worst = max(self._worst, float(slot["lateness_us"]))
+            self._late += int(slot["late"])
+            self._overruns += int(slot["overrun"])
+        elif topic in SHOWN:
+            self._newest[topic], self._t_ns = payload, t_ns
             if topic == APPLIED.name and (d := int(self._record(topic, payload)["d"])) >= 0:
                 self._ds.append(d)
-            elif topic == TIMING.name:
-                slot = self._record(topic, payload)
-                self._lateness.append(float(slot["lateness_us"]))
-                self._worst = max(self._worst, float(slot["lateness_us"]))
-                self._late += int(slot["late"])
-                self._overruns += int(slot["overrun"])
 
     def __enter__(self) -> LiveView:
         if self._on:

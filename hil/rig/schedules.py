@@ -10,7 +10,7 @@ from msgspec import Struct
 from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
-from transport.medium import FaultInterval
+from transport.medium.faulted import FaultInterval
 
 if TYPE_CHECKING:
     from hil.rig.spec import RigSpec
@@ -158,14 +158,14 @@ def no_commands(e: Experiment, youngest: int = 0, oldest: int = 0) -> list[tuple
         youngest, oldest: ages that the network law draws. Of those that were sent up to slot f one may come until f + oldest, and
             of those from slot g on one may come in slot g + youngest.
     """
-    spells = []
+    intervals = []
     for fault in e.fault:
         first, end = fault.slots(float(e.period))
         if first < e.slots and fault.link == "ca" and fault.kind in ("cut", "corrupt", "bus-off"):
-            spells.append((first, end))
+            intervals.append((first, end))
         if first < min(end, e.slots) and (fault.kind == RESTART or (fault.link == "ca" and fault.kind == "bus-off")):
-            spells.append((first + oldest, end + youngest))
-    return spells
+            intervals.append((first + oldest, end + youngest))
+    return intervals
 
 
 def starves(cuts: Sequence[tuple[int, int]], youngest: int, oldest: int, d_max: int) -> list[tuple[int, int]]:
@@ -215,12 +215,12 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
         if fault.kind == RESTART:
             restarts.append((first, end))
             continue
-        spell = FaultInterval(first, end, fault.kind)
+        interval = FaultInterval(first, end, fault.kind)
         if fault.link == "ca":
-            actuator.append(spell)
+            actuator.append(interval)
         for i, name in enumerate(names):
             if _reaches(fault, name):
-                nodes[i].append(spell)
+                nodes[i].append(interval)
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
 
 

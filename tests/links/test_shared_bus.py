@@ -16,13 +16,14 @@ import pytest
 
 from tests.waiting import LIMIT_S, ended, until
 from transport.can_bus_model import BitRates, CanFrame
+from transport.links.bus_file import HELD_S, BusFile
 from transport.links.can_bus import bus_directory
-from transport.links.shared_bus import HELD_S, BusFile, Ended, SharedBus
+from transport.links.shared_bus import Ended, SharedBus
 
 HOLDER = """
 import sys
 from pathlib import Path
-from transport.links.shared_bus import BusFile
+from transport.links.bus_file import BusFile
 
 def change(text):
     print("held", text.decode(), flush=True)
@@ -142,7 +143,7 @@ def test_a_frame_is_queued_once_where_others_went_on_meanwhile(tmp_path: Path, m
 
 PROGRAM = """
 import can, sys
-from transport.links.shared_bus import BusFile
+from transport.links.bus_file import BusFile
 bus = can.Bus("t", interface="hil", timed=1, bitrate="500k")
 bus.frames.timed._bus._file.change(lambda text: (print("held", flush=True), sys.stdin.read())[0] or text)
 """

@@ -25,9 +25,9 @@ _ON_THE_BUS: Final = 16  # of these: enough that the bus is never idle for want 
 _IN_VAIN_S: Final = 0.005  # no node acknowledges: the bus repeats without being looked at
 _SWEEP_S: Final = 0.5
 _IDLE_S: Final = 0.25
-_SPELLS: Final = 16
+_MOST_INTERVALS: Final = 16
 
-Told = Callable[[object, int, bool], None]
+FrameCallback = Callable[[object, int, bool], None]
 
 
 class TimedSender:
@@ -48,14 +48,14 @@ class TimedSender:
     """
 
     def __init__(
-        self, directory: Path, rates: BitRates, deliver: Told, destroyed: Told, changed: Callable[[State, StateChange], None],
-        others_changed: Callable[[], None], restart_s: float | None,
+        self, directory: Path, rates: BitRates, deliver: FrameCallback, destroyed: FrameCallback,
+        changed: Callable[[State, StateChange], None], others_changed: Callable[[], None], restart_s: float | None,
     ) -> None:  # fmt: skip
         self._deliver, self._destroyed, self._changed, self._restart_s = deliver, destroyed, changed, restart_s
         self._items: dict[int, object] = {}
         self._restart_at: float | None = None
         self._changed_ns = 0
-        self._spells: deque[tuple[int, int | None]] = deque(maxlen=_SPELLS)  # in which it was off the bus
+        self._off_intervals: deque[tuple[int, int | None]] = deque(maxlen=_MOST_INTERVALS)  # in which it was off the bus
         self._backlog: deque[tuple[CanFrame, int]] = deque()
         self._tag = self._waiting = 0
         self._next_ns: int | None = None
@@ -96,7 +96,7 @@ class TimedSender:
 
     def was_off(self, at_ns: int) -> bool:
         """Return whether it was off the bus at an instant of CLOCK_MONOTONIC; up to the last look."""
-        return any(first <= at_ns and (end is None or at_ns < end) for first, end in self._spells)
+        return any(first <= at_ns and (end is None or at_ns < end) for first, end in self._off_intervals)
 
     def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
         """Replace what is wrong with the bus when, see `SharedBus.plan`."""
@@ -134,9 +134,9 @@ class TimedSender:
         if change.at_ns > self._changed_ns:
             before, self._state, self._changed_ns = self._state, change.state, change.at_ns
             if before == "off":
-                self._spells.append((self._spells.pop()[0], change.at_ns))
+                self._off_intervals.append((self._off_intervals.pop()[0], change.at_ns))
             if change.state == "off":
-                self._spells.append((change.at_ns, None))
+                self._off_intervals.append((change.at_ns, None))
             waits = change.state == "off" and self._restart_s is not None
             self._restart_at = monotonic() + (self._restart_s or 0.0) if waits else None
             self._changed(before, change)

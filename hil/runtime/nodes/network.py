@@ -13,7 +13,8 @@ from hil.runtime.nodes.journal import Journal
 from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.laws import NetworkLaw
-from transport.medium import Delivery, FaultedMedium, FaultyPath, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
+from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
+from transport.medium.faulted import FaultedMedium, FaultyPath
 from transport.medium.independent import Impairment, impair
 from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium, Turns
 from transport.packets import packet_size
@@ -121,14 +122,14 @@ class FaultInjector:
         line = loop.rig.fault_schedule
         self._faults = _in_slots(loop)
         self.there = changing or bool(self._faults)
-        self._nodes, self._actuator = [FaultyPath(spells) for spells in line.nodes], FaultyPath(line.actuator)
+        self._nodes, self._actuator = [FaultyPath(intervals) for intervals in line.nodes], FaultyPath(line.actuator)
         self._rng = rng_for(seed, "fault")
 
     def change(self, loop: Loop) -> None:
         """Go on with the time line of a changed experiment."""
         self._faults = _in_slots(loop)
-        for path, spells in zip(self._nodes, loop.rig.fault_schedule.nodes, strict=True):
-            path.plan(spells)
+        for path, intervals in zip(self._nodes, loop.rig.fault_schedule.nodes, strict=True):
+            path.plan(intervals)
         self._actuator.plan(loop.rig.fault_schedule.actuator)
 
     def uplink(self, medium: Medium) -> Medium:

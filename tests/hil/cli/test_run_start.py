@@ -54,7 +54,7 @@ def test_who_calls_the_command_line_keeps_its_own_way_with_garbage(cli: Hil, loo
 
 
 COMPARED = """
-import hil, hil.cli.design, hil.cli.design_answers
+import hil, hil.cli.design, hil.cli.design_answers, hil.cli.design_pages
 hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1)
 print(json.dumps(sorted(sys.modules)))
 """

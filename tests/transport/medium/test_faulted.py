@@ -7,10 +7,11 @@ import numpy as np
 from transport.draws import CORRUPTED, CUT, OFF_BUS
 from transport.laws.age import ConstantAge, MarkovAge
 from transport.laws.packet import PacketLaw
-from transport.medium import FaultedMedium, FaultInterval, FaultKind, FaultyPath, IndependentChannels, OneWay
+from transport.medium import IndependentChannels, OneWay
+from transport.medium.faulted import FaultedMedium, FaultInterval, FaultKind, FaultyPath
 from transport.medium.independent import Impairment, impair
 
-SPELL = (5, 8)
+INTERVAL = (5, 8)
 
 
 def channel(age: int = 1) -> Impairment:
@@ -30,14 +31,14 @@ def arrivals(link: Impairment, slots: int = 12) -> dict[int, list[tuple[int, obj
 
 
 def broken(kind: FaultKind, age: int = 1) -> tuple[dict[int, list[tuple[int, object]]], FaultyPath]:
-    path = FaultyPath([FaultInterval(*SPELL, kind)])
+    path = FaultyPath([FaultInterval(*INTERVAL, kind)])
     return arrivals(faulted(channel(age), path)), path
 
 
 def test_a_cut_loses_what_would_arrive_and_nothing_else() -> None:
     sound, (cut, _) = arrivals(channel()), broken("cut")
-    assert all(not cut[k] for k in range(*SPELL))
-    assert all(cut[k] == sound[k] for k in cut if not SPELL[0] <= k < SPELL[1])  # what was sent meanwhile comes after it
+    assert all(not cut[k] for k in range(*INTERVAL))
+    assert all(cut[k] == sound[k] for k in cut if not INTERVAL[0] <= k < INTERVAL[1])  # what was sent meanwhile comes after it
 
 
 def test_a_node_off_the_bus_sends_nothing_and_a_frozen_one_repeats_its_values() -> None:
@@ -72,7 +73,7 @@ def test_a_second_copy_of_a_lost_packet_comes() -> None:
 def test_fates_say_which_fault_it_was_and_modes_stay_the_laws_own() -> None:
     law = MarkovAge(matrix=((0.6, 0.4), (0.7, 0.3)))
     for kind, code in (("cut", CUT), ("corrupt", CORRUPTED), ("bus-off", OFF_BUS)):
-        path = FaultyPath([FaultInterval(*SPELL, kind)])
+        path = FaultyPath([FaultInterval(*INTERVAL, kind)])
         links = impair(law, np.random.default_rng(1), 0.05, 0.03), faulted(
             impair(law, np.random.default_rng(1), 0.05, 0.03), path
         )
@@ -82,7 +83,7 @@ def test_fates_say_which_fault_it_was_and_modes_stay_the_laws_own() -> None:
                 link.offer(k, k)
                 draws, _ = link.collect(k)
                 drawn[i] += [d.mode for d in draws if d.mode >= 0]
-                if i and SPELL[0] <= k < SPELL[1]:
+                if i and INTERVAL[0] <= k < INTERVAL[1]:
                     assert code in {d.reason for d in draws}
                     assert bool(path.mangled) == (kind == "corrupt")
         assert drawn[0] == drawn[1] and len(drawn[0]) == 12
