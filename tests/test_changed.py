@@ -23,7 +23,7 @@ from tests.changed import before, changed, chosen_for
         ("hil/guide/faults.md", {"tests/contract/test_readme.py"}, set()),
     ],
 )
-def test_a_change_runs_its_room_and_who_imports_it(name: str, runs: set[str], leaves: set[str]) -> None:
+def test_a_change_runs_the_tests_of_its_room_and_of_the_rooms_that_import_it(name: str, runs: set[str], leaves: set[str]) -> None:
     found = {*chosen_for([name])}
     assert runs <= found and not leaves & found
 

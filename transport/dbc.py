@@ -76,63 +76,63 @@ def _quoted(text: str) -> str:
     return "".join({'"': "'", "\\": "/"}.get(c, c if c.isprintable() else " ") for c in text)
 
 
-def dbc_text(talkers: Sequence[BusNode], *, fd: bool, title: str) -> str:
+def dbc_text(senders: Sequence[BusNode], *, fd: bool, title: str) -> str:
     """Return a DBC.
 
     Args:
-        talkers: the sensor nodes and the controller.
+        senders: the sensor nodes and the controller.
         fd: CAN FD or classic frames.
         title: what stands in VERSION.
 
     Raises:
         ValueError: a packet that has more fragments than identifiers.
     """
-    blocks = [list(_messages(talker, fd)) for talker in talkers]
+    blocks = [list(_messages(bus_node, fd)) for bus_node in senders]
     known = [f"\t{word}" for word in ("CM_", "BA_DEF_", "BA_", "VAL_", "BA_DEF_DEF_", "SIG_VALTYPE_")]
     lines = [f'VERSION "{_quoted(title)}"', "", "NS_ :", *known, "", "BS_:", "", "BU_: Rig Controller"]
     kinds = ('BA_DEF_ "BusType" STRING ;', f'BA_DEF_ BO_ "VFrameFormat" ENUM {_FORMATS} ;')
     defaults = ('BA_DEF_DEF_  "BusType" "CAN";', 'BA_DEF_DEF_  "VFrameFormat" "StandardCAN";')
     comments, formats, words, floats = [], [], [], []
-    for talker, messages in zip(talkers, blocks, strict=True):
-        sender, other = ("Rig", "Controller") if talker.sensor else ("Controller", "Rig")
+    for bus_node, messages in zip(senders, blocks, strict=True):
+        transmitter, other = ("Rig", "Controller") if bus_node.sensor else ("Controller", "Rig")
         for index, (identifier, name, length, signals) in enumerate(messages):
-            lines += ["", f"BO_ {identifier} {name}: {length} {sender}"]
+            lines += ["", f"BO_ {identifier} {name}: {length} {transmitter}"]
             lines += [_line(signal, other) for signal in signals]
             floats += [f"SIG_VALTYPE_ {identifier} {s.name} : 1;" for s in signals if s.top == _SINGLE]
             formats += [f'BA_ "VFrameFormat" BO_ {identifier} 14;'] * fd
             if not index:
-                comments.append(f'CM_ BO_ {identifier} "{_quoted(talker.about)}";')
-                kind = f'{SENSOR} "sensor"' if talker.sensor else f'{CONTROL} "control"'
+                comments.append(f'CM_ BO_ {identifier} "{_quoted(bus_node.about)}";')
+                kind = f'{SENSOR} "sensor"' if bus_node.sensor else f'{CONTROL} "control"'
                 words.append(f"VAL_ {identifier} Kind {kind} ;")
-                if not talker.sensor:
+                if not bus_node.sensor:
                     said = " ".join(f'{code} "{word}"' for code, word in enumerate(SELECTIONS))
                     words.append(f"VAL_ {identifier} Selection {said} ;")
     bus = [f'BA_ "BusType" "{"CAN FD" if fd else "CAN"}";']
     return "\n".join([*lines, "", *comments, *kinds, *defaults, *bus, *formats, *words, *floats, ""])
 
 
-def _messages(talker: BusNode, fd: bool) -> Iterator[tuple[int, str, int, list[_Signal]]]:
+def _messages(bus_node: BusNode, fd: bool) -> Iterator[tuple[int, str, int, list[_Signal]]]:
     step = 64 if fd else 8
-    values = len(talker.values)
-    size = sensor_length(values) if talker.sensor else control_length(values)
-    if -(-size // step) > len(talker.identifiers):
-        raise FieldError(talker.name, f"{-(-size // step)} frames, and {len(talker.identifiers)} identifiers")
-    signals = list(_SENSOR_HEAD if talker.sensor else _CONTROL_HEAD)
-    first = 8 * (32 if talker.sensor else 40)
-    alone = talker.sensor and fd and 0 < talker.references <= 8  # else no message holds both Empty and the values
-    for i, (name, unit) in enumerate(talker.values):
+    values = len(bus_node.values)
+    size = sensor_length(values) if bus_node.sensor else control_length(values)
+    if -(-size // step) > len(bus_node.identifiers):
+        raise FieldError(bus_node.name, f"{-(-size // step)} frames, and {len(bus_node.identifiers)} identifiers")
+    signals = list(_SENSOR_HEAD if bus_node.sensor else _CONTROL_HEAD)
+    first = 8 * (32 if bus_node.sensor else 40)
+    alone = bus_node.sensor and fd and 0 < bus_node.references <= 8  # else no message holds both Empty and the values
+    for i, (name, unit) in enumerate(bus_node.values):
         at = first + 32 * i
         signals.append(_Signal(name, at, 32, "-", _SINGLE, unit, "m0" if alone and at < 512 else ""))
     if alone:
-        for i, (name, unit) in enumerate(talker.values[values - talker.references :]):
+        for i, (name, unit) in enumerate(bus_node.values[values - bus_node.references :]):
             signals.append(_Signal(f"{name}_alone"[:LONGEST_NAME], first + 32 * i, 32, "-", _SINGLE, unit, "m1"))
         signals = [signal._replace(mux="M") if signal.name == "Empty" else signal for signal in signals]
-    for index, identifier in zip(count(), talker.identifiers):
+    for index, identifier in zip(count(), bus_node.identifiers):
         begin = 8 * step * index
         own = [signal._replace(start=signal.start - begin) for signal in signals if 0 <= signal.start - begin < 8 * step]
         if begin >= 8 * size:
             return
-        yield identifier, f"{talker.name}{'FD' if fd else ''}{index}", step, own
+        yield identifier, f"{bus_node.name}{'FD' if fd else ''}{index}", step, own
 
 
 def _line(signal: _Signal, receiver: str) -> str:

@@ -52,7 +52,7 @@ class Start:
 
 
 def average_start(states: int, phases: int) -> Start:
-    """Return the honest criterion: x(0) ~ N(0, I), every phase equally likely."""
+    """Return the mean cost: x(0) ~ N(0, I), every phase equally likely."""
     return Start(moment=np.eye(states), phases=np.full(phases, 1.0 / phases))
 
 

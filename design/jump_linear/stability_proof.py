@@ -181,7 +181,7 @@ FIRST, SPACING = 8, 1.25
 HALF, SLACK = 0.5, 0.1
 """Norm of a power below which its sum is judged; what a difference must fall by, as the formula says, before it is judged."""
 SHARE = 0.9
-"""Power of the growth seen, that a search takes off: what is left grows slowly enough for its own slots to be told apart."""
+"""Power of the growth seen that a search divides by: the rest grows slowly enough that its slots can be distinguished."""
 SEARCHES = 6
 LARGEST = 1e150
 

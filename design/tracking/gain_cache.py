@@ -153,7 +153,7 @@ def read_entry(entry: Path, read: Callable[[Stored], G]) -> G | None:
 
 
 def _keep(entry: Path, text: str) -> None:
-    """Put an entry in its place in one step, through no link of anybody's, readable for its user alone."""
+    """Put an entry in its place in one step, through no symbolic link, readable for its user alone."""
     entry.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     part = entry.with_suffix(f".{secrets.token_hex(6)}.part")
     try:

@@ -160,7 +160,7 @@ def _first_rows(loop: CertificationProblem) -> str:
     nodes = loop.model.nodes
     together = not (nodes.turns or nodes.mixed or nodes.silent) and None not in nodes.delays and len(set(nodes.delays)) == 1
     if len(nodes.names) > 1 and not together:
-        return "its rows are zeros until every node was heard"
+        return "its rows are zeros until a packet of every node has come"
     rule = controller.selection if isinstance(controller, GainTable) else "constant"
     same = rule in ("constant", "applied") or (rule in ("generated", "both") and loop.model.d_max <= 1)
     return "" if same else "its first rows are picked before any delay is known"

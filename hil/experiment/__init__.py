@@ -22,7 +22,7 @@ from hil.plugins import registry
 
 MAX_BYTES = 1_000_000
 FIRST: typing.Final = "dc-motor-hinf"
-"""The experiment to begin with: Chapter 7's, certified, of which every page of the guide speaks."""
+"""The experiment to begin with: Chapter 7's, certified, the example of every page of the guide."""
 _SHIPPED = Path(__file__).parents[1] / "experiments"
 
 

@@ -52,7 +52,7 @@ class SessionLink(Struct, frozen=True, kw_only=True):
         return self.identifiers if self.on_can else None
 
     def said(self, rig: RigSpec) -> dict[str, dict[str, str]]:
-        """Return what the log says of its frames: topic to the CAN identifiers of each talker, as ``hil dbc`` has them too."""
+        """Return the CAN identifiers of its frames for the log: topic to those of each sender, as in ``hil dbc``."""
         own = self.identifiers
         if own is None:
             return {}
@@ -157,11 +157,11 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
     short = all(len(sensor.name) <= LONGEST_NAME - 12 for sensor in sensors)
     units = {signal.name: signal.unit for signal in rig.outputs}
     references = tuple((f"ref_{name}"[:LONGEST_NAME], unit) for name, unit in units.items())
-    talkers = []
+    senders = []
     for number, (sensor, identifiers) in enumerate(zip(sensors, own.sensors, strict=True)):
         outputs, name = [list(units)[i] for i in sensor.outputs], sensor.name if sensor.numbered else ""
         values = tuple((f"{output[: LONGEST_NAME - 4]}_{j}", units[output]) for j in range(sensor.buffer) for output in outputs)
-        talkers.append(
+        senders.append(
             BusNode(
                 name=f"Sensor_{name if short else number}_" if name else "Sensor", identifiers=identifiers,
                 about=f"Node {number}{' ' + name if name else ''}: {', '.join(outputs)}, each with the number of slots before "
@@ -171,13 +171,13 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
         )  # fmt: skip
     inputs = [(signal.name, signal.unit) for signal in rig.inputs]
     rows = tuple((f"{name[: LONGEST_NAME - 5]}_{row}", unit) for row in range(most_rows(rig, framing)) for name, unit in inputs)
-    talkers.append(
+    senders.append(
         BusNode(
             name="Control", identifiers=own.control, sensor=False, values=rows,
             about="Send-all packet that answers slot Seq: input, and the row behind its name; at most these rows.",
         )
     )  # fmt: skip
-    return dbc_text(talkers, fd=framing.fd, title=f"{rig.name}, packets of hilrig, version 3")
+    return dbc_text(senders, fd=framing.fd, title=f"{rig.name}, packets of hilrig, version 3")
 
 
 def about_rig(rig: RigSpec) -> dict[str, object]:

@@ -62,7 +62,7 @@ LIES: dict[str, Callable[[Process], Any]] = {
 
 
 @pytest.mark.parametrize(("lie", "direction"), [*((lie, "sc") for lie in LIES), ("none", "ca"), ("always late", "ca")])
-def test_a_law_that_lies_late_loses_the_certificate(lie: str, direction: str) -> None:
+def test_a_law_that_departs_late_loses_the_certificate(lie: str, direction: str) -> None:
     changes = {f"network.{direction}.law": Law(lie), f"network.{direction}.max_age": 2, "duration": "30 s"}
     loop = loop_of(Plant(), Table(), **changes)
     assert loop.verdict is not None

@@ -46,13 +46,13 @@ def said(session: Session) -> str:
 
 
 @pytest.mark.parametrize("lie", LATE)
-def test_a_plant_that_lies_late_loses_its_certificate(lie: str) -> None:
+def test_a_plant_that_departs_late_loses_its_certificate(lie: str) -> None:
     why = said(simulated_session(loop_of(Plant(lie), Table()), 3))
     assert why.startswith("certificate withdrawn: the plant left its model at slot 3"), why
 
 
 @pytest.mark.parametrize("lie", ["very late", "noise, and very late"])
-def test_a_plant_that_lies_behind_what_is_run_again_loses_its_certificate(lie: str) -> None:
+def test_a_plant_that_departs_after_the_second_run_loses_its_certificate(lie: str) -> None:
     """Slot 2500 of 3000: without noise every slot is compared; with noise what the model does not explain grows."""
     why = said(simulated_session(loop_of(Plant(lie), Table(), duration="150 s"), 3))
     assert why.startswith("certificate withdrawn: the plant left its model at slot ")
@@ -60,7 +60,7 @@ def test_a_plant_that_lies_behind_what_is_run_again_loses_its_certificate(lie: s
         assert why.split(" slot ")[1].split()[0] == "2501"
 
 
-def test_a_noisy_plant_that_lies_late_and_does_not_grow_loses_its_certificate() -> None:
+def test_a_noisy_plant_that_departs_late_without_growth_loses_its_certificate() -> None:
     """Its input acts by 30 % more from slot 2500 of 3000 on: as noise it is no larger than before."""
     why = said(simulated_session(loop_of(Plant("noise, and a stronger input after slot 2500"), Table(), duration="150 s"), 3))
     assert why.startswith("certificate withdrawn: the plant left its model at slot 250"), why
@@ -74,12 +74,12 @@ def test_a_run_that_is_longer_than_what_is_compared_of_noise_says_so(lie: str, d
 
 
 @pytest.mark.parametrize("honest", ["a load, and late noise", "noise, and a late load"])
-def test_noise_and_loads_that_set_in_behind_what_is_run_again_are_no_lie(honest: str) -> None:
+def test_noise_and_loads_that_begin_after_the_second_run_are_no_departure(honest: str) -> None:
     assert not said(simulated_session(loop_of(Plant(honest), Table(), duration="150 s"), 3))
 
 
 @pytest.mark.parametrize("late", WHEN)
-def test_a_controller_that_lies_late_loses_its_certificate(late: str) -> None:
+def test_a_controller_that_departs_late_loses_its_certificate(late: str) -> None:
     why = said(simulated_session(loop_of(Plant(), LateTable(late=late)), 3))
     assert why.startswith("certificate withdrawn: the controller left its table at slot "), why
     assert 285 < int(why.split(" slot ")[1].split()[0]) < 305
@@ -202,7 +202,7 @@ def test_what_a_device_says_that_it_puts_out_is_compared(late: int, times: float
 
 
 @pytest.mark.parametrize("lie", ["none", *HONEST])
-def test_noise_and_loads_are_no_lie(lie: str) -> None:
+def test_noise_and_loads_are_no_departure(lie: str) -> None:
     loop = loop_of(Plant(lie), Table())
     assert not [why for seed in (1, 2, 3) if (why := said(simulated_session(loop, seed)))]
 

@@ -72,7 +72,7 @@ def test_answers_sent_ahead_never_command_and_are_said(tmp_path: Path, link: str
     assert not (applied(run) == THEIRS).any()
 
 
-def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None:
+def test_a_second_controller_with_the_nonce_is_reported(tmp_path: Path) -> None:
     """Who receives the question can echo its nonce: without a key that is a command, but always a reported one."""
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with intruder(uri, "race"):
@@ -82,7 +82,7 @@ def test_who_races_our_controller_with_the_nonce_is_said(tmp_path: Path) -> None
     assert summary["accepted_from"] == "any process on this machine (no key set)"
 
 
-def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_named(tmp_path: Path) -> None:
+def test_a_holder_of_the_controllers_role_prevents_a_run_and_is_named(tmp_path: Path) -> None:
     """Who can connect without a key can also do that; no slot of the plant runs, and the message says whom to stop."""
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}"
     with intruder(uri, "role"):
@@ -96,7 +96,7 @@ def test_who_holds_the_role_of_the_controller_keeps_a_run_from_beginning_and_is_
     assert not any(tmp_path.iterdir())
 
 
-def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_path: Path) -> None:
+def test_with_a_key_a_second_controller_is_refused_counted_and_reported(tmp_path: Path) -> None:
     """The key stands in the experiment file; the intruder echoes every nonce and is always there first, without a code."""
     make_keys(tmp_path / "keys")
     text = shipped()["dc-motor-hinf"].read_text() + '\n[links.auth]\nkey_file = "keys/frames.key"\n'
@@ -111,7 +111,7 @@ def test_with_a_key_who_races_our_controller_is_refused_counted_and_said(tmp_pat
     assert np.abs(applied(run)).max() > 0.1  # our controller did
 
 
-def test_over_tls_the_session_runs_and_says_who_could_command(tmp_path: Path) -> None:
+def test_over_tls_the_session_runs_and_names_the_possible_commanders(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys")
     status, summary, run = session(tmp_path, f"zenoh:tls/127.0.0.1:{free_port()}?keys=keys")
     assert status in (0, 3) and np.abs(applied(run)).max() > 0.1

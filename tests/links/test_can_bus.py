@@ -102,7 +102,7 @@ def test_all_listeners_get_the_same_time_stamp_which_is_the_senders() -> None:
 
 
 @pytest.mark.parametrize("option", [35, 9999], ids=["stamps", "a kernel without"])
-def test_a_frame_of_a_link_has_the_time_at_which_it_arrived_for_who_logs_it(
+def test_a_frame_of_a_link_is_logged_with_the_time_of_its_arrival(
     option: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("transport.links.mesh_members._SO_TIMESTAMPNS", option)
@@ -117,7 +117,7 @@ def test_a_frame_of_a_link_has_the_time_at_which_it_arrived_for_who_logs_it(
     assert times == sorted(times)
 
 
-def test_frames_that_wait_are_read_in_the_order_they_were_sent_whoever_sent_them() -> None:
+def test_waiting_frames_of_all_senders_are_read_in_the_order_of_sending() -> None:
     with bus() as a, bus() as b, bus() as listener:
         for number in range(40):
             (a if number % 3 else b).send(frame(number))

@@ -102,7 +102,7 @@ def test_a_word_to_look_is_no_frame_and_counts_as_none_that_was_lost() -> None:
         assert second.recv(0.0) is None and second.lost == 0
 
 
-def test_who_may_restart_comes_back_by_itself_and_who_may_not_stays_off() -> None:
+def test_a_node_with_restart_ms_comes_back_by_itself_and_one_without_stays_off() -> None:
     for restart_ms in (20, 0):
         with bus(bitrate=500_000, restart_ms=restart_ms) as first, bus(bitrate=500_000) as second:
             over = monotonic_ns() + SOON_NS // 5

@@ -111,7 +111,7 @@ def test_of_controllers_that_wait_for_one_rig_one_is_received(tmp_path: Path) ->
         until(lambda: answered(rig, 2), "the one that is left")
 
 
-def test_with_a_key_the_link_still_says_who_has_the_role(tmp_path: Path) -> None:
+def test_with_a_key_the_message_still_names_the_holder_of_the_role(tmp_path: Path) -> None:
     make_keys(tmp_path / "keys")
     uri = f"zenoh:tcp/127.0.0.1:{free_port()}?auth={tmp_path}/keys/frames.key"
     with open_link(uri.partition("?")[0], "rig") as rig, elsewhere(tmp_path / "a", uri.partition("?")[0]) as first:

@@ -24,7 +24,7 @@ from transport.links.zenoh_observers import discover
 
 
 @pytest.mark.parametrize("mode", ["peer", "client"])
-def test_who_joins_sees_both_directions_with_slot_and_session(mode: str) -> None:
+def test_an_observer_sees_both_directions_with_slot_and_session(mode: str) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with open_link(f"zenoh:{endpoint}", "rig") as rig, open_link(f"zenoh:{endpoint}", "controller") as controller:
         meet(rig, controller)

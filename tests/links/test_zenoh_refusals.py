@@ -86,7 +86,7 @@ def port_of(uri: str) -> int:
 
 
 @pytest.mark.parametrize("protocol", ["tls", "tcp"])
-def test_each_write_of_one_whom_the_list_does_not_name_is_counted(tmp_path: Path, protocol: str) -> None:
+def test_each_write_of_a_peer_outside_the_list_is_counted(tmp_path: Path, protocol: str) -> None:
     uri = uris(tmp_path)[protocol]
     login = {"transport/auth/usrpwd": {"user": "observer", "password": "look"}}
     entries = tls_entries(tmp_path / "keys", "rig") if protocol == "tls" else login
@@ -103,7 +103,7 @@ def test_each_write_of_one_whom_the_list_does_not_name_is_counted(tmp_path: Path
 
 
 @pytest.mark.parametrize("kind", ["another authority", "no certificate", "no password", "a wrong password"])
-def test_who_does_not_get_in_is_counted(tmp_path: Path, kind: str) -> None:
+def test_a_refused_login_is_counted(tmp_path: Path, kind: str) -> None:
     both = uris(tmp_path)
     make_keys(tmp_path / "others")
     protocol, entries = {

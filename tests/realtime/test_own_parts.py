@@ -107,7 +107,7 @@ def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any]
 @pytest.mark.parametrize(("part", "lie", "link"), [
     ("plant", "a = 0.5", "local:"), ("controller", "gain = 0.4", "can:hil:{own}"),
 ])  # fmt: skip
-def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, part: str, lie: str, link: str) -> None:
+def test_a_part_that_departs_in_the_run_loses_the_certificate(tmp_path: Path, part: str, lie: str, link: str) -> None:
     status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: lie})
     what = {"plant": "the plant left its model at slot ", "controller": "the controller left its table at slot "}[part]
     reported = problems["certificate_withdrawn"]
@@ -119,7 +119,7 @@ def test_who_breaks_its_word_in_the_run_loses_the_certificate(tmp_path: Path, pa
 @pytest.mark.parametrize(("part", "raises", "link"), [
     ("plant", "raise KeyError('no such level')", "local:"), ("controller", r"raise SystemExit('\udcff')", "can:hil:{own}"),
 ])  # fmt: skip
-def test_who_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, part: str, raises: str, link: str) -> None:
+def test_a_part_that_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, part: str, raises: str, link: str) -> None:
     status, problems, errors = real_time(tmp_path, link.format(own=f"own{os.getpid()}"), **{part: raises})
     assert status == 1 and "Traceback" not in errors and "tank.py" not in errors
     reported = problems.pop("plug_in_failed")

@@ -134,11 +134,11 @@ def test_every_frame_lies_in_the_links_identifiers_and_says_its_kind(database: D
 
 
 def test_a_whole_number_has_the_range_of_its_bits() -> None:
-    talkers = [
+    senders = [
         BusNode(name="Angle", about="a sensor", identifiers=range(0x100, 0x102), values=(("angle", "rad"), ("speed", "rad/s"))),
         BusNode(name="Command", about="commands", identifiers=range(0x200, 0x202), values=(("voltage", "V"),), sensor=False),
     ]
-    made = cantools.database.load_string(dbc_text(talkers, fd=True, title="two nodes"), "dbc")
+    made = cantools.database.load_string(dbc_text(senders, fd=True, title="two nodes"), "dbc")
     assert isinstance(made, Database)
     whole = [signal for message in made.messages for signal in message.signals if not signal.is_float and not signal.is_signed]
     assert {signal.length for signal in whole} > {1, 8, 16, 32}

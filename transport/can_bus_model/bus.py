@@ -105,11 +105,11 @@ class CanBus:
     def advance(self, until: int, most: int | None = None) -> list[Transmission]:
         """Let time pass; return what ended, in order, up to that instant and at it.
 
-        Arbitration at that very instant is left for the next call: whoever is queued in it takes part.
+        Arbitration at that very instant is left for the next call, so that frames queued in it take part.
 
         Args:
             until: an instant in units, not before the last one.
-            most: repeats of a frame that nobody acknowledges are left out but for the last so many; None: none is.
+            most: repeats of a frame that no node acknowledges are left out but for the last so many; None: none is.
         """
         ended: list[Transmission] = []
         while True:

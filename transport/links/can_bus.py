@@ -151,7 +151,7 @@ class HilBus(can.BusABC):
         return self.frames.mesh.participants
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to everybody on the bus.
+        """Send a frame to all participants of the bus.
 
         Args:
             msg: the frame.

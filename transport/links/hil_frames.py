@@ -104,7 +104,7 @@ class HilFrames:
         return self.mesh.refused
 
     def _got_through(self, item: Any, end_ns: int, alone: bool) -> None:
-        """Hand a frame to everybody, with the end of its EOF as its time."""
+        """Hand a frame to all participants, with the end of its EOF as its time."""
         identifier, length, flags, data = item
         stamp = time() - (monotonic_ns() - end_ns) / 1e9
         if alone:

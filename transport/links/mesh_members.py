@@ -218,7 +218,7 @@ class Members:
             self._listening = True
 
     def unseen(self) -> bool:
-        """Return whether someone has joined whom `admit` has not let in."""
+        """Return whether a participant has joined that `admit` has not let in."""
         return self._mark() != self._seen
 
     def _mark(self) -> bytes:
@@ -241,7 +241,7 @@ class Members:
         self.lone = next(iter(self.sources.values())) if len(self.sources) == 1 else None
 
     def admit(self) -> None:
-        """Let in whoever has connected since."""
+        """Let in the participants that have connected since."""
         with self._lock:
             mark = self._mark()
             self._accept_all()

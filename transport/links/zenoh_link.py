@@ -6,7 +6,7 @@ that is let in at the rig's endpoint can watch, or be the controller. A peer of 
 publishes, so the rig says again under ``hil/<name>/received`` what control packets it receives, once a subscriber listens
 there. Every packet has the encoding `ENCODING` and an attachment ``slot=K;session=S``. Liveliness tokens say who is there
 and which controller commands the rig (`transport.links.zenoh_access`), and the rig answers queries for ``hil/<name>/info``.
-Certificates and passwords keep all of that from everybody else.
+Certificates and passwords keep all other programs from both.
 
 Without an endpoint the link is a Unix socket in a directory of mode 0700 (`zenoh_directory`): who is not this user cannot
 reach it. ``tls/`` takes certificates of both ends, and only the one called *controller* is accepted: see

@@ -151,7 +151,7 @@ def discover(endpoint: str, wait_s: float) -> list[dict[str, Any]]:
 
 
 def _json_object(data: bytes) -> dict[str, Any] | None:
-    """Return what a rig has announced; None for anything else: whoever answers may be anybody."""
+    """Return what a rig has announced; None for anything else, as any program may answer."""
     kinds = {"experiment": str, "period_ns": int, "session": str}
     if len(data) > LARGEST_INFO:
         return None

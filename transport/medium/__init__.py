@@ -55,7 +55,7 @@ class IndependentChannels:
         self._channels = tuple(channels)
 
     def may_send(self, node: int, k: int) -> bool:
-        """Return True: every slot is everybody's."""
+        """Return True: every node may send in every slot."""
         return True
 
     def offer(self, node: int, k: int, packet: object) -> None:

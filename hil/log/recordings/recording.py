@@ -1,4 +1,4 @@
-"""What a file says of packets on their way, before anybody judges it: instants of sending and of receiving, by direction; and the
+"""The packets that a file records, before a law is fitted: instants of sending and of receiving, by direction; and the
 network law that was fitted to them, as the file that an experiment includes, with what it leans on.
 """
 
@@ -76,7 +76,7 @@ def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[s
                 size = f"{rise.slope * 1e6:.3g} us per s (95 %: +- {rise.half_width * 1e6:.2g})"
                 notes.append(
                     f"the least latency rises by {size} in the mean of both directions, which no clock does: it stays in, and a "
-                    "drift is told from it if it is the same in both"
+                    "drift is distinguished from it if it is the same in both"
                 )
         for name, way in ways.items():
             ways[name] = _straight(name, way, drifts[name], notes)

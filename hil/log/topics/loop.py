@@ -3,7 +3,7 @@
 The plant gives its states, its outputs and the reference that these follow; the network what it decided about every packet, in
 each direction; the link every frame, with its CAN identifier where there is one; the controller every row of the send-all packet,
 and what it was computed from; the actuator node what it applied, and what its passivity controller did. A CAN bus that takes time
-is told in the words of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error.
+is described in the terms of FMI-LS-BUS 1.0: each frame from its Transmit to Confirm or Bus Error.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ BLOCK: Final = 512
 MOST_KEPT: Final = 200_000
 """Slots with loads or noise whose equation error is kept: it may not grow in these, and later slots are not compared."""
 ANOTHER: Final = 2048
-"""Slots of a run with other random numbers, by which the kind of the equation error is told; see `kind_of`."""
+"""Slots of a run with other random numbers, by which the kind of the equation error is found; see `kind_of`."""
 
 
 class Blocks:

@@ -1,4 +1,4 @@
-r"""The nonces of a session: whoever knows those of the past cannot tell the next, and sees at once that it is genuine.
+r"""The nonces of a session: a process that knows the past ones cannot compute the next, and can check that it is genuine.
 
 .. math:: n_k = h(n_{k+1}), \qquad h(n) = \mathrm{SHA256}(n)_{1 \ldots 8},
 
@@ -35,11 +35,11 @@ def before(nonce: int) -> int:
 
 
 class Wire(Struct, frozen=True, kw_only=True):
-    """How a rig speaks.
+    """The nonces in the frames of a rig.
 
     Args:
         nonce: the nonce of a slot, u64.
-        hello: the nonce of the hello; 0 where none is said, as in a replay.
+        hello: the nonce of the hello; 0 where there is no hello, as in a replay.
     """
 
     nonce: Callable[[int], int]

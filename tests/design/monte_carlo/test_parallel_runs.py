@@ -116,7 +116,7 @@ def test_results_come_in_order_and_an_error_in_a_job_is_raised() -> None:
     "3 tasks which were still being processed by the workers have been cancelled.",
     "2 tasks have been successfully executed  but not used. Additionally, 3 tasks which were still being processed",
 ])  # fmt: skip
-def test_what_joblib_says_of_results_that_nobody_takes_is_not_passed_on(said: str, recwarn: pytest.WarningsRecorder) -> None:
+def test_a_warning_of_joblib_about_unused_results_is_not_passed_on(said: str, recwarn: pytest.WarningsRecorder) -> None:
     def results() -> Iterator[int]:
         try:
             yield 0

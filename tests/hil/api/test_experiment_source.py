@@ -83,12 +83,12 @@ def test_numbers_of_numpy_are_numbers(session: Session) -> None:
 
 
 @pytest.mark.parametrize("path", ["links.sc.law", "network.sc", "law"])
-def test_an_object_where_none_stands_is_told_where_objects_stand(path: str) -> None:
+def test_an_object_in_a_wrong_place_is_refused_with_the_right_places(path: str) -> None:
     with pytest.raises(hil.HilError, match=f"{path}: object is not .* objects stand at plant, controller, network.sc.law"):
         hil.run("dc-motor-hinf", duration="1 s", **{path: object()})
 
 
-def test_an_argument_that_is_nearer_to_one_of_the_function_than_to_a_field_is_told_so() -> None:
+def test_an_argument_near_to_one_of_the_function_is_suggested() -> None:
     with pytest.raises(HilError, match=r"hil\.sweep: no argument is called 'grids'; did you mean 'grid'\?"):
         hil.sweep("dc-motor-hinf", grids={"plant.gain": [150, 170]})
     with pytest.raises(HilError, match=r"duraton.*did you mean 'duration'"):

@@ -1,4 +1,4 @@
-"""What a controller is asked before a run, and how its answers beside those of its table are told apart."""
+"""The excitation of a controller before a run, and the mismatches of its answers to those of its table."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_a_row_of_one_age_that_differs_is_named_with_both_numbers() -> None:
     assert short.share == np.inf
 
 
-def test_what_grows_with_time_is_told_from_what_stays() -> None:
+def test_a_growing_feedforward_is_distinguished_from_a_bounded_one() -> None:
     far = random_excitation(model(), width=1, far=True)
     early, stated_at_zero = np.ones(SLOTS - len(FAR)), at_zero()[1]
 
@@ -95,7 +95,7 @@ class Counts:
         return ((y[0] - r[0] + (Counts.calls if self._shared else self._own),),)
 
 
-def test_answers_that_change_by_themselves_or_by_what_another_is_asked_are_told() -> None:
+def test_drifting_answers_and_shared_memory_are_found() -> None:
     assert drift_at_zero(lambda: Counts(0.0, False), EXCITATION, NODES) == 0.0
     assert drift_at_zero(lambda: Counts(0.5, False), EXCITATION, NODES) == pytest.approx(0.5 * (SLOTS - 1))
     assert drift_at_zero(lambda: Counts(0.0, True), EXCITATION, NODES) == np.inf

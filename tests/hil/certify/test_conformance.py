@@ -51,7 +51,7 @@ def test_a_plant_that_is_not_its_model_is_not_certified(lie: str) -> None:
 
 
 @pytest.mark.parametrize("lie", ["none", *HONEST])
-def test_a_load_or_noise_of_an_own_plant_is_no_lie_and_is_named(lie: str) -> None:
+def test_a_load_or_noise_of_an_own_plant_is_no_departure_and_is_named(lie: str) -> None:
     found = on_own_plant(Plant(lie), Table())
     assert found is not None and found.certified, found
     assert any("the plant moves as its model says: compared over" in said for said in found.assumptions)
@@ -112,7 +112,7 @@ def test_every_information_pattern_is_tested(selection: Any, lie: str) -> None:
 
 
 @pytest.mark.parametrize("selection", ["constant", "generated", "previous", "both"])
-def test_an_honest_controller_of_every_information_pattern_is_certified(selection: Any) -> None:
+def test_a_controller_that_keeps_its_table_is_certified_for_every_information_pattern(selection: Any) -> None:
     honest = on_own_plant(Plant(), Table(selection=selection))
     assert honest is not None and honest.certified
 
@@ -213,7 +213,7 @@ def test_the_test_draws_nothing_from_the_run() -> None:
     assert runs[0].summary["log"]["sha256"] == runs[1].summary["log"]["sha256"]
 
 
-def test_a_departure_is_told_by_numbers_that_differ() -> None:
+def test_a_departure_is_reported_with_numbers_that_differ() -> None:
     """Where the cubic spring is first felt, what moved and what the model has are the same by four digits."""
     found = verdict_on(plant=Plant("a cubic spring"), controller=Table(), **{"limits.state": {}})
     told = re.search(r"by (\S+) m where the model has (\S+) m, first in slot", found.reason)

@@ -1,4 +1,4 @@
-"""How a plant's motion is told from its model's: by inputs of every size, without any, and by its record."""
+"""How a plant's motion is distinguished from its model's: by inputs of every size, without inputs, and by its record."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_inputs_reach_both_limits_change_at_once_and_rest() -> None:
         assert column.max() == 1.0 and column.min() == -1.0 and min(stays) == 1 and max(stays) >= 10
 
 
-def test_what_is_foretold_is_the_recursion_with_its_delays() -> None:
+def test_the_predicted_motion_is_the_recursion_with_its_delays() -> None:
     rng = np.random.default_rng(2)
     delayed, u = 0.1 * rng.normal(size=(2, 2, 2)), rng.normal(size=(6, 2))
     x = [np.zeros(2), np.zeros(2), np.zeros(2)]
@@ -52,7 +52,7 @@ def departed(plant: LinearPlant, model: LoopModel, size: float, bounds: Sequence
     return found, shape * unit * size
 
 
-def test_a_plant_beside_a_wrong_model_is_told_by_signal_slot_and_numbers() -> None:
+def test_a_wrong_model_is_reported_with_signal_slot_and_numbers() -> None:
     same, _ = departed(replace(PLANT, initial_state=(3.0, -1.0)), MODEL, 10.0)
     assert same.share < 1e-9 and same.slots == SLOTS and same.size == 10.0
     wrong = structs.replace(MODEL, A=MODEL.A @ np.diag([1.0, 1.01]))
@@ -65,7 +65,7 @@ def test_a_plant_beside_a_wrong_model_is_told_by_signal_slot_and_numbers() -> No
     assert near.slots == int((np.abs(model[:, 1]) >= bound).argmax()) - 1
 
 
-def test_an_actuator_that_puts_out_less_is_told_before_the_motion() -> None:
+def test_an_actuator_that_applies_less_is_reported_before_the_motion() -> None:
     found, inputs = departed(replace(PLANT, saturation=(100.0, 1.5)), MODEL, 1.0)
     first = int((np.abs(inputs[:, 1]) > 1.5).argmax())
     assert found.share == np.inf and found.signal == ("applied u2", "1") and found.slot == first
@@ -118,7 +118,7 @@ SAID = {"A": PLANT.A, "B": PLANT.B, "C": PLANT.C, "initial_state": (1.0, 0.0)}
         (LinearPlant(**SAID, process_noise=(0.1, 0.0)), "noise"), (LinearPlant(**SAID, measurement_noise=(0.1,)), "noise"),
     ],
 )  # fmt: skip
-def test_what_moves_a_plant_without_inputs_is_told_by_its_kind(plant: LinearPlant, kind: str, hidden: bool) -> None:
+def test_the_kind_of_a_motion_without_inputs_is_found(plant: LinearPlant, kind: str, hidden: bool) -> None:
     """Where the states are not shown, a first state and a constant force explain what they can of the outputs."""
     tracks = [drive(plant, PERIOD_NS, np.zeros((60, 2)), seed) for seed in (1, 2)]
     tracks = [structs.replace(track, states=track.states[:, :1]) if hidden else track for track in tracks]

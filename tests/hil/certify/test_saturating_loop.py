@@ -197,7 +197,7 @@ def test_a_design_with_integral_action_is_certified_where_its_sum_is_clamped() -
 
 @pytest.mark.parametrize("pushed", [False, True])
 def test_a_run_that_waits_for_a_node_begins_elsewhere(pushed: bool) -> None:
-    """Until the node of a plant's other part is heard nobody holds the unstable one: it is lost, however near it begins."""
+    """Until a packet of the second node has come the input is 0, and the unstable part is lost, however near 0 it begins."""
 
     def lost(late: int) -> tuple[Verdict, bool]:
         plant = {"kind": "state-space", "A": [[8.0, 0.0], [0.0, -1.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
@@ -216,4 +216,4 @@ def test_a_run_that_waits_for_a_node_begins_elsewhere(pushed: bool) -> None:
     verdict, away = lost(0)
     assert verdict.certified and not away, verdict
     verdict, away = lost(6)
-    assert away and verdict.state == "undecided" and "its rows are zeros until every node was heard" in verdict.reason
+    assert away and verdict.state == "undecided" and "rows are zeros until a packet of every node has come" in verdict.reason

@@ -70,7 +70,7 @@ def test_doctor_prints_a_line_for_every_check(cli: Hil, doctor: list[dict[str, A
     assert status == 0 and all(f"{check['what']}: " in out for check in doctor)
 
 
-def test_doctor_says_in_one_line_who_could_command(doctor: list[dict[str, Any]]) -> None:
+def test_doctor_names_the_possible_commanders_in_one_line(doctor: list[dict[str, Any]]) -> None:
     (line,) = (check for check in doctor if "commands accepted" in str(check))
     assert "commands accepted from" in line.values() and "anyone on the CAN bus can0" in str(line)
 

@@ -44,7 +44,7 @@ def test_garbage_is_looked_for_again_and_not_among_modules(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("looked_for", [False, True])
-def test_who_calls_the_command_line_keeps_its_own_way_with_garbage(cli: Hil, looked_for: bool) -> None:
+def test_a_caller_of_the_command_line_keeps_its_garbage_collection(cli: Hil, looked_for: bool) -> None:
     """A program looks for it as it did; `hil` begins without, and the modules of any command are set aside."""
     if not looked_for:
         gc.disable()

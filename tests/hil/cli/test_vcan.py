@@ -22,7 +22,7 @@ from tests.hil.cli.conftest import Hil
 PLAIN = Wanted(command=("true",))
 
 
-def test_a_machine_without_ip_is_told_which_package_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_machine_without_ip_is_refused_with_the_name_of_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(kernel.platform, "machine", lambda: "x86_64")
     monkeypatch.setattr(kernel.shutil, "which", lambda program: None)
     with pytest.raises(RunnerError, match="missing here: iproute2"):
@@ -95,7 +95,7 @@ def test_a_kernel_with_vcan_gives_the_command_a_network_of_its_own(monkeypatch: 
     assert what_would_run() == (True, "this kernel's own vcan", "")
 
 
-def test_a_kernel_that_makes_no_vcan_is_told_how(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_without_vcan_is_refused_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "socket", Can)
     monkeypatch.setattr(Can, "bind", NoCan.__init__)
     monkeypatch.setattr(vcan.shutil, "which", lambda program: program)

@@ -77,7 +77,7 @@ def test_a_part_that_raises_before_the_run_is_one_message_with_its_line(plant: A
     assert "test_parts_that_fail.py, line " in str(reported.value) or "returned None" in said
 
 
-def test_a_controller_whose_fields_change_while_it_is_asked_is_refused() -> None:
+def test_a_controller_whose_fields_change_during_its_test_is_refused() -> None:
     changes: dict[str, Any] = {"plant": Plant(), "controller": Changing(), "limits.state": {}}
     with pytest.raises(hil.HilError, match=r"controller \(Changing\) or plant \(Plant\): fields changed while it was asked"):
         hil.run("dc-motor-h2", duration=1, allow_uncertified=True, **changes)

@@ -136,7 +136,7 @@ def test_a_loop_whose_commands_never_come_is_not_refused() -> None:
 
 @pytest.mark.parametrize("by_nodes", [False, True])
 def test_a_loop_that_waits_for_a_node_for_ever_is_not_refused(by_nodes: bool) -> None:
-    """The controller answers zeros until every node was heard: what it would do to the plant never happens."""
+    """The controller answers zeros until a packet of every node has come, which never happens: its gains do not act."""
     plant = {"kind": "state-space", "A": [[-1.0, 0.0], [0.0, -2.0]], "B": [[1.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]]}
     controller: dict[str, Any] = {"kind": "local", "gain": [[50.0, 0.0]]}
     if by_nodes:

@@ -55,7 +55,7 @@ def assert_is_valid(found: x509.Certificate, days: int) -> None:
     assert end - begin == timedelta(days=days) and timedelta() <= datetime.now(UTC) - BEFORE - begin < timedelta(minutes=5)
 
 
-def test_an_authority_signs_a_certificate_for_each_end_and_nobody_else_reads_its_keys(folder: Path) -> None:
+def test_an_authority_signs_a_certificate_for_each_end_and_only_its_owner_reads_its_keys(folder: Path) -> None:
     root = read_certificate(folder / "ca.pem")
     root.verify_directly_issued_by(root)
     basic = root.extensions.get_extension_for_class(x509.BasicConstraints)

@@ -32,7 +32,7 @@ def check(cli: Hil, *, log: str = "l.mcap", key: str = "k/signing.pub") -> tuple
     return status, out + err
 
 
-def test_a_signed_log_is_verified_and_read_by_who_knows_no_signature(cli: Hil, signed: Path) -> None:
+def test_a_signed_log_is_verified_and_read_without_knowledge_of_signatures(cli: Hil, signed: Path) -> None:
     status, reported = check(cli)
     assert status == 0 and "signed with k/signing.pub (SHA256:" in reported and "same bits" in reported
     assert cli("replay", "l.mcap")[0] == 0

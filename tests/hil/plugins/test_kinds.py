@@ -66,7 +66,7 @@ class Answers:
         (((float("nan"),),), "a row is not finite"),
     ],
 )
-def test_rows_of_the_wrong_form_are_told_as_such(gives: object, said: str) -> None:
+def test_rows_of_a_wrong_form_are_refused_as_such(gives: object, said: str) -> None:
     model = LoopModel(A=np.eye(1), B=np.eye(1), C=np.eye(1), period_s=0.05, tau_max=1, d_max=1)
     with pytest.raises(AssertionError, match=said):
         check_answers(Answers(gives), model)  # type: ignore[arg-type]

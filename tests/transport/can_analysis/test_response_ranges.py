@@ -92,7 +92,7 @@ def test_frames_of_one_length_leave_nothing_open() -> None:
     assert [found.of(0, 7), found.of(1, 3)] == [(97 * RATES.bit,) * 2, (197 * RATES.bit,) * 2]
 
 
-def test_who_is_queued_in_the_instant_of_arbitration_takes_part() -> None:
+def test_a_frame_queued_in_the_instant_of_arbitration_takes_part() -> None:
     bits = FrameLength(100)
     low = PeriodicMessage(name="low", identifier=2, period_ns=10 * MS, bits=bits, shortest=bits)
     first = PeriodicMessage(name="first", identifier=1, period_ns=10 * MS, bits=bits, shortest=bits)

@@ -63,7 +63,7 @@ def test_one_error_costs_31_bits_and_the_longest_frame_again() -> None:
     assert (two.response_ns or 0) - (calm.response_ns or 0) == 2 * bits * 8000
 
 
-def test_who_is_beyond_the_load_of_the_bus_has_no_bound_and_the_others_keep_theirs() -> None:
+def test_a_message_beyond_the_load_of_the_bus_has_no_bound_and_the_others_keep_theirs() -> None:
     full = [*ABC, message("D", 4, 10.0)]
     found = response_times(full, BitRates(125_000))
     assert bus_load(full, BitRates(125_000)) > 1

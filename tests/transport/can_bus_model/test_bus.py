@@ -52,7 +52,7 @@ def test_the_lowest_identifier_wins_at_every_idle_instant_and_frames_last_as_lon
     assert [each.waiting.lost for each in done] == [0, 1, 2]
 
 
-def test_who_is_queued_in_the_instant_in_which_the_bus_is_idle_takes_part_and_half_a_nanosecond_later_does_not() -> None:
+def test_a_frame_queued_when_the_bus_becomes_idle_takes_part_and_half_a_nanosecond_later_does_not() -> None:
     for late, expected in ((0, [0x200, 0x100, 0x300]), (1, [0x200, 0x300, 0x100])):
         bus = CanBus(RATES, [CanNode(), CanNode(), CanNode()])
         bus.queue(0, waiting(0x200))
@@ -287,7 +287,7 @@ def test_repeats_that_are_left_out_leave_the_bus_as_if_each_had_passed(before: s
     assert [str(each) for each in ends[0]] == [str(each) for each in ends[1]]
 
 
-def test_what_is_disturbed_or_heard_is_not_left_out() -> None:
+def test_repeats_that_are_disturbed_or_acknowledged_are_not_left_out() -> None:
     alone, heard = CanBus(RATES, [CanNode()], Planned({})), CanBus(RATES, [CanNode(), CanNode()])
     for bus in (alone, heard):
         bus.nodes[0].errors.tec = 128

@@ -28,14 +28,14 @@ from transport.links.traits import on_zenoh, traits_of
         ("zenoh:tls/10.0.0.1:7447?keys=keys", "holders of a certificate of keys/ca.pem that is called controller"),
     ],
 )
-def test_a_link_says_who_could_command_a_rig(uri: str, commanders: str) -> None:
+def test_a_link_names_the_possible_commanders_of_a_rig(uri: str, commanders: str) -> None:
     assert traits_of(uri).commanders == commanders
 
 
 @pytest.mark.parametrize(
     ("mode", "who"), [(0o700, "of this user"), (0o770, "that may write in {}"), (0o707, "that may write in {}")]
 )
-def test_a_socket_lets_in_who_may_write_in_its_folder(tmp_path: Path, mode: int, who: str) -> None:
+def test_a_socket_accepts_users_who_may_write_in_its_folder(tmp_path: Path, mode: int, who: str) -> None:
     tmp_path.chmod(mode)
     assert on_zenoh(f"unixsock-stream/{tmp_path}/rig", {}) == f"any process {who.format(tmp_path)}"
 

@@ -57,7 +57,7 @@ def test_a_short_wait_looks_before_it_sleeps_and_gives_that_up_where_it_never_he
         assert listener.receive(0.01) is not None
 
 
-def test_who_is_let_in_by_another_thread_gets_what_is_sent_meanwhile(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_participant_let_in_by_another_thread_gets_what_is_sent(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A bus with time sends from a thread of its own, while its program reads: each sees that a newcomer has joined."""
     accept, lets_in, go_on = socket.socket.accept, Event(), Event()
 
@@ -80,13 +80,13 @@ def test_who_is_let_in_by_another_thread_gets_what_is_sent_meanwhile(directory: 
         assert newcomer.receive(0.01) is not None
 
 
-def test_who_leaves_while_another_thread_sends_ends_that_thread_by_no_error(directory: Path) -> None:
+def test_leaving_while_another_thread_sends_raises_no_error_there(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as listener:
         sender.close()
         assert sender.send(HEAD.pack(0.0, 0)) and listener.receive(0.01) is None
 
 
-def test_who_joined_before_a_datagram_was_sent_receives_it_once_as_those_who_were_there(directory: Path) -> None:
+def test_a_participant_that_joined_before_a_datagram_was_sent_receives_it_once(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as there:
         assert sender.send(HEAD.pack(0.0, 0)) and sender.participants == 2
         with Mesh(directory) as newcomer:
@@ -105,7 +105,7 @@ def test_a_wait_is_as_long_as_was_said(timeout_s: float, directory: Path) -> Non
         assert mesh.receive(0) is None
 
 
-def test_who_sleeps_for_a_lone_participant_receives_a_newcomer_too(directory: Path) -> None:
+def test_a_participant_that_waits_for_one_other_receives_a_newcomer_too(directory: Path) -> None:
     expected = [HEAD.pack(float(number), 0) for number in range(3)]
     found: list[bytes | None] = []
 
@@ -125,7 +125,7 @@ def test_who_sleeps_for_a_lone_participant_receives_a_newcomer_too(directory: Pa
         assert [each for each in found if each] == expected
 
 
-def test_who_has_sent_once_receives_a_newcomer_beside_one_that_never_pauses(directory: Path) -> None:
+def test_a_participant_that_has_sent_receives_a_newcomer_beside_one_that_never_pauses(directory: Path) -> None:
     with Mesh(directory) as talker, Mesh(directory) as listener:
         talker.send(HEAD.pack(0.0, 0))
         assert listener.receive(0) is not None and listener.send(HEAD.pack(0.0, 0))
@@ -163,7 +163,7 @@ def test_a_datagram_too_short_to_be_one_is_passed_over(directory: Path) -> None:
         assert mesh.participants == 2
 
 
-def test_who_cannot_get_the_lock_says_that_a_process_stopped_in_mid_join(
+def test_a_lock_that_is_not_free_is_reported_as_a_process_stopped_in_mid_join(
     directory: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("transport.links.mesh_members._JOIN_TIMEOUT_S", 0.05)
@@ -217,7 +217,7 @@ def test_without_a_free_descriptor_no_process_spins_and_a_joining_one_waits(dire
 
 
 @pytest.mark.usefixtures("few_descriptors")
-def test_who_has_no_descriptor_to_join_says_so_and_leaves_none_open(directory: Path) -> None:
+def test_joining_without_a_free_descriptor_is_refused_and_leaves_none_open(directory: Path) -> None:
     with Mesh(directory):
         before = len(os.listdir("/proc/self/fd"))
         _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -298,7 +298,7 @@ def test_participants_number_themselves_and_leave_no_descriptor_open(directory: 
     assert len(os.listdir("/proc/self/fd")) == before and not directory.exists()
 
 
-def test_who_missed_more_than_one_datagram_can_say_learns_it_by_the_next_ones(directory: Path) -> None:
+def test_more_losses_than_one_datagram_can_count_are_counted_by_the_next_ones(directory: Path) -> None:
     with Mesh(directory) as sender, Mesh(directory) as listener:
         sender.send(HEAD.pack(0.0, 0))
         sender._members.peers[0].missed = 0x1_2345
@@ -324,7 +324,7 @@ def test_what_arrives_first_is_received_first_whatever_time_its_sender_says(dire
     assert received == [b"honest", b"early"] * 20
 
 
-def test_who_never_leaves_is_gone_with_the_interpreter_without_a_word(directory: Path) -> None:
+def test_a_participant_that_never_leaves_is_closed_with_the_interpreter(directory: Path) -> None:
     """At its end the interpreter closes sockets in an order of its own, those of the mesh before the mesh as well."""
     first, second = Mesh(directory), Mesh(directory)
     first.send(HEAD.pack(0.0, 0) + b"x")
@@ -346,7 +346,7 @@ def test_sending_says_whether_anybody_had_room(directory: Path) -> None:
         assert sender.send(datagram)  # it has left
 
 
-def test_one_who_never_reads_does_not_make_what_others_take_unsent(directory: Path) -> None:
+def test_a_participant_that_never_reads_takes_no_datagram_from_the_others(directory: Path) -> None:
     """A flooder joins, and never reads: what the controller gets was sent."""
     datagram = HEAD.pack(0.0, 0) + bytes(70)
     with Mesh(directory) as sender, Mesh(directory), Mesh(directory) as reader:
@@ -357,7 +357,7 @@ def test_one_who_never_reads_does_not_make_what_others_take_unsent(directory: Pa
         assert all(said) and sender.dropped > 0
 
 
-def test_who_is_alone_with_another_knows_it_as_long_as_that_is_so(directory: Path) -> None:
+def test_a_participant_knows_while_there_is_only_one_other(directory: Path) -> None:
     with Mesh(directory) as first, Mesh(directory) as second:
         assert first._members.lone is None and second._members.lone is not None
         first.send(HEAD.pack(0.0, 0))
@@ -372,7 +372,7 @@ def test_who_is_alone_with_another_knows_it_as_long_as_that_is_so(directory: Pat
             assert each._members.lone is not None
 
 
-def test_who_leaves_while_another_holds_the_lock_takes_its_socket_along(directory: Path) -> None:
+def test_leaving_while_another_holds_the_lock_removes_the_socket(directory: Path) -> None:
     mesh = Mesh(directory)
     held = os.open(directory, os.O_RDONLY)
     fcntl.flock(held, fcntl.LOCK_EX)
@@ -381,7 +381,7 @@ def test_who_leaves_while_another_holds_the_lock_takes_its_socket_along(director
     assert not list(directory.glob("*.sock"))
 
 
-def test_one_at_whom_too_many_have_knocked_already_is_left_alone(directory: Path) -> None:
+def test_a_participant_with_a_full_backlog_is_passed_over(directory: Path) -> None:
     directory.mkdir(mode=0o700)
     path = directory / f"{os.getpid()}-900.sock"
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as stopped, ExitStack() as stack:

@@ -43,7 +43,7 @@ def test_the_cycle_begins_at_its_phase_and_a_node_on_no_medium_sends_in_every_sl
     assert senders == [[0, 3], [1, 3], [2, 3], [0, 3], [1, 3], [2, 3], [0, 3]]
 
 
-def test_who_sends_out_of_turn_is_a_fault_of_the_caller() -> None:
+def test_sending_out_of_turn_is_a_fault_of_the_caller() -> None:
     shared = medium(RoundRobin((0, 1), 0, 0.0, np.random.default_rng(0)), (0, 1), 2)
     with pytest.raises(ValueError, match="node: 1 sends in slot 0"):
         shared.offer(1, 0, "x")

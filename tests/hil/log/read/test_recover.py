@@ -100,7 +100,7 @@ def test_a_log_with_something_behind_its_end_was_not_closed(log: bytes, tmp_path
     assert (report.closed, report.lost_bytes, report.chunks) == (False, 4, 10) and "lost: the summary" in report.text
 
 
-def test_a_message_of_a_channel_that_nobody_named_is_lost_and_counted(tmp_path: Path) -> None:
+def test_a_message_of_an_undeclared_channel_is_lost_and_counted(tmp_path: Path) -> None:
     with open(tmp_path / "foreign.mcap", "wb") as file:
         writer = McapWriter(file, profile="", library="")
         named = writer.register_channel("/clock", "json", writer.register_schema("Clock", "jsonschema", b"{}"))

@@ -95,7 +95,7 @@ def test_a_topic_that_does_not_exist_is_refused() -> None:
         MemorySink(TABLE, topics={"/plant/stat"})
 
 
-def test_a_tee_gives_every_record_to_its_sink_and_to_who_looks_at_the_topic() -> None:
+def test_a_tee_gives_every_record_to_its_sink_and_to_the_observers_of_its_topic() -> None:
     everything, states = MemorySink(TABLE), MemorySink(TABLE, topics={"/plant/state", "/events"})
     observers = {topic: put for topic in states.times if (put := states.channel(topic))}
     assert TeeSink(states, {}).channel("/network/sc") is None

@@ -78,7 +78,7 @@ def loop() -> Loop:
 
 
 class RigSide:
-    """The true rig, on one wire with whoever else speaks."""
+    """The true rig, on one wire with other senders."""
 
     def __init__(self, loop: Loop, secret: bytes = b"s" * 16) -> None:
         self.node, self.wire = ControlNode(loop), session_wire(secret)

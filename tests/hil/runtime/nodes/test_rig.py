@@ -199,7 +199,7 @@ def test_answers_that_a_stalled_controller_sends_late_are_no_flood(slots: int) -
 @pytest.mark.parametrize("forged", [0, 1, -1], ids=["none", "another", "old"])
 def test_an_answer_to_other_frames_than_were_sent_is_never_applied_and_is_reported(loop: Loop, forged: int) -> None:
     class Both(Script):
-        """Somebody who answers first, without what the question takes, and the true controller."""
+        """A second controller that answers first, without the sensor frames, and the true controller."""
 
         def __init__(self) -> None:
             super().__init__(direct, lambda k: None)

@@ -31,7 +31,7 @@ def test_unlimited_state_that_is_not_finite_trips_too() -> None:
     assert Safety(None, [], 3).check_state((math.nan,)) == "the plant's state is not finite"
 
 
-def test_a_command_beyond_its_bound_is_told_by_the_name_and_unit_of_its_input() -> None:
+def test_a_command_beyond_its_bound_is_reported_with_name_and_unit_of_its_input() -> None:
     safety = Safety((1.0, 5.0), [], 3, 0, (Signal("flow", "1"), Signal("voltage", "V")))
     assert safety.check_command((0.5, -5.2)) == "command voltage = -5.2 V is beyond its limit 5 V"
 

@@ -61,7 +61,7 @@ def test_ours_cost_a_quarter_of_the_published_ones() -> None:
     assert loop.verdict is not None and cost == pytest.approx(loop.verdict.details["cost"], rel=1e-5)
 
 
-def test_one_node_speaks_in_a_slot_and_says_who_it_is() -> None:
+def test_one_node_sends_in_a_slot_with_its_number() -> None:
     loop = compose(load_experiment("multisensor-published", ["duration=1"]))
     frames = simulate(loop, 0).arrays["/link/sensor"]
     packets = [decode(bytes(data)) for data in frames["data"]]

@@ -110,7 +110,7 @@ def test_a_child_ends_where_the_environment_keeps_python_for_more_words(tmp_path
 
 
 @pytest.mark.parametrize("old_kernel", [False, True])
-def test_a_child_that_ends_is_noticed_by_who_waits_and_leaves_no_descriptor(
+def test_a_child_that_ends_is_noticed_by_its_parent_and_leaves_no_descriptor(
     old_kernel: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """On a kernel before 5.3 nothing wakes who waits, and Python looks again and again."""
