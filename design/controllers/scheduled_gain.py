@@ -97,12 +97,12 @@ class ScheduledGain:
         return rows_at
 
 
-def constant_gain(gain: npt.ArrayLike, measured: tuple[str, ...] = ("r",)) -> ScheduledGain:
+def constant_gain(gain: npt.ArrayLike) -> ScheduledGain:
     """One gain per mode, whatever the sojourn time: ``gain`` of shape (modes, m, n)."""
     array = np.asarray(gain, dtype=float)
     if array.ndim != 3:
         raise FieldError("gain", f"shape {array.shape}, expected (modes, inputs, states)")
-    return ScheduledGain(gain=array[:, None], starts_s=np.zeros((array.shape[0], 1)), measured=measured)
+    return ScheduledGain(gain=array[:, None], starts_s=np.zeros((array.shape[0], 1)))
 
 
 def tabulated(

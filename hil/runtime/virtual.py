@@ -110,10 +110,10 @@ def simulate_as_logged(loop: Loop, seed: int) -> Run:
     return _as_logged(sink, loop, seed, summary=dict(rig.outcome()))
 
 
-def rehearsal(loop: Loop, slots: int = 20) -> Run:
-    """Return the first slots of a run, which ends in order where a plug-in fails."""
+def rehearsal(loop: Loop) -> Run:
+    """Return the first 20 slots of a run, which ends in order where a plug-in fails."""
     experiment = loop.experiment
-    short = msgspec.structs.replace(experiment, duration=min(slots, experiment.slots) * experiment.period)
+    short = msgspec.structs.replace(experiment, duration=min(20, experiment.slots) * experiment.period)
     sink = MemorySink(channels_of(loop))
     run_virtual(replace(loop, experiment=short), 0, sink, failed=lambda error: not isinstance(error, KeyboardInterrupt))
     return _as_logged(sink, loop, 0)

@@ -16,7 +16,7 @@ from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import Changes
 from hil.runtime.clock import Clock
-from hil.runtime.real.ending import ENDED, FAILED, Forced, StopSignals, failure_of
+from hil.runtime.real.ending import Forced, StopSignals, failure_of
 from hil.runtime.virtual import run_virtual
 
 FORCE_S = 0.5
@@ -123,14 +123,7 @@ def run_in_real_time(
         out["controller_refused"] = f"the controller refused {unwanted} frames: they are not of this rig, or not of its slot"
     if real.interrupted is not None:
         out |= _interrupted(real.interrupted, sink, real.pump.last_ns)
-    elif real.rig_silent is not None:
-        out["rig_lost"] = real.rig_silent
-        sink.event(real.pump.last_ns, "rig lost", real.rig_silent, severity="error")
-    elif real.rig_status not in (ENDED, FAILED):
-        out["rig_lost"] = (
-            f"the rig process was killed by {signal.Signals(-real.rig_status).name}"
-            if real.rig_status is not None and real.rig_status < 0
-            else f"the rig process ended with status {real.rig_status}"
-        )
-        sink.event(real.pump.last_ns, "rig lost", out["rig_lost"], severity="error")
+    elif real.rig_lost is not None:
+        out["rig_lost"] = real.rig_lost
+        sink.event(real.pump.last_ns, "rig lost", real.rig_lost, severity="error")
     return out

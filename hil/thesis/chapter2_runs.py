@@ -230,15 +230,15 @@ BAND = 0.015
 """Of |x(0)|, (2.28)."""
 
 
-def settled_on_the_rig(name: str, seeds: Sequence[int], duration_s: float = DURATION_S) -> FloatArray:
+def settled_on_the_rig(name: str, seeds: Sequence[int]) -> FloatArray:
     """Return the settling times (2.28) of runs of a shipped experiment, s, (runs,).
 
     Args:
         name: of the experiment.
-        seeds: one run each; modes and uncertainty of a run come from its seed, not from the gains.
-        duration_s: length of a run; a run that has not settled counts as so long, infinite if safety stops it.
+        seeds: one run each; modes and uncertainty of a run come from its seed, not from the gains. A run that has not settled
+            counts as `DURATION_S`, infinite if safety stops it.
     """
-    experiment = load_experiment(name, [f"duration={duration_s}", "allow_uncertified=true"])
+    experiment = load_experiment(name, [f"duration={DURATION_S}", "allow_uncertified=true"])
     loop = compose(experiment, certify=False)
     found = []
     for seed in seeds:

@@ -21,6 +21,10 @@ RESOLUTION = 1e-12
 """Hazards closer than this are the same one: the ratios of survival probabilities are not known any better."""
 
 
+MOST_STATES = 1000
+"""Largest number of states per mode."""
+
+
 class AugmentedChain(NamedTuple):
     """A semi-Markov chain as a Markov chain on (mode, slots spent in it).
 
@@ -106,7 +110,7 @@ def shares_and_stays(law: SemiMarkovLaw) -> tuple[NDArray[np.float64], NDArray[n
     return np.asarray(weights / weights.sum(), dtype=np.float64), stays
 
 
-def augmented_chain(law: SemiMarkovLaw, longest: int = 1000, least: int = 1) -> AugmentedChain:
+def augmented_chain(law: SemiMarkovLaw, *, least: int = 1) -> AugmentedChain:
     """Return the Markov chain on (mode, slots spent in it) that a semi-Markov law is.
 
     From (i, h) the chain leaves to (j, 1) with probability hazard_i(h) matrix[i][j] and else goes on to (i, h+1). A
@@ -117,7 +121,7 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000, least: int = 1) -> 
 
     Args:
         law: the semi-Markov law, n modes.
-        longest: largest number of states per mode.
+
         least: lengths of stay that have states of their own, whatever the hazard; the last of them stands for all longer ones.
 
     Reference: section 8.2.1.
@@ -127,7 +131,7 @@ def augmented_chain(law: SemiMarkovLaw, longest: int = 1000, least: int = 1) -> 
     >>> augmented_chain(law).matrix.tolist()
     [[0.75, 0.25, 0.0], [0.5, 0.0, 0.5], [1.0, 0.0, 0.0]]
     """
-    known = [hazards(sojourn, min(sojourn.support, longest)) for sojourn in law.sojourn]
+    known = [hazards(sojourn, min(sojourn.support, MOST_STATES)) for sojourn in law.sojourn]
     rows = [hazard[: max(len(_distinct(hazard)), least)] for hazard in known]
     first = np.concatenate([[0], np.cumsum([len(row) for row in rows])])
     matrix = np.zeros((first[-1], first[-1]))

@@ -55,7 +55,7 @@ class AnswerMatcher:
         self._row_counts = [row_count(selection, d_max, row_sojourns) for selection in SELECTIONS]
         self._k = -1
         self._t_ns = 0
-        self._asked: Sequence[bytes] = ()
+        self._sensor_frames: Sequence[bytes] = ()
         self._echo = 0
         self._echoes: dict[int, int] = {}  # of the last slots
         self._samples: dict[int, None] = {}  # instants of the samples that were sent last
@@ -70,30 +70,30 @@ class AnswerMatcher:
         self.malformed = self.foreign = self.refused = 0
         self.contradicted = self.flooded = False
 
-    def open(self, t_ns: int, k: int, asked: Sequence[bytes] = ()) -> None:
+    def open(self, t_ns: int, k: int, sensor_frames: Sequence[bytes] = ()) -> None:
         """Begin slot k, whose answer is to come.
 
         Args:
             t_ns: nominal time of the slot, ns.
             k: slot.
-            asked: the sensor frames whose digest the answer is to echo; none in virtual time, where it is 0.
+            sensor_frames: the sensor frames whose digest the answer is to echo; none in virtual time, where it is 0.
         """
         self._t_ns, self._k, self._packet = t_ns, k, None
-        self._asked = asked
+        self._sensor_frames = sensor_frames
         self._answered.pop(k - REMEMBERED, None)
-        if asked:
-            self._remember(k, asked)
+        if sensor_frames:
+            self._remember(k, sensor_frames)
         else:
             self._echo = 0
         self._logged = 0
         if self._thrown:
             self._thrown = max(self._thrown - self._forgotten, 0.0)
 
-    def _remember(self, k: int, asked: Sequence[bytes]) -> None:
+    def _remember(self, k: int, sensor_frames: Sequence[bytes]) -> None:
         """Keep the echo that the answer must have, and the instants of the samples that were sent."""
-        self._echo = self._echoes[k] = echo(asked)
+        self._echo = self._echoes[k] = echo(sensor_frames)
         self._echoes.pop(k - REMEMBERED, None)
-        for frame in asked:
+        for frame in sensor_frames:
             if not frame[3] & 0x80:  # not EMPTY
                 self._samples[int.from_bytes(frame[16:24], "little", signed=True)] = None
                 if len(self._samples) > SAMPLES:
@@ -114,35 +114,24 @@ class AnswerMatcher:
             return False
         seq = packet.seq
         if packet.echo != (self._echo if seq == self._k else self._echoes.get(seq, packet.echo)):
-            if seq != self._k or not self._answers_some(packet.echo):
-                self._contradict(f"slot {seq}: the answer is to other frames than were sent", seq)
-            self._foreign(seq, data)
-            return False
-        if self._asked and packet.sample_ns not in self._samples and packet.sample_ns > self._forgotten_ns:
-            self._contradict(f"slot {seq}: the answer uses a sample of {packet.sample_ns} ns, which was never sent", seq)
-            self._foreign(seq, data)
-            return False
-        open_now = seq == self._k and self._packet is None
+            to_some = seq == self._k and self._answers_some(packet.echo)
+            return self._foreign(seq, data, "" if to_some else f"slot {seq}: the answer is to other frames than were sent")
+        if self._sensor_frames and packet.sample_ns not in self._samples and packet.sample_ns > self._forgotten_ns:
+            never_sent = f"slot {seq}: the answer uses a sample of {packet.sample_ns} ns, which was never sent"
+            return self._foreign(seq, data, never_sent)
+        open_now, first = seq == self._k and self._packet is None, self._answered.get(seq)
         if open_now and when == "in time":
-            self._packet, self.data = packet, data
-            self._answered[seq] = data
+            self._packet = packet
+            self._answered[seq] = self.data = data
             return True
-        if open_now and when == "late":
-            self._late(seq, data)  # the slot is not booked as missing before it is closed
-        elif seq in self._answered:
-            if self._answered[seq] is None:
-                del self._answered[seq]
-                self._late(seq, data)
-                return False
-            if data != self._answered[seq]:
-                self._contradict(f"slot {seq} was answered twice, differently", seq)
-            self._foreign(seq, data)
-        elif seq != HELLO and seq > self._k:
-            self._contradict(f"slot {seq} was answered before it was asked", seq)
-            self._foreign(seq, data)
-        else:
-            self._foreign(seq, data)
-        return False
+        if open_now or (first is None and seq in self._answered):
+            self._answered.pop(seq, None)  # the open slot is not booked as missing before it is closed
+            self._late(seq, data)
+            return False
+        if first is None:
+            early = seq != HELLO and seq > self._k
+            return self._foreign(seq, data, f"slot {seq} was answered before it was asked" if early else "")
+        return self._foreign(seq, data, f"slot {seq} was answered twice, differently" if data != first else "")
 
     def close(self) -> ControlPacket | None:
         """End the slot; return its answer, None if none came in time."""
@@ -181,10 +170,10 @@ class AnswerMatcher:
 
     def _answers_some(self, echoed: int) -> bool:
         """Return whether an echo is that of some of the frames of this slot: the others were lost on the way."""
-        asked = self._asked
-        if not 1 < len(asked) <= MOST_LOST:
+        sensor_frames = self._sensor_frames
+        if not 1 < len(sensor_frames) <= MOST_LOST:
             return False
-        kept = (compress(asked, chosen) for chosen in product((False, True), repeat=len(asked)) if chosen[-1])
+        kept = (compress(sensor_frames, chosen) for chosen in product((False, True), repeat=len(sensor_frames)) if chosen[-1])
         return any(echo(frames) == echoed for frames in kept)
 
     def _late(self, seq: int, data: bytes) -> None:
@@ -192,11 +181,18 @@ class AnswerMatcher:
             self._logged += 1
             self._journal.late(self._t_ns, seq, data)
 
-    def _foreign(self, seq: int, data: bytes) -> None:
+    def _foreign(self, seq: int, data: bytes, contradiction: str) -> bool:
+        """Count a frame that is no answer, which may show a second controller; return False."""
+        if contradiction and not self.contradicted:
+            self.contradicted = True
+            self._journal.event(
+                self._t_ns, "second controller", f"second controller on the link: {contradiction}", slot=seq, severity="error"
+            )
         self.foreign += 1
         if seq != HELLO:
             self._late(seq, data)
         self.throw_away()
+        return False
 
     def throw_away(self, frames: int = 1) -> None:
         """Count frames that are no answer; too many in too short a time are a flood, which is logged once."""
@@ -207,13 +203,6 @@ class AnswerMatcher:
                 self._t_ns, "flood", f"{FLOOD} frames that answer no sensor packet came within {FLOOD_NS // 1_000_000} ms or a "
                 "slot: they are thrown away and counted, and the answer may be lost among them", slot=self._k, severity="error",
             )  # fmt: skip
-
-    def _contradict(self, what: str, seq: int) -> None:
-        if not self.contradicted:
-            self.contradicted = True
-            self._journal.event(
-                self._t_ns, "second controller", f"second controller on the link: {what}", slot=seq, severity="error"
-            )
 
     def outcome(self) -> dict[str, int | None]:
         """Return the counters that the summary needs."""

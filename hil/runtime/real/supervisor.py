@@ -30,7 +30,7 @@ from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, rig_process
 from hil.runtime.real.child import Child, end_all
 from hil.runtime.real.controller_process import ControllerReport
-from hil.runtime.real.ending import NO_CONTROLLER, StopSignals
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, StopSignals
 from hil.runtime.real.heartbeat import HeartbeatTimeout
 from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
 from transport.links.private_directory import bus_directory, clear_dead_channels
@@ -68,8 +68,7 @@ class RealOutcome:
 
     pump: PumpReport = field(default_factory=PumpReport)
     interrupted: int | None = None  # the signal that stopped the session
-    rig_status: int | None = None
-    rig_silent: str | None = None  # why the rig was given up
+    rig_lost: str | None = None  # why the rig was given up, or how it ended out of order
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
     controller: ControllerReport = field(default_factory=ControllerReport)  # what it says itself, once it has ended in order
@@ -215,14 +214,16 @@ def run_real(
                 thread.join()
             os.close(read_fd)
     outcome.interrupted = signals.seen
-    outcome.rig_status = rig.poll()
+    status = rig.poll()
     if not outcome.pump.records:
         if signals.seen is not None:
             raise Terminated(signals.seen)
-        if outcome.controller_lost is None and outcome.rig_status == NO_CONTROLLER:
+        if outcome.controller_lost is None and status == NO_CONTROLLER:
             raise HilError(f"no controller answered on {link.uri} within {hello_s:g} s")
-        why = outcome.rig_silent or outcome.controller.failed or outcome.controller_lost or rig.how()
+        why = outcome.rig_lost or outcome.controller.failed or outcome.controller_lost or rig.how()
         raise HilError(f"{why} before the run began; see its message above, if any")
+    if status not in (ENDED, FAILED):
+        outcome.rig_lost = outcome.rig_lost or rig.how()
     return outcome
 
 
@@ -230,8 +231,8 @@ def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outc
     """Do what is due while both processes run; return False where the session cannot go on, with the reason in the outcome."""
     now_ns, records = monotonic_ns(), outcome.pump.records
     session_ns = outcome.pump.last_ns if records else -1
-    outcome.rig_silent = heartbeat.look(now_ns, records, rig.stopped())
-    if outcome.rig_silent:
+    outcome.rig_lost = heartbeat.look(now_ns, records, rig.stopped())
+    if outcome.rig_lost:
         return False
     processes.send_changes(session_ns)
     processes.restart_controller(session_ns)
