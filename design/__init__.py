@@ -11,20 +11,28 @@ Names are re-exported lazily: a process that keeps time imports `design.controll
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from importlib import import_module
 
-with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
-    _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
-"""Module of each public name, as `__init__.pyi` has them."""
 
-__all__ = sorted(_HOMES)  # noqa: PLE0605
+def exports(package: str, folder: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+    """Return `__getattr__`, `__dir__` and `__all__` of a package; its `__init__.pyi` has the module of each public name.
+
+    Args:
+        package: its name.
+        folder: where it stands.
+    """
+    with open(f"{folder}/__init__.pyi", encoding="utf-8") as face:
+        homes = {words[3]: words[1] for words in map(str.split, face) if words[0:1] + words[4:5] == ["from", "as"]}
+    names = sorted(homes)
+
+    def attribute(name: str) -> object:
+        if name not in homes:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(homes[name]), name)
+
+    return attribute, lambda: sorted({*vars(sys.modules[package]), *names}), names
 
 
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__, __all__ = exports(__name__, __path__[0])

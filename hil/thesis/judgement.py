@@ -237,17 +237,16 @@ def _share(what: str, values: npt.NDArray[np.float64], printed: float, rule: Dra
     return Check(what, value, rule, interval)
 
 
-def share_interval(count: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
-    """Interval of Clopper and Pearson for the share of which ``count`` in ``runs`` were found.
+def share_interval(count: int, runs: int) -> tuple[float, float]:
+    """Return Clopper and Pearson's interval of level `LEVEL` for a probability, of ``count`` successes in ``runs``.
 
-    >>> [round(v, 4) for v in share_interval(0, 1000, 0.95)]
-    [0.0, 0.0037]
+    >>> [round(v, 4) for v in share_interval(0, 1000)]
+    [0.0, 0.0053]
     """
-    from scipy.special import betaincinv
+    from scipy.stats import binomtest
 
-    side = 0.5 - 0.5 * level
-    low = float(betaincinv(count, runs - count + 1, side)) if count else 0.0
-    return low, float(betaincinv(count + 1, runs - count, 1.0 - side)) if count < runs else 1.0
+    low, high = binomtest(count, runs).proportion_ci(LEVEL)
+    return float(low), float(high)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

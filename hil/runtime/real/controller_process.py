@@ -37,7 +37,7 @@ class Job(Struct, frozen=True, kw_only=True):
     loop: Loop
     link: SessionLink
     parent: int
-    counts_fd: int = -1  # where its counters go at its end
+    report_fd: int = -1  # where its counters go at its end
     changes_fd: int = -1  # brings other references, and restarts of the controller
 
 
@@ -135,7 +135,7 @@ def main(job: Job) -> None:
         die_with_parent(job.parent)
         cpu = cpu_for(timing.affinity, "controller", job.link.traits)
         serve(
-            job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.counts_fd),
+            job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.report_fd),
             job.changes_fd,
         )  # fmt: skip
     except Stopped:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from msgspec import DecodeError
 from msgspec.json import decode
@@ -80,12 +80,12 @@ class Processes:
     Args:
         loop: the composed experiment.
         link: between rig and controller.
-        counts_fd: takes the controller's report.
+        report_fd: file that takes the controller's report.
         changes: of the experiment while it runs; None for none.
     """
 
-    def __init__(self, loop: Loop, link: SessionLink, counts_fd: int, changes: Changes | None) -> None:
-        self._loop, self._link, self._counts_fd = loop, link, counts_fd
+    def __init__(self, loop: Loop, link: SessionLink, report_fd: int, changes: Changes | None) -> None:
+        self._loop, self._link, self._report_fd = loop, link, report_fd
         self._period_ns, self._parent = loop.experiment.period_ns, os.getpid()
         self._schedule, self._senders = ChangeSchedule(changes, self._period_ns), ChangeSenders(changes is not None)
         self._restarts = deque(first * self._period_ns for first, _ in loop.rig.fault_schedule.restarts)
@@ -104,10 +104,10 @@ class Processes:
     def start_controller(self) -> None:
         """Start the controller process with the loop as it is after the last change."""
         job = controller_process.Job(
-            loop=self._loop, link=self._link, parent=self._parent, counts_fd=self._counts_fd,
+            loop=self._loop, link=self._link, parent=self._parent, report_fd=self._report_fd,
             changes_fd=self._senders.open("controller"),
         )  # fmt: skip
-        self._controller = self._started("controller", controller_process.__name__, job, self._counts_fd)
+        self._controller = self._started("controller", controller_process.__name__, job, self._report_fd)
 
     def _started(self, name: str, module: str, job: object, fd: int) -> Child:
         self._children.append(self._start(name, module, job, self._senders.passed(name, fd)))
@@ -178,8 +178,6 @@ def run_real(
     clear_dead_channels(bus_directory())
     hello_s = hello_timeout_s or (EXTERNAL_TIMEOUT_S if external else HELLO_TIMEOUT_S)
     outcome = RealOutcome()
-    (read_fd, write_fd), (counts_fd, counted_fd) = _two_pipes()
-    processes = Processes(loop, link, counted_fd, changes)
     stop_pump = threading.Event()
 
     def keep_log() -> None:
@@ -190,7 +188,9 @@ def run_real(
         pump(read_fd, sink, channels, taps=taps, stop=stop_pump.is_set, report=outcome.pump)
 
     thread = threading.Thread(target=keep_log, name="log")
-    with StopSignals() as signals:
+    with open(os.memfd_create("report"), "rb") as report, StopSignals() as signals:
+        processes = Processes(loop, link, report.fileno(), changes)
+        read_fd, write_fd = os.pipe()
         try:
             rig = processes.start_rig(seed, write_fd, hello_s)
             os.close(write_fd)
@@ -205,14 +205,13 @@ def run_real(
                 rig.wait(POLL_S)
         finally:
             processes.end()
-            os.close(counted_fd)
-            outcome.controller = _read_report(counts_fd)
             if write_fd >= 0:
                 os.close(write_fd)
             stop_pump.set()
             if thread.ident is not None:
                 thread.join()
             os.close(read_fd)
+        outcome.controller = _read_report(report)
     outcome.interrupted = signals.seen
     status = rig.poll()
     if not outcome.pump.records:
@@ -241,15 +240,7 @@ def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outc
     return outcome.controller_lost is None or bool(records)  # a controller that ended before slot 0 never answered
 
 
-def _two_pipes() -> tuple[tuple[int, int], tuple[int, int]]:
-    """Return two pipes, or none: without a descriptor for the second the first is closed."""
-    first = os.pipe()
-    try:
-        return first, os.pipe()
-    except OSError:
-        for fd in first:
-            os.close(fd)
-        raise
+
 
 
 def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
@@ -264,10 +255,10 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
 
 
-def _read_report(fd: int) -> ControllerReport:
+def _read_report(file: IO[bytes]) -> ControllerReport:
     """Return the report of a controller process; an empty one if it was killed before it wrote it."""
-    with open(fd, "rb") as file:
-        try:
-            return decode(file.read(), type=ControllerReport)
-        except DecodeError:  # killed, or stopped and then killed
-            return ControllerReport()
+    file.seek(0)
+    try:
+        return decode(file.read(), type=ControllerReport)
+    except DecodeError:  # killed, or stopped and then killed
+        return ControllerReport()
