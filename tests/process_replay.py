@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from hil.log.read.run import read_run
-from hil.session.replay.over_link import Asked, ask_process
+from hil.session.replay.over_link import AnswerComparison, ask_process
 from tests.forked_program import forked
 
 DATA: Final = Path(__file__).with_name("data")
@@ -36,7 +36,7 @@ def answering(program: Path) -> Iterator[str]:
         yield f"can:hil:{channel}"
 
 
-def asked(name: str, program: Path | None = None) -> Asked:
+def asked(name: str, program: Path | None = None) -> AnswerComparison:
     """Put a log's questions to its program, or to another one."""
     with answering(program or PROGRAMS[name]) as uri:
         return ask_process(read_run(DATA / f"{name}.mcap"), uri, name)

@@ -183,7 +183,7 @@ class BatchGainRows:
         K: gains, (tables, rows, m, width).
         selection: how the actuator picks a row.
         model: the loop.
-        runs: how many.
+        runs: number of runs.
         integral: whether the gains have p columns for the sum of the newest errors.
         sojourns: how many tables every tau has.
         limit: largest size of each sum; empty: any.

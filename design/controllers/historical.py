@@ -139,7 +139,7 @@ class Historical:
         return HistoricalRun(*self._fitting(model))
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchHistorical | None:
-        """Return so many of them, ready for slot 0; None where a packet comes later than the gains look back."""
+        """Return a batch of `runs` controllers, ready for slot 0; None where a packet comes later than the gains look back."""
         K, nodes, uses, window = self._fitting(model)
         delay = nodes.delays[0] or 0
         return BatchHistorical(K, nodes.turns, uses, window, delay, runs) if uses == "history" or delay < K.shape[1] else None

@@ -107,7 +107,7 @@ class SendAll:
         return NodeGainRows(running, model, self.ages, row_count(self.selection, model.d_max, self.row_sojourns))
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows | NodeGainRowsOfMany | None:
-        """Return so many of them, ready for slot 0; None over several nodes of which one may keep silent."""
+        """Return a batch of `runs` controllers, ready for slot 0; None over several nodes of which one may keep silent."""
         if len(self.ages) > 1 and model.nodes.silent:
             return None
         running = BatchGainRows(
@@ -128,7 +128,7 @@ class _TableAlone(Protocol):
         return GainRows(self.table(model), self.selection, model)
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
-        """Return so many of them, ready for slot 0."""
+        """Return a batch of `runs` controllers, ready for slot 0."""
         return BatchGainRows(self.table(model), self.selection, model, runs)
 
 

@@ -63,7 +63,7 @@ class Smith:
         return tuple(laws)
 
     def start_batch(self, model: LoopModel, runs: int) -> BatchSmith:
-        """Return so many of them, ready for slot 0."""
+        """Return a batch of `runs` controllers, ready for slot 0."""
         return BatchSmith(np.asarray(self.gain, dtype=float), model, runs)
 
 

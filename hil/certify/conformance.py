@@ -175,9 +175,9 @@ def _extent(loop: CertificationProblem, x: Array) -> tuple[tuple[float, ...], tu
     return tuple(sorted({SMALL * kept, kept, top})), bounds
 
 
-def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str) -> tuple[State, str] | None:
+def _departed(departures: Sequence[Departure], unit_name: str, unit: Array, name: str) -> tuple[State, str] | None:
     """What follows from the departures at every size of the inputs; None where the motion is the model's at all of them."""
-    far = [each for each in found if each.share > EQUAL]
+    far = [each for each in departures if each.share > EQUAL]
     if not far:
         return None
     worst = far[0]
@@ -185,11 +185,11 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
     def described(each: Departure) -> str:
         size = f"{each.size * float(unit.max()):.3g} {unit_name}"
         which, u = each.signal
-        found, foretold = _told_apart(each.found, each.foretold)
-        amount = f"{found} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
+        moved, foretold = _distinct(each.found, each.foretold)
+        amount = f"{moved} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
         return f"inputs up to {size} move its {which} by {amount}, first in slot {each.slot} ({_percent(each.share)} at most)"
 
-    shares = [each.share for each in found]
+    shares = [each.share for each in departures]
     if non_linear := by_size(shares, "the plant moves as its model says under {} inputs", described(worst)):
         return non_linear
     if shares[0] <= ALIKE:
@@ -197,8 +197,8 @@ def _departed(found: Sequence[Departure], unit_name: str, unit: Array, name: str
     return "refused", f"{name}: {described(worst)}"
 
 
-def _told_apart(a: float, b: float) -> tuple[str, str]:
-    """Return two numbers by four digits, or by as many as tell them apart."""
+def _distinct(a: float, b: float) -> tuple[str, str]:
+    """Return two numbers with four digits, or with as many as show that they differ."""
     digits = next((digits for digits in range(4, 17) if f"{a:.{digits}g}" != f"{b:.{digits}g}"), 17)
     return f"{a:.{digits}g}", f"{b:.{digits}g}"
 
@@ -209,27 +209,27 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.{2 if share < 1.0 else 3}g} % of the motion"
 
 
-def _moved(own: FreeMotion, plant: Plant, found: Sequence[Departure], unit: Array) -> Check:
+def _moved(motion: FreeMotion, plant: Plant, departures: Sequence[Departure], unit: Array) -> Check:
     """What follows from the motion without inputs, once the answer to inputs is the model's."""
-    slots = max(each.slots for each in found)
-    least, most = (each.size * float(unit.max()) for each in (found[0], found[-1]))
+    slots = max(each.slots for each in departures)
+    least, most = (each.size * float(unit.max()) for each in (departures[0], departures[-1]))
     u = plant.inputs[0].unit.replace("1", "").strip()
     sizes = f"random inputs of {least:.3g} to {most:.3g} {u}".rstrip()
     alike = f"the plant moves as its model says: compared over {slots} slots, {sizes}"
     stated = tuple(plant.own_inputs()) if isinstance(plant, HasOwnInputs) else ()
-    which, of = own.signal
-    if own.kind == "moves" and not stated:
+    which, of = motion.signal
+    if motion.kind == "moves" and not stated:
         return "undecided", (
-            f"without inputs the plant departs from its model: its {which} by up to {own.size:.3g} {of} in a slot, neither a "
+            f"without inputs the plant departs from its model: its {which} by up to {motion.size:.3g} {of} in a slot, neither a "
             "constant load nor steady noise; a state that the model lacks may grow (own_inputs() names what pushes a plant)"
         )
-    if own.kind == "not compared" and not stated:
+    if motion.kind == "not compared" and not stated:
         return "undecided", "the plant's motion without inputs cannot be compared: its states are others than those of its model"
     extra = {
         "none": (), "moves": (), "not compared": (),
         "constant": ("a constant load acts on it, which moves its point of rest",),
         "noise": (NOISY,),
-    }[own.kind]  # fmt: skip
+    }[motion.kind]  # fmt: skip
     if stated:
         extra = (f"{', '.join(stated)}: bounded, whatever the plant does",)
     return None, (alike, *extra)

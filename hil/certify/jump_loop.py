@@ -143,8 +143,8 @@ def _within_reach(
 
 
 def _with_constraint(
-    found: Verdict,
-    asked: tuple[Array, Array, Array],
+    verdict: Verdict,
+    constraint: tuple[Array, Array, Array],
     system: JumpSystem | DelayedJumpSystem,
     gain: ScheduledGain,
     process: SemiMarkov | FaultDetection,
@@ -157,16 +157,16 @@ def _with_constraint(
     try:
         if isinstance(system, DelayedJumpSystem) or not isinstance(process, FaultDetection):
             raise ValueError("the plant does not show a detected mode")
-        wanted = Siqc(g11=asked[0], g12=asked[1], g22=asked[2])
+        wanted = Siqc(g11=constraint[0], g12=constraint[1], g22=constraint[2])
         judged = analyse_fault_tolerant(system, gain, process, performance=wanted)
         word, why = str(judged.verdict), judged.reason
     except (ValueError, DesignError) as error:
         word, why = "undecided", str(error)
     said = {"certified": "holds", "refused": "has no proof of this form", "undecided": "is undecided"}[word]
-    details = {**found.details, "constraint": {"state": word, "reason": why}}
+    details = {**verdict.details, "constraint": {"state": word, "reason": why}}
     return msgspec.structs.replace(
-        found, details=details, reason=f"{found.reason}; the constraint (4.6) {said}",
-        assumptions=(*found.assumptions, "the constraint (4.6) is of the feedback that acts at every instant, without delays"),
+        verdict, details=details, reason=f"{verdict.reason}; the constraint (4.6) {said}",
+        assumptions=(*verdict.assumptions, "the constraint (4.6) is of the feedback that acts at every instant, without delays"),
     )  # fmt: skip
 
 
@@ -213,33 +213,35 @@ def in_continuous_time(
 
 def _with_continuous_time(
     loop: CertificationProblem,
-    found: Verdict,
+    verdict: Verdict,
     system: JumpSystem | DelayedJumpSystem,
     gain: ScheduledGain,
     process: SemiMarkov | FaultDetection,
 ) -> Verdict:
     """Return the verdict at T with what the chapters add to it: gamma, and a word where nothing is decided at T."""
-    details: dict[str, object] = {"sound": True, "period_s": loop.model.period_s, **found.details}
+    details: dict[str, object] = {"sound": True, "period_s": loop.model.period_s, **verdict.details}
     try:
         ideal = in_continuous_time(system, gain, process)
         details |= ideal.to_json()
         word, ideals = str(ideal.verdict), {"gamma": ideal.gamma, "decay_rate": ideal.decay_rate}
     except (ValueError, DesignError) as error:
         word, ideals = f"not covered ({error})", {}
-    details |= {"stable": found.certified, "verdict": found.state, "continuous_time": word}
-    reason, assumed = found.reason, found.assumptions
-    if found.state == "undecided":
+    details |= {"stable": verdict.certified, "verdict": verdict.state, "continuous_time": word}
+    reason, assumed = verdict.reason, verdict.assumptions
+    if verdict.state == "undecided":
         T, tau, d = loop.model.period_s, loop.model.tau_max, loop.model.d_max
         delays = f" with delays up to tau = {tau} and d = {d} samples" if tau or d else ""
-        reason = f"{word} in continuous time; not decided at T = {T:g} s{delays}: {found.reason}"
+        reason = f"{word} in continuous time; not decided at T = {T:g} s{delays}: {verdict.reason}"
     else:
-        reason = f"at T = {loop.model.period_s:g} s {found.reason}"
+        reason = f"at T = {loop.model.period_s:g} s {verdict.reason}"
     of_ideal = [name for name, value in ideals.items() if value is not None]
     if of_ideal:
         said = f"{' and '.join(of_ideal)} alone {'are' if of_ideal[1:] else 'is'} of the feedback that acts at every instant"
         assumed = (*assumed, f"{said}, without delays")
-    number = found.number if found.number is None or isfinite(found.number) else None
-    return msgspec.structs.replace(found, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest)
+    number = verdict.number if verdict.number is None or isfinite(verdict.number) else None
+    return msgspec.structs.replace(
+        verdict, number=number, reason=reason, assumptions=assumed, details=details, digest=loop.digest
+    )
 
 
 Array = NDArray[np.float64]

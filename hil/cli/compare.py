@@ -201,14 +201,14 @@ def _mean(mean: float | None, low: float | None, high: float | None) -> tuple[st
     return "-" if mean is None else f"{mean:.5g}", interval
 
 
-def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[str, Reached]) -> None:
+def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], reached: dict[str, Reached]) -> None:
     from hil.pages.html.figures import Table
     from hil.sweeps.problems import OBJECTIVE
     from hil.sweeps.seeds import quantities_in
 
     rows: list[Sequence[str]] = []
     for problem in chosen:
-        best, own = known.get(problem.name, {}), found.get(problem.name)
+        best, own = known.get(problem.name, {}), reached.get(problem.name)
         unit = next(quantity.unit for quantity in quantities_in(problem.load()) if quantity.name == OBJECTIVE)
         rows.append([f"{problem.name} ({unit})", "", ""])
         rows.append(["  best known", *_mean(best.get("mean"), best.get("low"), best.get("high"))])
@@ -219,6 +219,6 @@ def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], found: dict[s
     print_table(Table(columns=("problem", "mean", "95 % interval"), rows=rows), folds=True)
     for problem in chosen:
         by = known.get(problem.name, {}).get("controller", "none")
-        said = found[problem.name].said if problem.name in found else f"{problem.source}; best known with controller = {by}"
+        said = reached[problem.name].said if problem.name in reached else f"{problem.source}; best known with controller = {by}"
         if said:
             print_folded(f"{problem.name}: {said}")

@@ -86,11 +86,11 @@ def _judge(place: Place) -> Judged:
     )  # fmt: skip
 
 
-def _plain(each: Judged) -> dict[str, object]:
+def _plain(judged: Judged) -> dict[str, object]:
     return {
-        "can_id": each.place.can_id, "control_can_id": each.place.control_can_id, "above": each.place.above,
-        "moved": each.place.moved, "cost": each.cost, "certificate": each.state, "sensor_bound_ms": each.bounds_ms[0],
-        "control_bound_ms": each.bounds_ms[1], "in_time": each.in_time,
+        "can_id": judged.place.can_id, "control_can_id": judged.place.control_can_id, "above": judged.place.above,
+        "moved": judged.place.moved, "cost": judged.cost, "certificate": judged.state, "sensor_bound_ms": judged.bounds_ms[0],
+        "control_bound_ms": judged.bounds_ms[1], "in_time": judged.in_time,
     }  # fmt: skip
 
 

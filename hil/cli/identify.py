@@ -67,7 +67,7 @@ def law(
     """
     from hil.files import check_output, write_output
     from hil.log.recordings.read import read_recording
-    from hil.log.recordings.recording import fit_said, law_text, packet_records
+    from hil.log.recordings.recording import fit_document, law_text, packet_records
     from transport.errors import FieldError
     from transport.law_fit import fit_law
 
@@ -87,7 +87,7 @@ def law(
                 fits[way] = fit_law(record, slot, deadline * slot)
             except FieldError as error:
                 raise HilError(f"{recording.source}: {way}: {error}") from error
-    said = {way: fit_said(fit, way, recording.source, notes) for way, fit in fits.items()}
+    said = {way: fit_document(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():
         if way in found:
@@ -116,13 +116,13 @@ def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.files.toml_text import toml_value
-    from hil.log.recordings.recording import class_said, independence_said
+    from hil.log.recordings.recording import class_text, independence_text
 
     tested = fit.tested
-    print_folded(f"{way}: {class_said(fit)}; {said['packets']} packets, {said['lost']} did not come")
+    print_folded(f"{way}: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come")
     for note in said["notes"]:
         _line(note)
-    for line in independence_said(fit):
+    for line in independence_text(fit):
         _line(line)
     shape = "as measured" if fit.latencies.name in ("table", "constant") else f"shape p = {tested.shape:.2g}"
     _line(f"latencies: {fit.latencies.name} ({shape})")

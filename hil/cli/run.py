@@ -243,7 +243,7 @@ def live(
     """
     from hil.cli.page_text import print_summary
     from hil.experiment import load_experiment
-    from hil.pages.live.watch import Asked, show_log, watch
+    from hil.pages.live.watch import RequestedRun, show_log, watch
 
     def opened(url: str) -> None:
         click.echo(f"open {url}", err=True)
@@ -291,7 +291,7 @@ def live(
     for name in experiments:  # what is wrong with them, or with where their logs go, is said before a page is there
         let_go(path(load(name, None)))
     asked = [
-        Asked(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, paused=paused)  # type: ignore[arg-type]
+        RequestedRun(load=partial(load, name), path=path, clock=clock, link=link, speed=speed, paused=paused)  # type: ignore[arg-type]
         for name in experiments
     ]
     with foxglove_beside(None, foxglove) as beside:

@@ -70,22 +70,22 @@ def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedCon
     return asked.solve(task), Gains(origin="solved here", note=note)
 
 
-def fitted(asked: GainsOnFile, given: NamedController, task: DesignTask) -> tuple[NamedController, Gains]:
+def fitted(request: GainsOnFile, controller: NamedController, task: DesignTask) -> tuple[NamedController, Gains]:
     """Return the gains of a user's file, or others where the file's problem is not that of the loop; and where they come from.
 
     Args:
-        asked: names the file.
-        given: what stands there.
+        request: names the file.
+        controller: what stands there.
         task: the loop; its chains have the labels that these gains tell apart.
 
     Raises:
         ValueError, DesignError: as `Designer.solve`.
     """
-    why = asked.unfit(task)
+    why = request.unfit(task)
     if not why:
-        return given, Gains(origin="stored")
-    note = f"{asked.file} is of another problem ({why}); `hil design -o` writes one of this; kind = \"send-all\" runs any gains"
-    return asked.solve_again(task), Gains(origin="solved here", note=note)
+        return controller, Gains(origin="stored")
+    note = f"{request.file} is of another problem ({why}); `hil design -o` writes one of this; kind = \"send-all\" runs any gains"
+    return request.solve_again(task), Gains(origin="solved here", note=note)
 
 
 def problem_digest(request: Designer, task: DesignTask) -> str:

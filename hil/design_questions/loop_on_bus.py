@@ -18,7 +18,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
 from hil.files.toml_text import toml_lines
-from hil.log.recordings.recording import class_said, fit_said, law_text
+from hil.log.recordings.recording import class_text, fit_document, law_text
 from hil.log.topics import APPLIED, BUS, ROWS
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
 from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
@@ -153,10 +153,10 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
             raise HilError(f"{experiment.name}: {way}: {error.field}: {error.message}") from error
         worst, largest = _bounds(loop, delays, way)
         source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
-        said = fit_said(fit, way, source, notes)
+        said = fit_document(fit, way, source, notes)
         said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": str(delays)}
         spec, seeded = fit.spec, f"a run with seed {experiment.seed}"
-        how = f"estimated: {class_said(fit)}, from {len(sent)} packets of {seeded}"
+        how = f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}"
         if fit.law_class == "none":
             ages = (run[ROWS.name]["tau"] if way == "sc" else run[APPLIED.name]["d"])[slots // 10 :]
             spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}

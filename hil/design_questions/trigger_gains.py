@@ -117,23 +117,23 @@ def _tried(name: str, experiment: Experiment, node: str) -> tuple[str, tuple[flo
     return "dead-band", tuple(own.threshold * multiple for multiple in MULTIPLES)
 
 
-def planned(asked: TriggerQuestion) -> list[tuple[float, float]]:
+def planned(question: TriggerQuestion) -> list[tuple[float, float]]:
     """Return threshold and share of every candidate, in the order in which `candidates` finds them."""
-    others = asked.thresholds if asked.kind == "relative" else POOL
-    if asked.kind == "relative":
+    others = question.thresholds if question.kind == "relative" else POOL
+    if question.kind == "relative":
         pairs = [pair for share in others for pair in ((share, 0.0), (share, share))]
     else:
-        pairs = [(threshold, share) for share in (0.0, *others) for threshold in asked.thresholds]
+        pairs = [(threshold, share) for share in (0.0, *others) for threshold in question.thresholds]
     return [(0.0, 0.0), *pairs]
 
 
 def candidates(
-    asked: TriggerQuestion, progress: Progress | None = None, unknowns: int = UNKNOWNS, **options: Any
+    question: TriggerQuestion, progress: Progress | None = None, unknowns: int = UNKNOWNS, **options: Any
 ) -> Iterator[Candidate]:
     """Yield thresholds with gains, each as it is found: the nominal H2 design, and those that know the trigger.
 
     Args:
-        asked: the experiment and its thresholds.
+        question: the experiment and its thresholds.
         progress: as `solve_tracking` takes it.
         unknowns: budget of the searches, as `UNKNOWNS` says it.
         options: of the problem, without objective and information.
@@ -142,25 +142,25 @@ def candidates(
         HilError: an option that does not fit.
         DesignError: no gains meet the request.
     """
-    nominal = nominal_design(asked.target, **options, progress=progress)
+    nominal = nominal_design(question.target, **options, progress=progress)
     budget = EquationBudget(unknowns // unknowns_of(nominal))
-    relative = asked.kind == "relative"
-    shares = asked.thresholds if relative else POOL
+    relative = question.kind == "relative"
+    shares = question.thresholds if relative else POOL
     yield Candidate(0.0, 0.0, nominal.gains[0, 0], nominal.certificate.h2_norm)
     if not relative:
-        yield from (Candidate(threshold, 0.0, nominal.gains[0, 0], None) for threshold in asked.thresholds)
+        yield from (Candidate(threshold, 0.0, nominal.gains[0, 0], None) for threshold in question.thresholds)
     for n, share in enumerate(shares):
         mine = budget.part(len(shares) - n)
         if relative:
-            yield _guaranteed(asked.target, nominal, share, 0.0, mine)
+            yield _guaranteed(question.target, nominal, share, 0.0, mine)
         search = mine.part(1, GUARANTEE if relative else 0)
         with one_blas_thread():
-            design = gains_for_share(asked.target, nominal, share, _of_threshold(progress, share, n, len(shares)), search)
+            design = gains_for_share(question.target, nominal, share, _of_threshold(progress, share, n, len(shares)), search)
         mine.back(search)
         if relative:
-            yield _guaranteed(asked.target, design, share, share, mine, search.spent)
+            yield _guaranteed(question.target, design, share, share, mine, search.spent)
         else:
-            yield from (Candidate(each, share, design.gains[0, 0], None, search.spent) for each in asked.thresholds)
+            yield from (Candidate(each, share, design.gains[0, 0], None, search.spent) for each in question.thresholds)
         budget.back(mine)
 
 

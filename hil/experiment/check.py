@@ -163,21 +163,21 @@ class Checker:
         return {n: msgspec.structs.replace(t, id=i) if t is not None and t.id is None else t for i, (n, t) in numbered}
 
     def _named(
-        self, cls: type, raw: Any, at: str, made: Callable[[dict[str, Any], str], dict[str, Any]]
+        self, cls: type, raw: Any, table_path: str, plugin_fields: Callable[[dict[str, Any], str], dict[str, Any]]
     ) -> dict[str, Any] | None:
-        """Return the tables of one kind by name; `made` makes the fields that are plug-ins."""
+        """Return the tables of one kind by name; `plugin_fields` makes the fields that are plug-ins."""
         if not isinstance(raw, dict):
-            self.faults.append(f"{at}: expected a table, got {raw!r:.60}")
+            self.faults.append(f"{table_path}: expected a table, got {raw!r:.60}")
             return None
         found: dict[str, Any] = {}
         for name, table in raw.items():
-            path = f"{at}.{name:.60}"
+            path = f"{table_path}.{name:.60}"
             if not NODE_NAME.fullmatch(name):
                 self.faults.append(f"{path}: expected a name of lower-case letters, digits and _")
             elif not isinstance(table, dict):
                 self.faults.append(f"{path}: expected a table, got {table!r:.60}")
             else:
-                given = made(table, path)
+                given = plugin_fields(table, path)
                 found[name] = self._tables.table(cls, {k: v for k, v in table.items() if k not in given}, path, given)
         return found
 
@@ -236,9 +236,9 @@ class Checker:
             return None
         return made if made is None or self._sound(group, made, path, repr(kind)) else None
 
-    def _sound(self, group: registry.Group, made: object, path: str, kind: str) -> bool:
+    def _sound(self, group: registry.Group, plugin: object, path: str, kind: str) -> bool:
         """Return whether an object of the user's own is what its place asks for; what it is not is kept as a fault."""
-        fault = own_fault(group, made)
+        fault = own_fault(group, plugin)
         if fault is not None:
             self.faults.append(f"{path}: {kind}: {fault}")
         return fault is None
@@ -256,7 +256,7 @@ class Checker:
             self.faults.append(fault_at(path, e))
             return None
 
-    def _absent(self, path: str, kind: str, said: dict[str, Any]) -> UnavailablePlugin | None:
+    def _absent(self, path: str, kind: str, table: dict[str, Any]) -> UnavailablePlugin | None:
         """Return what stands for something that a log cannot make again."""
         if self._folder is not None or path not in ("plant", "controller"):
             helps = "give the object in Python" + (" (hil.verify(..., laws={...}))" if path.endswith("law") else "")
@@ -265,7 +265,7 @@ class Checker:
             return None
         self.kinds[path] = kind
         why = f"{kind}, which the log does not hold"
-        return UnavailablePlugin(field=path, kind=kind, why=why, said=said)
+        return UnavailablePlugin(field=path, kind=kind, why=why, said=table)
 
     def _own_measures(self, experiment: Experiment, folder: str) -> None:
         for i, name in enumerate(experiment.report.measures):

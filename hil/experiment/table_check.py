@@ -170,22 +170,22 @@ def _word(kind: Any) -> str:
     return {float: "number", int: "integer", str: '"text"', bool: "true or false"}.get(kind, "value")
 
 
-def infinite_faults(value: Any, at: str) -> Iterator[str]:
+def infinite_faults(value: Any, path: str) -> Iterator[str]:
     """Yield the numbers that are not finite, or beyond what any field holds, wherever they stand."""
     if isinstance(value, float) and not math.isfinite(value):
-        yield f"{at}: {value} {INFINITE}"
+        yield f"{path}: {value} {INFINITE}"
     elif isinstance(value, float) and abs(value) > LARGEST:
-        yield f"{at}: {value} is beyond {LARGEST:g}"
+        yield f"{path}: {value} is beyond {LARGEST:g}"
     elif isinstance(value, float) and 0.0 < abs(value) < SMALLEST:
-        yield f"{at}: {value} is below {SMALLEST:g} and not 0"
+        yield f"{path}: {value} is below {SMALLEST:g} and not 0"
     elif isinstance(value, int) and value.bit_length() > 64:
-        yield f"{at}: an integer of {value.bit_length()} bits, at most 64 are allowed"
+        yield f"{path}: an integer of {value.bit_length()} bits, at most 64 are allowed"
     elif isinstance(value, dict):
         for k, v in value.items():
-            yield from infinite_faults(v, joined(at, str(k)))
+            yield from infinite_faults(v, joined(path, str(k)))
     elif isinstance(value, list):
         for i, v in enumerate(value):
-            yield from infinite_faults(v, f"{at}[{i}]")
+            yield from infinite_faults(v, f"{path}[{i}]")
 
 
 class TableCheck:
@@ -226,9 +226,9 @@ class TableCheck:
             if fields[key] not in values and key not in broken:
                 self.faults.append(f"{joined(path, key)}: missing")
         if issubclass(cls, Table):
-            said = {fault.partition(": ")[0] for fault in self.faults[before:]}  # what is wrong is not also missing
-            found = (joined(path, fault) for fault in cls.faults(values))
-            self.faults += [fault for fault in found if fault.partition(": ")[0] not in said]
+            faulty_fields = {fault.partition(": ")[0] for fault in self.faults[before:]}  # what is wrong is not also missing
+            missing_or_wrong = (joined(path, fault) for fault in cls.faults(values))
+            self.faults += [fault for fault in missing_or_wrong if fault.partition(": ")[0] not in faulty_fields]
         if len(self.faults) > before or any(v is None for v in given.values()):
             return None
         try:
@@ -237,35 +237,35 @@ class TableCheck:
             self.faults.append(fault_at(path, e))
             return None
 
-    def _entries(self, frame: tuple[Any, list[Any]], value: dict[str, Any] | list[Any], at: str) -> Any:
+    def _entries(self, frame: tuple[Any, list[Any]], value: dict[str, Any] | list[Any], path: str) -> Any:
         """Fill the tables of a list or of a dict, however deep they stand."""
         outer, kinds = frame
         if isinstance(value, dict):
-            made = [self._value(kind, entry, joined(at, key)) for kind, (key, entry) in zip(kinds, value.items())]
+            made = [self._value(kind, entry, joined(path, key)) for kind, (key, entry) in zip(kinds, value.items())]
             return msgspec.convert(dict(zip(value, made)), outer, dec_hook=_hook)
-        return msgspec.convert([self._value(kind, v, f"{at}[{i}]") for i, (kind, v) in enumerate(zip(kinds, value))], outer)
+        return msgspec.convert([self._value(kind, v, f"{path}[{i}]") for i, (kind, v) in enumerate(zip(kinds, value))], outer)
 
-    def _value(self, hint: Any, value: Any, at: str) -> Any:
+    def _value(self, hint: Any, value: Any, path: str) -> Any:
         args = typing.get_args(hint)
         if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
             try:
                 from hil.files.arrays import numbers_from_file  # with the readers of three formats
 
-                value = numbers_from_file(value, at.rpartition(".")[2], self._folder, dimensions)
+                value = numbers_from_file(value, path.rpartition(".")[2], self._folder, dimensions)
             except HilError as e:
-                self.faults.append(f"{at}: {e}")
+                self.faults.append(f"{path}: {e}")
                 return None
         if isinstance(value, dict) and (kind := table_for(hint, value)) is not None:
-            return self.table(kind, value, at, {})
+            return self.table(kind, value, path, {})
         try:
             if isinstance(value, dict | list) and holds_tables(hint) and (frame := frame_of(hint, value)) is not None:
-                return self._entries(frame, value, at)
+                return self._entries(frame, value, path)
             if typing.get_origin(hint) is tuple and isinstance(value, list) and len(args) == 2 and args[1] is ...:
-                return tuple(self._value(args[0], v, f"{at}[{i}]") for i, v in enumerate(value))
+                return tuple(self._value(args[0], v, f"{path}[{i}]") for i, v in enumerate(value))
             return msgspec.convert(value, hint, dec_hook=_hook)
         except TypeError as e:  # msgspec takes no union of two classes; and a value of an own class may be anything
             word = "a table" if holds_tables(hint) else _word(hint)
-            self.faults.append(f"{at}: expected {word}, got {value!r:.60}" if not isinstance(value, dict) else f"{at}: {e}")
+            self.faults.append(f"{path}: expected {word}, got {value!r:.60}" if not isinstance(value, dict) else f"{path}: {e}")
             return None
         except (msgspec.ValidationError, ValueError) as e:
             message, _, where = str(e).partition(" - at `$")
@@ -274,9 +274,8 @@ class TableCheck:
                 message += f", expected one of {', '.join(map(str, words))}{nearest(value, map(str, words))}" if words else ""
             if message.startswith("Expected `array`") and (written := form(hint)):
                 message += f"; it is written {written}"
-            at += where.rstrip("`")
+            path += where.rstrip("`")
             cause = e.__cause__  # what a class of its own said of its values
-            self.faults.append(
-                fault_at(at, cause) if isinstance(cause, FieldFault) else f"{at}: {message[0].lower()}{_in_words(message[1:])}"
-            )
+            text = f"{path}: {message[0].lower()}{_in_words(message[1:])}"
+            self.faults.append(fault_at(path, cause) if isinstance(cause, FieldFault) else text)
             return None

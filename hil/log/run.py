@@ -136,8 +136,8 @@ class Arrays(MutableMapping[str, StructuredArray]):
     Arrays(/plant/state, /reference)
     """
 
-    def __init__(self, held: Mapping[str, StructuredArray | InPieces]) -> None:
-        self._held = {topic: _fixed(each) if isinstance(each, np.ndarray) else each for topic, each in held.items()}
+    def __init__(self, arrays: Mapping[str, StructuredArray | InPieces]) -> None:
+        self._held = {topic: _fixed(each) if isinstance(each, np.ndarray) else each for topic, each in arrays.items()}
 
     def __getitem__(self, topic: str) -> StructuredArray:
         if topic not in self._held:

@@ -1,8 +1,8 @@
-"""What plants, controllers, network laws and measures fulfil so that many runs of a loop can be computed at once.
+"""Protocols of plants, controllers, network laws and measures by which many runs of a loop are computed at once, as a batch.
 
-Each is optional: what an experiment names and does not fulfil it is run seed by seed, with the same numbers. Who fulfils one
-promises the same bits: every sum in the same order, every draw from the same stream. A measure is given arrays over all runs
-instead of one log each.
+Each is optional: an experiment with a part that does not fulfil it is run seed by seed, with the same numbers. A class that
+fulfils one promises the same bits: every sum in the same order, every draw from the same stream. A measure gets arrays over all
+runs instead of one log each.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class BatchPlant(Protocol):
     """A plant of which many runs can be computed at once."""
 
     def start_batch(self, runs: int) -> RunningPlants | None:
-        """Return so many of them at time 0; None if it cannot with these parameters."""
+        """Return a batch of `runs` plants at time 0; None if that is not possible with these parameters."""
         ...
 
 
@@ -109,7 +109,7 @@ class BatchController(Protocol):
     """A controller that can answer in many runs at once."""
 
     def start_batch(self, model: LoopModel, runs: int) -> RunningControllers | None:
-        """Return so many of them, ready for slot 0; None if it cannot with these parameters."""
+        """Return a batch of `runs` controllers, ready for slot 0; None if that is not possible with these parameters."""
         ...
 
 
@@ -129,7 +129,7 @@ class NewestOfMany(Protocol):
     def newest_of_batch(
         self, rngs: Iterable[np.random.Generator], runs: int, slots: int, period_s: float, deadline_s: float
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
-        """Return the slot of the newest packet by every slot, (slots, runs), and of which runs it is known, (runs,).
+        """Return the slot of the newest received packet in every slot, (slots, runs), and in which runs it is known, (runs,).
 
         Args:
             rngs: stream of every run; one packet is sent in every slot.

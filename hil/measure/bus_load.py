@@ -1,4 +1,4 @@
-"""What a CAN bus that takes time carried: load, waiting and response times of every message, and their bounds beside them."""
+"""Load of a CAN bus that takes time: waiting and response times of every message, with their bounds."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class BusLoad:
 
 
 class _Counted:
-    """What is counted of one identifier, piece by piece of the log."""
+    """Counts of one identifier, over the pieces of the log."""
 
     def __init__(self) -> None:
         self.node, self.length = -1, 0
@@ -82,18 +82,18 @@ class _Counted:
         self.waited_worst_ns = self.response_worst_ns = -1
         self.longest = -1  # record of the longest wait
 
-    def take(self, own: npt.NDArray[np.void], at: npt.NDArray[np.int64]) -> None:
-        self.node, self.length = int(own["node"][0]), max(self.length, int(own["length"].max()))
-        good = own["operation"] == 0
+    def take(self, records: npt.NDArray[np.void], indices: npt.NDArray[np.int64]) -> None:
+        self.node, self.length = int(records["node"][0]), max(self.length, int(records["length"].max()))
+        good = records["operation"] == 0
         self.frames += int(good.sum())
         self.errors += int((~good).sum())
-        self.used_ns += int((own["idle_ns"] - own["start_ns"]).sum())
-        sent = own[good]
+        self.used_ns += int((records["idle_ns"] - records["start_ns"]).sum())
+        sent = records[good]
         if len(sent):
             waited = sent["start_ns"] - sent["queued_ns"]
             self.waited_ns += int(waited.sum())
             if int(waited.max()) > self.waited_worst_ns:
-                self.waited_worst_ns, self.longest = int(waited.max()), int(at[good][int(np.argmax(waited))])
+                self.waited_worst_ns, self.longest = int(waited.max()), int(indices[good][int(np.argmax(waited))])
             self.response_worst_ns = max(self.response_worst_ns, int((sent["end_ns"] - sent["queued_ns"]).max()))
 
 

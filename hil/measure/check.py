@@ -1,4 +1,4 @@
-"""What every measure must keep, as a function that its author can run; those of the user's own are held to it before a run."""
+"""`check_measure`: what every measure must fulfil. An author can run it; a user's own measures pass it before a run."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
         What the measure fulfils and what that earns, a sentence each.
 
     Raises:
-        AssertionError: what it does not keep, in the words of its author.
+        AssertionError: names what the measure does not fulfil.
     """
     name = type(measure).__name__
     needs(measure, f"{name}, a measure,", MEASURE)
@@ -72,9 +72,9 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
 
 
 def check_own_measures(experiment: Experiment, view: Callable[[], RunView]) -> None:
-    """Refuse a measure of the user's own that does not keep what `check_measure` asks: now, and not when the run is over.
+    """Refuse, before a run, a user's own measure that does not pass `check_measure`.
 
-    A function is not asked: a number that needs a long run is none for a rehearsal.
+    A function is not checked: its number may need a longer run than the rehearsal.
 
     Args:
         experiment: names the measures.

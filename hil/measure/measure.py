@@ -243,7 +243,7 @@ def _numbers(measure: Measure, view: RunView, failed: dict[str, str] | None) -> 
         return {quantity.name: None for quantity in measure.quantities(view.signals)}
 
 
-def _as_promised(measure: Measure, view: RunView, found: Mapping[str, float | None]) -> Mapping[str, float | None]:
+def _as_promised(measure: Measure, view: RunView, numbers: Mapping[str, float | None]) -> Mapping[str, float | None]:
     """Return the numbers of a measure, which may be others in a long run than in the short one in which it was checked.
 
     Raises:
@@ -251,13 +251,13 @@ def _as_promised(measure: Measure, view: RunView, found: Mapping[str, float | No
     """
     name = type(measure).__name__
     for quantity in measure.quantities(view.signals):
-        if quantity.name not in found:
-            gave = ", ".join(found) or "nothing"
+        if quantity.name not in numbers:
+            gave = ", ".join(numbers) or "nothing"
             raise HilError(f"measure {name}: of(view) gave {gave}, and not {quantity.name!r}, which it names")
-        value = found[quantity.name]
+        value = numbers[quantity.name]
         if value is not None and not isinstance(value, Real):
             raise HilError(f"measure {name}: {quantity.name} is {value!r:.60}, expected a number or None")
-    return found
+    return numbers
 
 
 T = TypeVar("T")
@@ -267,13 +267,13 @@ class Named(dict[str, T]):
     """A dictionary of numbers whose error names those that are there.
 
     Args:
-        what: one of them in a word.
-        found: the numbers.
+        kind: what one of them is called in the message.
+        numbers: by name.
     """
 
-    def __init__(self, what: str, found: dict[str, T]) -> None:
-        super().__init__(found)
-        self.what = what
+    def __init__(self, kind: str, numbers: dict[str, T]) -> None:
+        super().__init__(numbers)
+        self.kind = kind
 
     def __missing__(self, name: str) -> T:
-        raise unknown_name(self.what, name, self)
+        raise unknown_name(self.kind, name, self)

@@ -1,6 +1,6 @@
-"""The emulated networks of a run, from sensor nodes to controller and from there to the actuator: what they did and carried.
+"""The emulated networks of a run, from sensor nodes to controller and from there to the actuator: their draws and their load.
 
-Of a run that was changed while it went on they are not those of one experiment.
+In a run with changes a network may have had several laws.
 """
 
 from __future__ import annotations

@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 
 Matrix = NDArray[np.float64]
 SAME = 1e-9
-"""Two drives that differ by less than this share of what they are computed from are one."""
+"""Two drives are equal if they differ by less than this share of the terms that they are computed from."""
 
 SILENT = 1e-6
-"""Probability that a prediction may leave out: the controller has received nothing, answers zeros, and the plant moves."""
+"""Probability that a prediction may neglect: the controller has received nothing and answers zeros, while the plant moves."""
 
 LOOKED_AT = 100
-"""Slots in which a plant is asked whether chance moves it."""
+"""Slots in which a plant is tested for random motion."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +164,7 @@ def _first_rows_known(loop: Loop, rest: int) -> bool:
 
 
 def left_out(loop: Loop) -> tuple[str, ...]:
-    """Return what acts in a loop and is not in its prediction, noun phrases."""
+    """Return the influences on a loop that its prediction neglects, noun phrases."""
     plant = loop.experiment.plant
     beyond = tuple(plant.beyond_model()) if isinstance(plant, BeyondModel) else ()
     damped = loop.experiment.limits.passivity is not None
@@ -176,7 +176,7 @@ def left_out(loop: Loop) -> tuple[str, ...]:
 
 
 def _chance(loop: Loop) -> tuple[bool, bool]:
-    """Return whether chance moves the plant, and whether it moves the plant or its sensors: two generators give two motions."""
+    """Return whether the plant's motion is random, and whether its motion or its measurement is: two seeds give two results."""
     e, zero, measured = loop.experiment, (0.0,) * loop.model.B.shape[1], False
     one, other = (e.plant.start(np.random.default_rng(seed)) for seed in (0, 1))
     for _ in range(min(LOOKED_AT, e.slots)):

@@ -11,7 +11,7 @@ from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
-from hil.log.recordings.recording import class_said, independence_said
+from hil.log.recordings.recording import class_text, independence_text
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html.numbers import capital
 from hil.pages.html.page import Page
@@ -31,7 +31,7 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
 
     Args:
         fits: by direction.
-        said: see `hil.log.recordings.recording.fit_said`.
+        said: see `hil.log.recordings.recording.fit_document`.
         model_shares: share of slots at age 0, 1, ... under each fitted law.
     """
     badges = [
@@ -90,8 +90,8 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     parameters = [(name, *pair) for name, pair in said["intervals"].items()]
     blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
     blocks.append(Table(columns=("law that was tried", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
-    tested = map(capital, independence_said(fit))
-    intro = f"The law: {class_said(fit)}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
+    tested = map(capital, independence_text(fit))
+    intro = f"The law: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
         f"{note}." for note in (*tested, *said["notes"])
     )
     return Section(

@@ -106,15 +106,15 @@ def group_of(path: str) -> Group:
     return "hil.plants" if path == "plant" else "hil.controllers" if path == "controller" else "hil.laws"
 
 
-def kind_of(group: Group, kind: str, made: object) -> str:
+def kind_of(group: Group, kind: str, plugin: object) -> str:
     """Return the kind that a log may give an object: what its table said if that made it, else that it is an object of Python.
 
     Args:
         group: of the plug-in.
         kind: what the table said.
-        made: what stands there now.
+        plugin: what stands there now.
     """
-    cls = type(made)
+    cls = type(plugin)
     if is_own(kind):
         return kind if written_in(cls) is not None and cls.__qualname__ == kind.partition(":")[2] else object_kind(cls)
     named = load(group, kind) if kind in _of(group) else None

@@ -298,9 +298,9 @@ def refuse_shadowed_packages() -> None:
         raise HilError("\n".join([*lines, REMEDY]))
 
 
-def is_ours(made: object) -> bool:
+def is_ours(part: object) -> bool:
     """Return whether the class of an object stands in our own packages, under its name."""
-    cls = type(made)
+    cls = type(part)
     module = sys.modules.get(cls.__module__)
     found = getattr(module, cls.__qualname__, None)
     file = getattr(module, "__file__", None)

@@ -87,11 +87,11 @@ class Designer(Protocol):
         ...
 
 
-def needs(made: object, what: str, names: Mapping[str, str]) -> None:
+def needs(plugin: object, what: str, names: Mapping[str, str]) -> None:
     """Demand attributes of an object.
 
     Args:
-        made: the object.
+        plugin: the object.
         what: what it is to its author, such as "what start() returns".
         names: of every attribute what it is, a noun phrase.
 
@@ -101,11 +101,11 @@ def needs(made: object, what: str, names: Mapping[str, str]) -> None:
     missing = []
     for name, meaning in names.items():
         try:
-            getattr(made, name)
+            getattr(plugin, name)
         except AttributeError:
             missing.append(f"`{name}` ({meaning})")
         except Exception as error:  # a property of the author's own
-            raise AssertionError(f"{name} of {type(made).__qualname__}: {words(error)}") from error
+            raise AssertionError(f"{name} of {type(plugin).__qualname__}: {words(error)}") from error
     if missing:
         raise AssertionError(f"{what} needs {', '.join(missing)}")
 
@@ -163,30 +163,30 @@ PLANT = {
 }
 
 
-def own_fault(group: Group, made: Any) -> str | None:
+def own_fault(group: Group, plugin: Any) -> str | None:
     """Return why an object is no plant, controller or network law that a rig can run; None if it is one, or is something else.
 
     How a controller answers is seen once its loop is known, see `hil.compose.loop.check_own`.
 
     Args:
         group: what it has to be.
-        made: of a class of the user's own.
+        plugin: of a class of the user's own.
     """
-    what = type(made).__qualname__
+    what = type(plugin).__qualname__
     try:
         with in_own_words():
             if group == "hil.plants":
-                needs(made, f"{what}, a plant,", PLANT)
-                check_plant(made)
+                needs(plugin, f"{what}, a plant,", PLANT)
+                check_plant(plugin)
             elif group == "hil.controllers":
-                if not isinstance(made, Controller | Designer):
-                    needs(made, f"{what}, a controller,", {"start": "a method that returns the running controller"})
-                if isinstance(made, SeveralSamples) and not (isinstance(made.samples, Integral) and made.samples > 0):
-                    raise AssertionError(f"samples: {made.samples!r:.40}, expected a whole number above 0")
+                if not isinstance(plugin, Controller | Designer):
+                    needs(plugin, f"{what}, a controller,", {"start": "a method that returns the running controller"})
+                if isinstance(plugin, SeveralSamples) and not (isinstance(plugin.samples, Integral) and plugin.samples > 0):
+                    raise AssertionError(f"samples: {plugin.samples!r:.40}, expected a whole number above 0")
             elif group == "hil.laws":
                 from hil.plugins.checks import check_law  # with the emulated network, which no other reading of a file needs
 
-                check_law(made)
+                check_law(plugin)
     except AssertionError as fault:
         return f"check_{group[4:-1]}: {str(fault).partition(chr(10))[0]}"  # pytest adds lines of its own
     return None

@@ -139,17 +139,17 @@ def _late(response: int, within: int, slot: int) -> int:
     return max(0, -(-(response - within) // slot))
 
 
-def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, found: ResponseRanges) -> BusDelays | str:
-    cycle, rest = divmod(lcm(found.hyperperiod_ns, rig.period_ns), rig.period_ns)
+def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: ResponseRanges) -> BusDelays | str:
+    cycle, rest = divmod(lcm(ranges.hyperperiod_ns, rig.period_ns), rig.period_ns)
     if rest or cycle > MOST_SLOTS:
         return f"network.media.{bus.name}: its traffic comes again after {cycle} slots, at most {MOST_SLOTS} are computed with"
     every, phase = rig.sensors[0].clock.every, rig.sensors[0].clock.phase
     slot, within, ends = BitRates.units(rig.period_ns), _slots(rig), _last_frames(rig, bus, rows)
-    begin = cycle * max(-(-found.lead[end] // found.count[end]) for end in ends)  # slot from which on all comes again
+    begin = cycle * max(-(-ranges.lead[end] // ranges.count[end]) for end in ends)  # slot from which on all comes again
     worst = [0, 0]
 
     def late(way: int, instance: int) -> Late | None:
-        low, high = found.of(ends[way], instance)
+        low, high = ranges.of(ends[way], instance)
         worst[way] = max(worst[way], BitRates.ns(high))
         return _late(low, within[way], slot), _late(high, within[way], slot)
 
@@ -165,9 +165,9 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, found: ResponseR
     )
 
 
-def _replaced(bus: SharedMedium, which: str) -> str:
+def _replaced(bus: SharedMedium, sender: str) -> str:
     return (
-        f"network.media.{bus.name}: a {which} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
+        f"network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
         "less traffic above it"
     )
 
@@ -224,12 +224,12 @@ def bus_chains(
     return (sc, ca) if ca is not None else f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
 
 
-def chain_of_ages(packets: Sequence[Late | None], at: Receiver) -> DelayChain:
+def chain_of_ages(packets: Sequence[Late | None], receiver: Receiver) -> DelayChain:
     """Return the chain of the ages at a receiver; where several may follow, their probabilities are not known (0 to 1).
 
     Args:
         packets: of each slot of a cycle by how many slots its packet is late, at least and at most.
-        at: who receives.
+        receiver: who receives.
     """
     from design.processes.delay_chain import DelayChain
 
@@ -242,12 +242,12 @@ def chain_of_ages(packets: Sequence[Late | None], at: Receiver) -> DelayChain:
             high[index[state], index[after]] = 1.0
             low[index[state], index[after]] = float(len(following) == 1)
     ages = np.array([age for _, age in states], dtype=np.int64)
-    oldest = at.max_age if at.holds_input else max(at.max_age, int(ages.max()))
-    beyond = bool((ages > at.max_age).any())
+    oldest = receiver.max_age if receiver.holds_input else max(receiver.max_age, int(ages.max()))
+    beyond = bool((ages > receiver.max_age).any())
     return DelayChain(
-        transition=high / high.sum(axis=1, keepdims=True), delays=np.minimum(ages, oldest), labels=np.minimum(ages, at.max_age),
-        between=None if np.array_equal(low, high) else (low, high), held=ages > oldest if beyond else None,
-        begins=np.array([phase == 0 for phase, _ in states]),
+        transition=high / high.sum(axis=1, keepdims=True), delays=np.minimum(ages, oldest),
+        labels=np.minimum(ages, receiver.max_age), between=None if np.array_equal(low, high) else (low, high),
+        held=ages > oldest if beyond else None, begins=np.array([phase == 0 for phase, _ in states]),
     )  # fmt: skip
 
 

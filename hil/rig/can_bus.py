@@ -15,7 +15,7 @@ from hil.experiment.nodes import Medium, TrafficTable
 from hil.rig.sensors import Sensor, SharedMedium, first_identifiers
 from hil.rig.spec import RigSpec
 from transport.can_bus_model import BitRates, CanFrame
-from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, said
+from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, identifiers_text
 from transport.links.traits import CanFraming, LinkTraits
 from transport.wire import control_length, frame_length, sensor_length
 
@@ -47,7 +47,7 @@ def can_faults(rig: RigSpec, traits: LinkTraits) -> list[str]:
         if own[-1] > LARGEST:
             faults.append(f"{path}: {own[0]:#x}, and {frames}: above {LARGEST:#x} (11 bits)")
         elif needed[path] > len(own):
-            faults.append(f"{path}: {frames}, and its identifiers are {said(own)}; give it a can_id of its own")
+            faults.append(f"{path}: {frames}, and its identifiers are {identifiers_text(own)}; give it a can_id of its own")
         taken = next((identifier for identifier in own if identifier in owner), None)
         if taken is not None:
             whose = "the control packets" if owner[taken] == CONTROL else f"node {names[owner[taken]]!r}"
@@ -250,12 +250,12 @@ def can_bus_faults(rig: RigSpec) -> Iterator[str]:
             yield f"network.media.{at}.traffic[{i}].fd: the bus has no dbitrate, expected one for CAN FD"
 
 
-def recorded_faults(medium: Medium, at: str, owner: Mapping[tuple[bool, int], str]) -> Iterator[str]:
+def recorded_faults(medium: Medium, medium_name: str, owner: Mapping[tuple[bool, int], str]) -> Iterator[str]:
     """Yield what is wrong with recorded frames, the first of each kind.
 
     Args:
         medium: the bus.
-        at: its name.
+        medium_name: its name.
         owner: of the identifiers of the rig.
     """
     if not medium.recorded:
@@ -264,7 +264,7 @@ def recorded_faults(medium: Medium, at: str, owner: Mapping[tuple[bool, int], st
 
     last = 0
     for i, line in enumerate(medium.recorded):
-        path = f"network.media.{at}.recorded[{i}]"
+        path = f"network.media.{medium_name}.recorded[{i}]"
         try:
             due = due_of(line)
         except ValueError as error:

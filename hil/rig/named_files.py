@@ -146,9 +146,9 @@ def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
     return tuple(found)
 
 
-def _table(said: dict[str, Any]) -> TrafficTable:
+def _table(fields: dict[str, Any]) -> TrafficTable:
     values: dict[str, Any] = {}
-    for key, value in said.items():
+    for key, value in fields.items():
         try:
             values[key] = _CELLS.get(key, str)(value)
         except (ValueError, KeyError) as error:

@@ -33,27 +33,27 @@ class Receiver(NamedTuple):
     holds_input: bool
 
 
-def ages_of(law: NetworkLaw, at: Receiver) -> NetworkLaw | AgeChain:
+def ages_of(law: NetworkLaw, receiver: Receiver) -> NetworkLaw | AgeChain:
     """Return the chain of the ages at a receiver under a packet law that has one, any other law as it is."""
-    found = law.age_chain(at.period_s, at.deadline_s, at.max_age) if isinstance(law, PacketAges) else law
+    found = law.age_chain(receiver.period_s, receiver.deadline_s, receiver.max_age) if isinstance(law, PacketAges) else law
     return law if isinstance(found, str) else found
 
 
-def delays_of(chain: AgeChain, at: Receiver) -> DelayChain:
+def delays_of(chain: AgeChain, receiver: Receiver) -> DelayChain:
     """Return the delay chain of the ages at a receiver."""
     from design.processes.delay_chain import DelayChain
 
     ages = np.array(chain.mode_ages, dtype=np.int64)
-    oldest = at.max_age if at.holds_input else max(at.max_age, chain.bound)
+    oldest = receiver.max_age if receiver.holds_input else max(receiver.max_age, chain.bound)
     return DelayChain(
-        transition=chain.transition_matrix(), delays=np.minimum(ages, oldest), labels=np.minimum(ages, at.max_age),
+        transition=chain.transition_matrix(), delays=np.minimum(ages, oldest), labels=np.minimum(ages, receiver.max_age),
         held=ages > oldest,
     )  # fmt: skip
 
 
-def why_no_ages(law: NetworkLaw, at: Receiver) -> str:
+def why_no_ages(law: NetworkLaw, receiver: Receiver) -> str:
     """Return the reason why a law states no chain, a phrase."""
-    said = law.age_chain(at.period_s, at.deadline_s, at.max_age) if isinstance(law, PacketAges) else ""
+    said = law.age_chain(receiver.period_s, receiver.deadline_s, receiver.max_age) if isinstance(law, PacketAges) else ""
     return f"states no chain: {said}" if isinstance(said, str) and said else "states no chain: it is a packet law or a trace"
 
 
@@ -150,8 +150,8 @@ def recorded_chain(law: RecordedLaw) -> DelayChain | str:
 class AgeChannel(NamedTuple):
     """An age law or a recording. What is on its way: the ages of the newest sample sent in or before slot k, k - 1, ...
 
-    In its methods `at` is the state of the law in this slot; `far` stands for a sample that is as old or older: it is held, or
-    never was sent.
+    In its methods `law_state` is the state of the law in this slot; `far` stands for a sample of this age or older, which is held
+    or was never sent.
 
     Args:
         ages: the age that a receiver measures in every state.
@@ -173,27 +173,27 @@ class AgeChannel(NamedTuple):
         """Whether the newest sample that was sent is received in every slot, even if the node does not send in every slot."""
         return True
 
-    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
+    def follows(self, law_state: int) -> tuple[tuple[int, Chance], ...]:
         """Return the states of the law that follow one."""
-        return self.after[at]
+        return self.after[law_state]
 
-    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
+    def sends(self, previous: OnWay | None, law_state: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
         """Yield what is on its way in a slot.
 
         Args:
-            before: in the slot before; None in slot 0.
-            at: state of the law in this slot.
+            previous: in the slot before; None in slot 0.
+            law_state: state of the law in this slot.
             offered: age of the sample that the node sends in this slot, None without one.
             far: as old, or older.
         """
-        if before is None:
-            before = (far,) * (self.oldest + 1)
-        newest = before[0] + 1 if offered is None else offered
-        yield tuple(min(age, far) for age in (newest, *(age + 1 for age in before[:-1]))), SURE
+        if previous is None:
+            previous = (far,) * (self.oldest + 1)
+        newest = previous[0] + 1 if offered is None else offered
+        yield tuple(min(age, far) for age in (newest, *(age + 1 for age in previous[:-1]))), SURE
 
-    def age(self, sent: OnWay, at: int) -> int:
+    def age(self, sent: OnWay, law_state: int) -> int:
         """Return the age of the newest sample that has come, at most `far`."""
-        return sent[self.ages[at]]
+        return sent[self.ages[law_state]]
 
 
 class PacketChannel(NamedTuple):
@@ -226,19 +226,19 @@ class PacketChannel(NamedTuple):
         """See `AgeChannel.sure`."""
         return not any(self.losses) and max(self.comes) > 1.0 - 1e-15
 
-    def follows(self, at: int) -> tuple[tuple[int, Chance], ...]:
+    def follows(self, law_state: int) -> tuple[tuple[int, Chance], ...]:
         """See `AgeChannel.follows`."""
-        return tuple((mode, (share,) * 3) for mode, share in enumerate(self.matrix[at]) if share > 0.0)
+        return tuple((mode, (share,) * 3) for mode, share in enumerate(self.matrix[law_state]) if share > 0.0)
 
-    def sends(self, before: OnWay | None, at: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
+    def sends(self, previous: OnWay | None, law_state: int, offered: int | None, far: int) -> Iterator[tuple[OnWay, Chance]]:
         """See `AgeChannel.sends`."""
-        newest, *flying = (far,) if before is None else before
+        newest, *flying = (far,) if previous is None else previous
         ahead = [(due - 1, age + 1) for due, age in zip(flying[::2], flying[1::2])]
         if offered is None:
             yield _arrived(newest + 1, ahead, far), SURE
             return
         last = max((due for due, _ in ahead), default=0) if self.in_order else 0
-        gets = 1.0 - self.losses[at]
+        gets = 1.0 - self.losses[law_state]
         outcomes: dict[OnWay, float] = {}
         for late, share in enumerate(self.comes):
             own = max(late, last)
@@ -248,7 +248,7 @@ class PacketChannel(NamedTuple):
         outcomes[lost] = outcomes.get(lost, 0.0) + 1.0 - gets * sum(self.comes)
         yield from ((after, (share,) * 3) for after, share in outcomes.items() if share > 1e-15)
 
-    def age(self, sent: OnWay, at: int) -> int:
+    def age(self, sent: OnWay, law_state: int) -> int:
         """See `AgeChannel.age`."""
         return sent[0]
 

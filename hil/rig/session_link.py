@@ -14,7 +14,7 @@ from hil.rig.schedules import bus_faults
 from hil.rig.spec import RigSpec
 from transport.dbc import LONGEST_NAME, BusNode, dbc_text
 from transport.links import TransportError
-from transport.links.can_identifiers import Identifiers, said
+from transport.links.can_identifiers import Identifiers, identifiers_text
 from transport.links.opening import is_foreign
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
 
@@ -51,13 +51,13 @@ class SessionLink(Struct, frozen=True, kw_only=True):
         """The identifiers, of which each packet's record says the first; None where it is no CAN link."""
         return self.identifiers if self.on_can else None
 
-    def said(self, rig: RigSpec) -> dict[str, dict[str, str]]:
+    def channel_metadata(self, rig: RigSpec) -> dict[str, dict[str, str]]:
         """Return the CAN identifiers of its frames for the log: topic to those of each sender, as in ``hil dbc``."""
         own = self.identifiers
         if own is None:
             return {}
-        described = {f"can_id.{sensor.name}": said(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
-        return {"/link/sensor": described, "/link/control": {"can_id.control": said(own.control)}}
+        described = {f"can_id.{sensor.name}": identifiers_text(ids) for sensor, ids in zip(rig.sensors, own.sensors, strict=True)}
+        return {"/link/sensor": described, "/link/control": {"can_id.control": identifiers_text(own.control)}}
 
 
 def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
@@ -82,7 +82,9 @@ def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
             raise ExperimentError(rig.name, faults)
         own, more = ranges_of(rig, framing, traits.keyed), {"nodes": f"{len(rig.sensors)}"}
         if own_identifiers(rig):
-            more = {"ids": ",".join(said(each) for path, each in own.items() if path != CONTROL), "control": said(own[CONTROL])}
+            texts = {path: identifiers_text(identifiers) for path, identifiers in own.items()}
+            control = texts.pop(CONTROL)
+            more = {"ids": ",".join(texts.values()), "control": control}
         uri = with_options(uri, more)
     return SessionLink(uri=uri, traits=traits, identifiers=identifiers_on(uri))
 

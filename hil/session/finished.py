@@ -241,14 +241,14 @@ def messages_of(run: Run, kinds: Collection[str]) -> dict[str, Any]:
 
 def link_counters(run: Run) -> dict[str, int] | None:
     """Return what the rig's end of the link counted, None where there was no link or the rig did not end in order."""
-    said = [event["data"]["link"] for event in run.events if event["kind"] == "outcome" and "link" in event.get("data", {})]
-    return {name: int(value) for name, value in said[0].items()} if said else None
+    outcomes = [event["data"]["link"] for event in run.events if event["kind"] == "outcome" and "link" in event.get("data", {})]
+    return {name: int(value) for name, value in outcomes[0].items()} if outcomes else None
 
 
 def controller_counters(run: Run) -> dict[str, int] | None:
     """Return what our controller and its end of the link counted, None where it did not end in order, or was not ours."""
-    said = [event["data"] for event in run.events if event["kind"] == "controller ended" and "data" in event]
-    return {name: int(value) for name, value in said[0].items()} if said else None
+    outcomes = [event["data"] for event in run.events if event["kind"] == "controller ended" and "data" in event]
+    return {name: int(value) for name, value in outcomes[0].items()} if outcomes else None
 
 
 def status_of(run: Run, sink: McapSink, outcome: dict[str, Any]) -> int:

@@ -111,7 +111,7 @@ def run_session(
         clock=clock,
         link=on.uri,
         codes={"reason": REASONS, "selection": SELECTIONS},
-        channels=on.said(loop.rig),
+        channels=on.channel_metadata(loop.rig),
         origins=experiment.origins(),
         session={} if clock == "virtual" else {
             "started": wall_clock(), "external_controller": str(external), "accepted_from": on.traits.commanders, **machine(),

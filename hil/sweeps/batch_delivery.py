@@ -110,24 +110,24 @@ def starved(usable: NDArray[np.bool_], d_max: int, watchdog_slots: int) -> NDArr
     return np.asarray(((missing - fed) >= watchdog_slots).any(axis=0))
 
 
-def applied_rows(selection: str, held: Slots, d_max: int, row_sojourns: int = 1) -> Slots:
+def applied_rows(selection: str, packet_slots: Slots, d_max: int, row_sojourns: int = 1) -> Slots:
     """Return which row of the packet held is applied, (slots, runs); see `hil.runtime.nodes.actuator_node.row_index`.
 
     Args:
         selection: the rule.
-        held: slot in which the packet was generated, -1 for none (its row means nothing).
+        packet_slots: slot in which the packet was generated, -1 for none (its row means nothing).
         d_max: largest age that the rows cover.
         row_sojourns: lengths of stay at d that have a row each.
     """
-    k = np.arange(len(held), dtype=np.int32)[:, None]
-    d = np.where(held >= 0, k - held, -1)
+    k = np.arange(len(packet_slots), dtype=np.int32)[:, None]
+    d = np.where(packet_slots >= 0, k - packet_slots, -1)
     if selection == "constant":
-        return np.zeros_like(held)
+        return np.zeros_like(packet_slots)
     if selection == "applied":
         changed = np.concatenate([np.ones_like(d[:1], dtype=np.bool_), d[1:] != d[:-1]])
         stayed = k - np.maximum.accumulate(np.where(changed, k, 0), axis=0)
         return np.asarray(np.maximum(d, 0) * row_sojourns + np.minimum(stayed, row_sojourns - 1), dtype=np.int32)
-    asked = np.maximum(held - 1 if selection == "previous" else held, 0)
+    asked = np.maximum(packet_slots - 1 if selection == "previous" else packet_slots, 0)
     at = np.take_along_axis(d, asked, axis=0)
     seen = np.where((at >= 0) & (at <= d_max), at, d_max)
     return np.asarray(seen * (d_max + 1) + np.maximum(d, 0) if selection == "both" else seen, dtype=np.int32)
@@ -212,7 +212,7 @@ def _repeated(one: Delivered, runs: int) -> Delivered:
 
 
 def _one_run(
-    loop: Loop, seed: int, run: int, came: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]
+    loop: Loop, seed: int, run: int, arrivals: Sequence[list[tuple[int, int, int]]], packets: NDArray[np.int64]
 ) -> int:
     """Ask the medium of one run, slot by slot, as a rig does; return the last slot of which it said something."""
     medium = sensor_medium_of(loop, seed)
@@ -227,7 +227,7 @@ def _one_run(
             for draw in draws:
                 last = max(last, draw.slot)
                 packets[node, run] += draw.reason in _TOLD
-            came[k] += [(run, node, sent) for sent, _ in arrived]
+            arrivals[k] += [(run, node, sent) for sent, _ in arrived]
     return last
 
 

@@ -33,11 +33,11 @@ class Points:
         return [f"{key}={value}" for key, value in zip(self.keys, self.values[point])]
 
 
-def grid(asked: Sequence[str]) -> Points:
+def grid(arguments: Sequence[str]) -> Points:
     """Return all combinations of the values of several keys, the last key changing first.
 
     Args:
-        asked: ``key=a,b,c`` each; commas within brackets, braces and quotes belong to a value.
+        arguments: ``key=a,b,c`` each; commas within brackets, braces and quotes belong to a value.
 
     Raises:
         HilError: for another form, a key that is named twice, or too many points.
@@ -46,7 +46,7 @@ def grid(asked: Sequence[str]) -> Points:
     (('10 ms', '150'), ('10 ms', '170'), ('20 ms', '150'), ('20 ms', '170'))
     """
     axes: dict[str, list[str]] = {}
-    for text in asked:
+    for text in arguments:
         key, equal, listed = text.partition("=")
         values = split_values(listed)
         if not equal or not key.strip() or not all(values):
@@ -73,11 +73,11 @@ def grid_of(values: Mapping[str, Sequence[str]]) -> Points:
     return Points(keys=tuple(values), values=tuple(itertools.product(*axes)), axes=axes)
 
 
-def latin_hypercube(asked: Sequence[str], count: int, seed: int = 0) -> Points:
+def latin_hypercube(arguments: Sequence[str], count: int, seed: int = 0) -> Points:
     """Return points that fill a box evenly: every key takes one value in each of ``count`` equal parts of its range.
 
     Args:
-        asked: ``key=low:high`` each, with one unit for both where there is one: ``period=10ms:50ms``.
+        arguments: ``key=low:high`` each, with one unit for both where there is one: ``period=10ms:50ms``.
         count: number of points.
         seed: of the points, not of the runs.
 
@@ -91,7 +91,7 @@ def latin_hypercube(asked: Sequence[str], count: int, seed: int = 0) -> Points:
     if not 1 <= count <= MOST_POINTS:
         raise HilError(f"points: {count}; expected 1 to {MOST_POINTS}")
     keys, lows, highs, units = [], [], [], []
-    for text in asked:
+    for text in arguments:
         key, _, span = text.partition("=")
         ends = [with_space(end).partition(" ") for end in span.split(":")]
         try:

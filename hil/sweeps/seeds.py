@@ -50,7 +50,7 @@ def copied(loop: Loop) -> Loop:
     return copy
 
 
-def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[str, float]) -> None:
+def refuse_other_numbers(loop: Loop, alone_numbers: Mapping[str, float], sweep_numbers: Mapping[str, float]) -> None:
     """Refuse a sweep whose first run has other numbers than it has alone.
 
     It is for a loop with a part that is not ours: its first run is made alone. Tests hold that a loop of our own parts has the
@@ -59,21 +59,21 @@ def refuse_other_numbers(loop: Loop, alone: Mapping[str, float], found: Mapping[
 
     Args:
         loop: what is swept.
-        alone: numbers of a run of one seed.
-        found: those of the same seed in the sweep.
+        alone_numbers: numbers of a run of one seed.
+        sweep_numbers: those of the same seed in the sweep.
 
     Raises:
         HilError: with the number that differs most plainly: the first one.
     """
-    if alone["seed"] != found["seed"]:
+    if alone_numbers["seed"] != sweep_numbers["seed"]:
         return  # a sweep that goes on where another one ended
-    for name, value in alone.items():
-        other = found[name]
+    for name, value in alone_numbers.items():
+        other = sweep_numbers[name]
         if not (value == other or (isnan(value) and isnan(other))):
             why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
             raise HilError(
                 f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
-                f"{alone['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"
+                f"{alone_numbers['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"
             )
 
 

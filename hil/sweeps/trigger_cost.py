@@ -78,50 +78,50 @@ def undecided(plan: Sequence[tuple[float, float]], points: Sequence[TriggerPoint
     return cut + [OpenPoint(*each, NOT_REACHED) for each in plan[len(points) :]]
 
 
-def experiment_with(asked: TriggerQuestion, candidate: Candidate) -> Experiment:
+def experiment_with(question: TriggerQuestion, candidate: Candidate) -> Experiment:
     """Return the experiment with a trigger and a gain.
 
     Raises:
         HilError: outputs of several units, whose squared errors have no sum.
     """
-    trigger = f'{{kind="{asked.kind}", threshold={candidate.threshold!r}}}' if candidate.threshold else '{kind="every-slot"}'
+    trigger = f'{{kind="{question.kind}", threshold={candidate.threshold!r}}}' if candidate.threshold else '{kind="every-slot"}'
     controller = f'controller={{kind="local", gain={json.dumps(candidate.gain.tolist())}}}'
-    found = load_experiment(asked.name, (*asked.sets, MEASURES, f"{asked.path}={trigger}", controller))
+    found = load_experiment(question.name, (*question.sets, MEASURES, f"{question.path}={trigger}", controller))
     if "sse" in without_sense(signals_of(found.plant)):
-        raise HilError(f"{asked.name}: --trigger: its outputs have several units, so that their squared errors have no sum")
+        raise HilError(f"{question.name}: --trigger: its outputs have several units, so that their squared errors have no sum")
     return found
 
 
-def check_chains(asked: TriggerQuestion) -> None:
+def check_chains(question: TriggerQuestion) -> None:
     """Refuse a question to which every answer is undecided: the loop with a trigger has no chain of ages.
 
     Args:
-        asked: the question, of which nothing is solved yet.
+        question: the question, of which nothing is solved yet.
 
     Raises:
         HilError: no chain, with its reason; or as of `experiment_with`.
     """
-    gain = np.zeros((asked.target.B.shape[1], len(asked.target.C)))
-    loop = compose(experiment_with(asked, Candidate(asked.thresholds[0], 0.0, gain, None)), certify=False)
+    gain = np.zeros((question.target.B.shape[1], len(question.target.C)))
+    loop = compose(experiment_with(question, Candidate(question.thresholds[0], 0.0, gain, None)), certify=False)
     if why := loop_chains(loop.rig, loop.chains, loop.controller, loop.model).chainless:
         raise HilError(
-            f"{asked.name}: --trigger: every threshold would be undecided, as with a trigger no certificate covers this network: "
-            f"{why}. Expected: a law of ages on network.sc, no bus and no loss"
+            f"{question.name}: --trigger: every threshold would be undecided, as with a trigger no certificate covers this "
+            f"network: {why}. Expected: a law of ages on network.sc, no bus and no loss"
         )
 
 
-def run_candidate(asked: TriggerQuestion, candidate: Candidate, runs: int = RUNS) -> TriggerPoint:
+def run_candidate(question: TriggerQuestion, candidate: Candidate, runs: int = RUNS) -> TriggerPoint:
     """Certify a candidate, and run it for the seeds 0, 1, ...
 
     Args:
-        asked: the experiment.
+        question: the experiment.
         candidate: threshold and gain.
         runs: how many seeds.
 
     Raises:
         KeyboardInterrupt: Ctrl-C came.
     """
-    experiment = experiment_with(asked, candidate)
+    experiment = experiment_with(question, candidate)
     verdict = compose(experiment).verdict
     sweep = run_sweep(experiment, range(runs), workers=Workers(backend="serial"))
     if sweep.interrupted:

@@ -20,10 +20,10 @@ from hil.log.read.run import read_run
 from hil.log.topics import channels_of
 from hil.pages.live.script import Scripted
 from hil.pages.live.side import Side
-from hil.pages.live.watch import Asked as Watched
+from hil.pages.live.watch import RequestedRun as Watched
 from hil.runtime.changes import Change
 from hil.session import Session, run_session
-from hil.session.replay.recorded import Asked, changes_of
+from hil.session.replay.recorded import ChangeRequest, changes_of
 from hil.session.replay.replay import verify
 from tests.hil.pages.live.test_live import Page
 from tests.waiting import children_of, until
@@ -31,7 +31,7 @@ from tests.waiting import children_of, until
 pytestmark = pytest.mark.realtime
 
 SETS = ["duration=20", "limits.watchdog_slots=1000", "allow_uncertified=true"]
-ASKED: list[Asked] = [
+ASKED: list[ChangeRequest] = [
     (0, "reference", [1.0]),
     (12, "network.ca.law", {"kind": "constant", "age": 1}),
     (14, "disturbance", {"value": [0.2], "samples": 5}),
@@ -169,7 +169,7 @@ class Slow(Scripted):
 
 
 def test_a_change_that_comes_behind_its_slot_changes_nothing_and_the_log_says_so(tmp_path: Path) -> None:
-    asked: list[Asked] = [(10, "reference", [2.0]), (60, "end", None)]
+    asked: list[ChangeRequest] = [(10, "reference", [2.0]), (60, "end", None)]
     onlooker = Slow(asked, real=True)
     session = run_session(
         load_experiment("dc-motor-hinf", SETS), clock="real", link="local:", path=tmp_path / "a.mcap", onlooker=onlooker

@@ -154,15 +154,15 @@ class AuthenticatedLink(Closing):
             timeout_s = left_s if timeout_s > 0 else 0.0
         return None
 
-    def _accepts(self, said: Tagged) -> bool:
+    def _accepts(self, packet: Tagged) -> bool:
         """Return whether a packet is of this session, new, and has its code; take over a session that begins."""
         session, last = self._session, self._last
-        if not self._rig and said.seq == HELLO and (nonce := said.nonce.to_bytes(8, "little")) != session:
+        if not self._rig and packet.seq == HELLO and (nonce := packet.nonce.to_bytes(8, "little")) != session:
             if session is not None and self._now_s() - self._received_s < SILENCE_S:
                 return False
             session, last = nonce, 0
-        counter = said.counter if said.seq == HELLO else said.counter + (1 << 32)
-        if session is None or counter <= last or not compare_digest(self._code(session + said.signed), said.tag):
+        counter = packet.counter if packet.seq == HELLO else packet.counter + (1 << 32)
+        if session is None or counter <= last or not compare_digest(self._code(session + packet.signed), packet.tag):
             return False
         if session != self._session:
             self._session = session

@@ -57,7 +57,7 @@ class Identifiers(Struct, frozen=True, kw_only=True):
         owner: dict[int, str] = {}
         for name, own in self.named():
             if not own or own[0] < 0 or own[-1] > LARGEST:
-                raise FieldError(name, f"identifiers {said(own)}, expected 0 to {LARGEST:#x} (11 bits)")
+                raise FieldError(name, f"identifiers {identifiers_text(own)}, expected 0 to {LARGEST:#x} (11 bits)")
             for identifier in own:
                 if owner.setdefault(identifier, name) != name:
                     raise FieldError(name, f"the identifier {identifier:#x} is that of {owner[identifier]} already")
@@ -83,9 +83,9 @@ def derived(base: int = BASE, fd: bool = True, nodes: int = 1) -> Identifiers:
     Raises:
         ValueError: more nodes than there are identifiers.
 
-    >>> [said(own) for own in derived(nodes=4).sensors]
+    >>> [identifiers_text(own) for own in derived(nodes=4).sensors]
     ['0x100-0x10f', '0x110-0x11f', '0x120-0x12f', '0x130-0x13f']
-    >>> [said(own) for own in derived(0x200, fd=False).sensors], said(derived().control)
+    >>> [identifiers_text(own) for own in derived(0x200, fd=False).sensors], identifiers_text(derived().control)
     (['0x280-0x2bf'], '0x140-0x17f')
     """
     if not 1 <= nodes <= FRAGMENTS:
@@ -98,7 +98,7 @@ def derived(base: int = BASE, fd: bool = True, nodes: int = 1) -> Identifiers:
     )
 
 
-def said(own: range) -> str:
+def identifiers_text(own: range) -> str:
     """Return identifiers as a link's URI has them: ``0x141`` or ``0x141-0x143``."""
     return f"{own[0]:#x}" if len(own) == 1 else f"{own.start:#x}-{own.stop - 1:#x}"
 

@@ -117,13 +117,13 @@ class TimedSender:
             some = [self._backlog.popleft() for _ in range(min(len(self._backlog), _ON_THE_BUS - self._waiting))]
             self._take(self._bus.queue(some))
 
-    def _ended(self, each: Ended) -> None:
-        if each.tag not in self._items:
+    def _ended(self, ended: Ended) -> None:
+        if ended.tag not in self._items:
             return
-        if each.error_bit is None:
-            self._deliver(self._items.pop(each.tag), each.end_ns, each.alone)
+        if ended.error_bit is None:
+            self._deliver(self._items.pop(ended.tag), ended.end_ns, ended.alone)
         else:
-            self._destroyed(self._items[each.tag], each.error_bit, each.alone)
+            self._destroyed(self._items[ended.tag], ended.error_bit, ended.alone)
 
     def _take(self, seen: Seen) -> None:
         self._waiting = seen.waiting

@@ -66,7 +66,7 @@ def open_mcap(path: Path, descriptor: int | None = None) -> Iterator[tuple[Binar
 LATEST_START_NS = 1 << 62  # the year 2116
 
 
-def start_said(clock: Mapping[str, str]) -> int | None:
+def start_instant(clock: Mapping[str, str]) -> int | None:
     """Return when session time 0 was, as the metadata record `clock` says, ns since 1970; None if it says no instant."""
     said = clock.get("start_ns", "")
     return int(said) if said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS else None

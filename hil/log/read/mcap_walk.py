@@ -124,8 +124,8 @@ class Checksums:
             self._crc = zlib.crc32(record.body, zlib.crc32(frame, self._crc))
 
     @staticmethod
-    def _compare(found: int, expected: int, what: str, record: Record) -> None:
-        if expected and found != expected:  # 0: the writer computed none
+    def _compare(computed: int, expected: int, what: str, record: Record) -> None:
+        if expected and computed != expected:  # 0: the writer computed none
             raise DamagedRecord(f"the {what} that ends at byte {record.offset}: the checksum does not match")
 
 

@@ -16,7 +16,7 @@ from mcap.records import Header, MessageIndex, Metadata
 from hil.errors import HilError
 from hil.files import written_whole
 from hil.log.read import mcap_walk
-from hil.log.read.mcap_file import Content, open_mcap, start_said
+from hil.log.read.mcap_file import Content, open_mcap, start_instant
 from hil.log.read.mcap_walk import DamagedRecord, Record
 from hil.log.write.mcap_sink import FLUSH_BYTES
 from hil.log.write.mcap_writer import McapWriter
@@ -184,7 +184,7 @@ class _Copy:
             writer.add_metadata(metadata.name, metadata.metadata)
             report.metadata += 1
             if metadata.name == "clock":
-                report.start_ns = start_said(metadata.metadata) or 0
+                report.start_ns = start_instant(metadata.metadata) or 0
             self.ours |= metadata.name == "hilrig"
         elif record.opcode == Opcode.ATTACHMENT:
             found = mcap_walk.parse_attachment(record)

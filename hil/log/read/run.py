@@ -17,7 +17,7 @@ from mcap.records import Channel
 
 from hil.errors import HilError
 from hil.log.events import decode_events
-from hil.log.read.mcap_file import Columns, Content, open_mcap, start_said
+from hil.log.read.mcap_file import Columns, Content, open_mcap, start_instant
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.run import Arrays
@@ -261,7 +261,7 @@ def start_of(content: Content) -> int:
         HilError: it says something else than an instant.
     """
     clock = {"start_ns": "0"} | content.metadata.get("clock", {})
-    found = start_said(clock)
+    found = start_instant(clock)
     if found is None:
         raise HilError(f"metadata clock: start_ns: {clock['start_ns']!r:.60}, expected nanoseconds since 1970")
     return found

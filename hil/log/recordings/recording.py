@@ -129,13 +129,13 @@ WORDS = {
 }
 
 
-def class_said(fit: LawFit) -> str:
-    """Return the class of a fitted law in words: that latencies are independent is told from slots alone where it is rejected."""
+def class_text(fit: LawFit) -> str:
+    """Return the class of a fitted law in words. Where a test rejects independent latencies, the class holds for slots only."""
     in_slots = fit.law_class in ("constant", "independent", "gilbert-elliott") and not fit.tested.independent
     return WORDS[fit.law_class] + (", as far as slots show" if in_slots else "")
 
 
-def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:
+def fit_document(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:
     """Return what was found of one direction as plain values.
 
     Args:
@@ -163,7 +163,7 @@ def fit_said(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict
     return said
 
 
-def independence_said(fit: LawFit) -> tuple[str, ...]:
+def independence_text(fit: LawFit) -> tuple[str, ...]:
     """Return what the test of independence says, in words: of latencies and losses, and of slots where it is rejected.
 
     Where it is not, its power is said: which correlations it would have found.
@@ -194,9 +194,9 @@ def law_text(fit: LawFit, said: dict[str, Any]) -> str:
 
     Args:
         fit: what was fitted.
-        said: from `fit_said`.
+        said: from `fit_document`.
     """
-    head = f"# {class_said(fit)}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
+    head = f"# {class_text(fit)}: {said['packets']} packets of {' '.join(said['source'].split())} ({said['way']})\n"
     head += '# In an experiment: law = { file = "NAME.toml" }\n'
     rows = toml_lines({key: value for key, value in said.items() if key != "tried"})
     tried = "".join(f"\n[[fit.tried]]\n{toml_lines(each)}" for each in said["tried"])

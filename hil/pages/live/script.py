@@ -16,7 +16,7 @@ from hil.log.records import Channel
 from hil.log.write.sinks import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
-from hil.session.replay.recorded import Asked, changes_of, composed
+from hil.session.replay.recorded import ChangeRequest, changes_of, composed
 
 MOST_BYTES: Final = 20_000_000
 
@@ -32,7 +32,7 @@ class Line(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     value: Any = None
 
 
-def read_script(path: Path) -> list[Asked]:
+def read_script(path: Path) -> list[ChangeRequest]:
     """Return the changes of a script, or of the log of a run that was changed.
 
     Raises:
@@ -42,7 +42,7 @@ def read_script(path: Path) -> list[Asked]:
         from hil.log.read.run import read_run
 
         return changes_of(read_run(path))
-    found: list[Asked] = []
+    found: list[ChangeRequest] = []
     text = read_regular(path, MOST_BYTES, "a script of changes")
     for number, line in enumerate(text.splitlines(), 1):
         if not line.strip():
@@ -60,7 +60,7 @@ def read_script(path: Path) -> list[Asked]:
     return found
 
 
-def script_of(asked: Sequence[Asked]) -> bytes:
+def script_of(asked: Sequence[ChangeRequest]) -> bytes:
     """Return the text of a script."""
     return b"".join(msgspec.json.encode(Line(slot=k, field=path, value=value)) + b"\n" for k, path, value in asked)
 
@@ -83,7 +83,7 @@ class Scripted:
     clock = None
 
     def __init__(
-        self, asked: Sequence[Asked], *, real: bool = False, working: AbstractContextManager[Counter | None] | None = None
+        self, asked: Sequence[ChangeRequest], *, real: bool = False, working: AbstractContextManager[Counter | None] | None = None
     ) -> None:
         self._asked, self._real, self._working = asked, real, working or nullcontext()
         self._to_come: list[tuple[int, Change]] = []

@@ -20,7 +20,7 @@ from hil.log.write.sinks import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, LATE, Change, Changes
 from hil.runtime.clock import PacedClock
-from hil.session.replay.recorded import Asked, changes_of
+from hil.session.replay.recorded import ChangeRequest, changes_of
 from transport.draws import REASONS
 
 EVENTS: Final = 300
@@ -126,7 +126,7 @@ class Side:
         self.name = ""
         self.period_s = 1.0
         self.traces: tuple[Trace, ...] = ()
-        self.done: list[Asked] = []
+        self.done: list[ChangeRequest] = []
         self._certificate: dict[str, Any] | None = None  # of a log
         self._records: Callable[[], Mapping[str, Records]] = dict
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=EVENTS)

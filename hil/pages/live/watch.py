@@ -27,8 +27,8 @@ WHERE = {"virtual": "virtual time", "real": "real time"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
-    """What is to be watched.
+class RequestedRun:
+    """A run that the page is to show.
 
     Args:
         load: makes the experiment with a seed, None for its own.
@@ -54,7 +54,7 @@ class Asked:
 
 
 def watch(
-    asked: Sequence[Asked], *, port: int = 0, stay: bool = True, opened: Callable[[str], None] = lambda url: None,
+    asked: Sequence[RequestedRun], *, port: int = 0, stay: bool = True, opened: Callable[[str], None] = lambda url: None,
     finished: Callable[[Session], None] = lambda session: None, beside: Onlooker | None = None,
 ) -> int:  # fmt: skip
     """Run experiments with a page on them; return the exit status of the last runs.
@@ -86,7 +86,7 @@ def watch(
 
 
 def _run(
-    asked: Sequence[Asked], sides: Sequence[Side], seed: int | None, beside: Onlooker | None
+    asked: Sequence[RequestedRun], sides: Sequence[Side], seed: int | None, beside: Onlooker | None
 ) -> tuple[list[Session], int]:  # fmt: skip
     """Run every experiment to its end: one here, where signals come; more in threads of their own. Sessions and exit status."""
 
@@ -94,7 +94,7 @@ def _run(
         for side in sides:
             side.stop()
 
-    def run(each: Asked, side: Side) -> Session:
+    def run(each: RequestedRun, side: Side) -> Session:
         try:
             experiment = each.load(seed)
             side.waits = f"composing {experiment.name}: gains and certificate"

@@ -61,7 +61,7 @@ class Difference:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class AnswerComparison:
     """Result of sending the recorded frames to a controller process.
 
     Args:
@@ -77,7 +77,7 @@ class Asked:
 
 def ask_process(
     run: Run, uri: str, source: str = "the log", patience_s: float = 15.0, *, start_s: float = 60.0
-) -> Asked:  # fmt: skip
+) -> AnswerComparison:  # fmt: skip
     """Send the recorded sensor frames to a running controller process, and compare its answers with the recorded ones.
 
     Args:
@@ -111,7 +111,7 @@ def ask_process(
             own = list(differences(k, recorded[k], _answer(link, k, patience_s)))
             different += bool(own)
             found += own[: MOST_TOLD - len(found)]
-    return Asked(compared=compared, different=different, differences=tuple(found))
+    return AnswerComparison(compared=compared, different=different, differences=tuple(found))
 
 
 def _answers_of(run: Run) -> dict[int, ControlPacket]:

@@ -179,11 +179,11 @@ def verify_tags(run: Run, key: Path, source: str = "log") -> Tags:
     return Tags(verified=verified, wrong=wrong, first=first)
 
 
-Asked = tuple[int, str, Any]
-"""Slot, path of the field, and value."""
+ChangeRequest = tuple[int, str, Any]
+"""A change of an experiment in its run: slot, path of the field, and value."""
 
 
-def changes_of(run: Run) -> list[Asked]:
+def changes_of(run: Run) -> list[ChangeRequest]:
     """Return the changes of a run, in order.
 
     Raises:
@@ -199,18 +199,18 @@ def changes_of(run: Run) -> list[Asked]:
     return found
 
 
-def composed(loop: Loop, asked: Iterable[Asked], *, certify: bool = True) -> Iterator[tuple[int, Change]]:
+def composed(loop: Loop, changes: Iterable[ChangeRequest], *, certify: bool = True) -> Iterator[tuple[int, Change]]:
     """Yield the slot and the loop of each change.
 
     Args:
         loop: what runs at the beginning.
-        asked: in the order of slots.
+        changes: in the order of slots.
         certify: whether their certificates are computed.
 
     Raises:
         ExperimentError: one does not fit.
     """
-    for k, path, value in asked:
+    for k, path, value in changes:
         if path == END:
             yield k, Change(path=path, value=value, loop=None)
             return

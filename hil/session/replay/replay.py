@@ -137,7 +137,7 @@ class Recorded:
         if recorded is None:
             return
         on_frame(recorded)
-        if not self._foreign and self._answer != recorded and _said(self._answer) != _said(recorded):
+        if not self._foreign and self._answer != recorded and _without_tag(self._answer) != _without_tag(recorded):
             text = f"control packet of slot {k}: {_words(recorded)} recorded, {_words(self._answer)} now"
             self.difference = self.difference or (k, text)
             if self._answer is None or not near_frames(recorded, self._answer):
@@ -203,7 +203,7 @@ def verify(run: Run, source: str = "log", experiment: Experiment | None = None) 
     )
 
 
-def _said(data: bytes | None) -> bytes | None:
+def _without_tag(data: bytes | None) -> bytes | None:
     """Return an answer without its tag, which the link adds, and its counter, which also counts lost answers."""
     packet = decode(data) if data is not None else None
     return encode_control(packet._replace(counter=0)) if isinstance(packet, ControlPacket) else data

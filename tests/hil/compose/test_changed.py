@@ -20,12 +20,12 @@ from hil.pages.live.script import Scripted, read_script, script_of
 from hil.rig.loop import Loop
 from hil.runtime.virtual import run_virtual
 from hil.session import Session, run_session
-from hil.session.replay.recorded import Asked, changes_of
+from hil.session.replay.recorded import ChangeRequest, changes_of
 from hil.session.replay.replay import verify
 
 LATE = {"kind": "markov", "matrix": [[0.1, 0.9], [0.1, 0.9]]}
 LOSSY = {"kind": "packet", "latency": "1 ms", "loss": 0.8}
-EVERYTHING: list[Asked] = [
+EVERYTHING: list[ChangeRequest] = [
     (20, "reference", [1.0]),
     (30, "network.ca.law", LATE),
     (40, "network.sc.law", {"kind": "packet", "latency": "30 ms", "loss": 0.3}),
@@ -43,7 +43,7 @@ def motor() -> Loop:
     return compose(load_experiment("dc-motor-hinf", ["duration=6"]))
 
 
-def run_with(name: str, asked: list[Asked], path: Path, **about: Any) -> Session:
+def run_with(name: str, asked: list[ChangeRequest], path: Path, **about: Any) -> Session:
     return run_session(load_experiment(name, **about), path=path, onlooker=Scripted(asked))
 
 
@@ -156,7 +156,7 @@ def test_a_new_law_draws_from_a_stream_of_its_own_whatever_ran_before(tmp_path: 
     """Two loops on one seed meet the same network behind the change, and the other direction draws what it drew."""
     k, patient = 37, ["limits.watchdog_slots=1000", "duration=4", "allow_uncertified=true"]
     other = [*patient, "network.ca.law={kind = 'constant', age = 1}", "network.ca.max_age=1"]
-    asked: list[Asked] = [(k, "network.ca.law", law)]
+    asked: list[ChangeRequest] = [(k, "network.ca.law", law)]
     run, beside, plain = (
         run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / f"{i}.mcap", onlooker=looker).run
         for i, (sets, looker) in enumerate(((patient, Scripted(asked)), (other, Scripted(asked)), (patient, None)))
@@ -172,7 +172,8 @@ def test_a_new_law_draws_from_a_stream_of_its_own_whatever_ran_before(tmp_path: 
 
 
 def test_a_change_acts_from_its_slot_on(tmp_path: Path) -> None:
-    asked: list[Asked] = [(20, "reference", [1.5]), (30, "disturbance", {"value": [0.2], "samples": 3}), (40, "reference", [0.5])]
+    pulse = {"value": [0.2], "samples": 3}
+    asked: list[ChangeRequest] = [(20, "reference", [1.5]), (30, "disturbance", pulse), (40, "reference", [0.5])]
     run = run_with("dc-motor-hinf", asked, tmp_path / "a.mcap", duration="4").run
     r, w = run.arrays[REFERENCE.name]["angle"], run.arrays[APPLIED.name]["w_voltage"]
     assert r[19] == 3.0 * (19 >= 20) and r[20] == 1.5 == r[39] and r[40] == 0.5 == r[-1]
@@ -231,7 +232,7 @@ def test_the_hand_leads_the_device_from_where_it_is_without_an_impulse(tmp_path:
     assert verify(run).likeness == "same bits"
 
 
-NODES: list[Asked] = [
+NODES: list[ChangeRequest] = [
     (30, "network.nodes.angle.law", {"kind": "constant", "age": 0}),
     (50, "network.nodes.speed.law", {"kind": "constant", "age": 1}),
     (70, "network.ca.law", {"kind": "constant", "age": 0}),
@@ -275,8 +276,8 @@ process_noise=[0,0.5], saturation=[2.0]}"
 
 def test_noise_and_limits_of_a_plant_change_and_their_random_numbers_go_on(tmp_path: Path) -> None:
     sets = [NOISY, "limits.state={}", "allow_uncertified=true", "duration=6", "disturbance=[]"]
-    noises: list[Asked] = [(60, "plant.measurement_noise", [0.3]), (90, "plant.process_noise", [0, 0])]
-    asked: list[Asked] = [*noises, (100, "plant.saturation", [0.01])]
+    noises: list[ChangeRequest] = [(60, "plant.measurement_noise", [0.3]), (90, "plant.process_noise", [0, 0])]
+    asked: list[ChangeRequest] = [*noises, (100, "plant.saturation", [0.01])]
     plain, free, run = (
         run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / f"{i}.mcap", onlooker=looker).run
         for i, looker in enumerate((None, Scripted(noises), Scripted(asked)))
@@ -295,7 +296,7 @@ def test_noise_and_limits_of_a_plant_change_and_their_random_numbers_go_on(tmp_p
 
 def test_noise_that_was_turned_off_comes_back_with_the_draws_it_would_have_had(tmp_path: Path) -> None:
     sets = [NOISY, "limits.state={}", "allow_uncertified=true", "duration=4", "disturbance=[]"]
-    asked: list[Asked] = [(20, "plant.measurement_noise", [0.0]), (40, "plant.measurement_noise.0", 0.01)]
+    asked: list[ChangeRequest] = [(20, "plant.measurement_noise", [0.0]), (40, "plant.measurement_noise.0", 0.01)]
     plain, run = (
         run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / f"{i}.mcap", onlooker=looker).run
         for i, looker in enumerate((None, Scripted(asked)))

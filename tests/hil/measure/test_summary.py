@@ -21,7 +21,7 @@ from hil.pages.live.script import Scripted
 from hil.pages.sections.theory import section
 from hil.runtime.virtual import simulate
 from hil.session import Session, run_session
-from hil.session.replay.recorded import Asked
+from hil.session.replay.recorded import ChangeRequest
 from tests.hil.pages.runs import run_of
 from transport.laws.age import MarkovAge
 
@@ -148,7 +148,7 @@ MOSTLY_LATE = {"kind": "markov", "matrix": [[0.05, 0.95], [0.05, 0.95]]}
 LOSSY = {"kind": "packet", "latency": "1 ms", "loss": 0.8}
 
 
-def run_with(tmp_path: Path, *asked: Asked) -> Session:
+def run_with(tmp_path: Path, *asked: ChangeRequest) -> Session:
     sets = ["duration=10", "limits.watchdog_slots=1000"]
     return run_session(load_experiment("dc-motor-hinf", sets), path=tmp_path / "a.mcap", onlooker=Scripted(asked))
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from transport import SensorPacket, TransportError, encode_sensor, open_link
-from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived, filters, identifiers_of, read_range, said
+from transport.links.can_identifiers import FRAGMENTS, Identifiers, derived, filters, identifiers_of, identifiers_text, read_range
 
 
 @pytest.mark.parametrize("fd", [True, False])
@@ -21,7 +21,7 @@ def test_a_derived_identifier_is_base_direction_node_and_fragment(nodes: int, fd
     bits = 6 - (nodes - 1).bit_length()
     for node, own in enumerate(found.sensors):
         assert [*own] == [0x300 | (not fd) << 7 | node << bits | fragment for fragment in range(1 << bits)]
-    assert said(found.control) == f"{0x300 | (not fd) << 7 | 0x40:#x}-{0x300 | (not fd) << 7 | 0x7F:#x}"
+    assert identifiers_text(found.control) == f"{0x300 | (not fd) << 7 | 0x40:#x}-{0x300 | (not fd) << 7 | 0x7F:#x}"
 
 
 OWN = st.integers(0, 0x7F0).flatmap(lambda first: st.integers(1, 15).map(lambda count: range(first, first + count)))
@@ -60,7 +60,7 @@ def test_a_uri_that_says_no_identifiers_is_refused_with_the_option(options: dict
 @given(st.integers(0, 0x7FF), st.integers(1, FRAGMENTS))
 def test_a_range_reads_as_it_was_said(first: int, count: int) -> None:
     own = range(first, min(first + count, 0x800))
-    assert read_range(said(own)) == own
+    assert read_range(identifiers_text(own)) == own
 
 
 def packet(seq: int, node: int, samples: int = 1) -> bytes:

@@ -161,7 +161,7 @@ def test_channels_of_frames_say_their_can_identifiers(tmp_path: Path) -> None:
     ids = {f"can_id.{name}": f"{0x100 + 16 * i:#x}-{0x10F + 16 * i:#x}" for i, name in enumerate(experiment.network.nodes)}
     assert reported["/link/sensor"] == ids and reported["/link/control"] == {"can_id.control": "0x140-0x17f"}
     rig = rig_of(load_experiment("dc-motor-hinf"))
-    assert link_of(rig, "can:hil:x?base=0x300").said(rig)["/link/sensor"] == {"can_id.sensor": "0x300-0x33f"}
+    assert link_of(rig, "can:hil:x?base=0x300").channel_metadata(rig)["/link/sensor"] == {"can_id.sensor": "0x300-0x33f"}
 
 
 def test_peaks_text_format_takes_classic_frames_only(run: Run, tmp_path: Path) -> None:

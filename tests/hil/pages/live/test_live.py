@@ -32,7 +32,7 @@ from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import Scripted, read_script
 from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS, LivePage
 from hil.pages.live.side import Side, Tail
-from hil.pages.live.watch import Asked, _run, show_log, watch
+from hil.pages.live.watch import RequestedRun, _run, show_log, watch
 from hil.session import Session, run_session
 from hil.session.replay.recorded import changes_of
 from tests.waiting import until
@@ -43,7 +43,7 @@ class Page:
     """A run that is watched, and who talks to its server."""
 
     folder: Path
-    asked: list[Asked]
+    asked: list[RequestedRun]
     url: str = ""
     sessions: list[Session] = field(default_factory=list)
     status: int = -1
@@ -101,7 +101,7 @@ class Page:
         assert not self.thread.is_alive()
 
 
-def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), **about: Any) -> Asked:
+def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), **about: Any) -> RequestedRun:
     def path(experiment: Experiment) -> Path:
         number.append(1)
         return folder / f"{experiment.name}-{experiment.seed}-{len(number)}.mcap"
@@ -109,7 +109,7 @@ def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), 
     def load(sets: list[str], seed: int | None) -> Experiment:
         return load_experiment(name, sets, seed=seed)
 
-    return Asked(load=partial(load, ["duration=600", *sets]), path=path, **about)
+    return RequestedRun(load=partial(load, ["duration=600", *sets]), path=path, **about)
 
 
 @pytest.fixture
