@@ -103,7 +103,8 @@ class Result:
         from html import escape  # its table of names is large
 
         said = "".join(f"<p><b>{escape(sentence)}</b></p>" for sentence in self.answer)
-        sides = [SIDE.format(side=_side(self.rows, i)) for i in range(len(self.columns))]
+        words = [any(isinstance(row[i], str) for row in self.rows) for i in range(len(self.columns))]
+        sides = [SIDE.format(side="left" if of_words else "right") for of_words in words]
         heads = "".join(f'<th style="{side}">{escape(head)}</th>' for side, head in zip(sides, self.columns))
         body = "".join("<tr>" + "".join(map(_cell, sides, row)) + "</tr>" for row in self.rows)
         table = f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>" if self.rows else ""
@@ -172,9 +173,7 @@ def _cell(side: str, value: Cell) -> str:
     return f'<td style="{side}{";white-space:nowrap" if len(text) <= WHOLE else ""}">{text}</td>'
 
 
-def _side(rows: Sequence[Sequence[Cell]], column: int) -> str:
-    """Words stand at the left of their column, numbers at the right."""
-    return "left" if any(isinstance(row[column], str) for row in rows) else "right"
+
 
 
 PAPER_STYLE: Any = {

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from design.controllers.gain_rows import nested
 from design.controllers.historical import Historical
-from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Turns, Uses
+from design.controllers.sensor_nodes import PacketWindow, SensorNodes, Uses
 from design.errors import FieldError, check_above_zero, check_at_least_zero
 from design.requests.tracking import DesignTask
 from design.tracking.gain_cache import cached_history
@@ -132,7 +132,8 @@ class HistoricalDesigned:
             raise FieldError("kind", unknown)
         memory = self.window + max(nodes.buffers) - 2 if self.memory is None else self.memory
         given = self.start == "given" or not nodes.turns.order
-        begins = [window] if given else [PacketWindow(turns=t, length=self.window) for t in _every_phase(nodes.turns)]
+        first = [nodes.turns.phase] if given else range(len(nodes.turns.order))
+        begins = [PacketWindow(turns=replace(nodes.turns, phase=phase), length=self.window) for phase in first]
         phases = np.mean([window_start(begin) for begin in begins], axis=0)
         moment = np.outer(x0, x0) if self.start == "given" else np.eye(len(plant.A))
         mask, start = window_mask(nodes, window, memory), Start(moment=moment, phases=phases)
@@ -141,8 +142,7 @@ class HistoricalDesigned:
         return historical_of(K, "last-packets")
 
 
-def _every_phase(turns: Turns) -> list[Turns]:
-    return [replace(turns, phase=phase) for phase in range(len(turns.order))]
+
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

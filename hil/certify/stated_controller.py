@@ -73,10 +73,7 @@ def answers_of(loop: CertificationProblem) -> Check:
             f"the controller {handed(running)}, what it states {handed(by_table)}: in the run they cannot be compared"
         )
 
-    def own() -> object:
-        return controller.start(model)
-
-    starts: tuple[Start, Start] = (own, lambda: stated_controller.start(model))  # type: ignore[assignment]
+    starts: tuple[Start, Start] = (lambda: controller.start(model), lambda: stated_controller.start(model))
     nodes = model.nodes
     if isinstance(controller, WallController):
         return _wall(starts, excitation, loop)

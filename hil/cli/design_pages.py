@@ -73,9 +73,8 @@ def _judge(place: Place) -> Judged:
     fd = bus.table.dbitrate is not None
     last = {packet.first + len(packet.sizes(fd=fd)) - 1: packet for packet in own}
     found = response_times(analysed(loop.rig, bus, loop.rows), rates_of(bus.table))
-    bounds = {last[b.message.identifier].sender: b for b in found if not b.message.extended and b.message.identifier in last}
-    if bus.table.bit_error_rate:
-        bounds = {}
+    own_bounds = [b for b in found if not (b.message.extended or bus.table.bit_error_rate) and b.message.identifier in last]
+    bounds = {last[b.message.identifier].sender: b for b in own_bounds}
     ms = {name: None if b.response_ns is None else b.response_ns / 1e6 for name, b in bounds.items()}
     summary = summarise(view_of(simulate(loop, place.experiment.seed), loop.experiment, loop.rig))
     costs = [value for name, value in summary["metrics"].items() if name == "sse" or name.startswith("sse.")]

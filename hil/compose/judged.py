@@ -35,7 +35,7 @@ from hil.rig.loop_chains import (
 from hil.rig.schedules import whole_again
 from hil.rig.spec import RigSpec
 from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
-from plants.parts.protocols import JumpPlant, Plant
+from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.higher_moments import FourthMoments
@@ -74,7 +74,9 @@ def judge(
     if watched is not None and watched.claimed:
         drawn, assumed = own_laws(rig)
         watched = replace(watched, laws=drawn)
-        assumed += (_not_compared(problem.plant),) if watched.plant is None else ()
+        if watched.plant is None:
+            delayed = isinstance(problem.plant, JumpPlant) and problem.plant.jump_system().Ad
+            assumed += (DELAYED if delayed else NOT_COMPARED,)
         assumed += _run_again_in_part(problem, verdict, watched.plant, experiment.slots)
         assumed += (BOUNDED,) if watched.controller is not None and experiment.reference else ()
         assumed += (RESTARTED,) if any(first < experiment.slots for first, _ in rig.fault_schedule.restarts) else ()
@@ -111,9 +113,7 @@ def _run_again_in_part(
     return (f"behind the first {compared} slots in which noise or a load moves the plant it keeps to its model: {seen} compared",)
 
 
-def _not_compared(plant: Plant) -> str:
-    """Return the assumption on a plant that is not compared in its run, with the cause where it is a delay inside."""
-    return DELAYED if isinstance(plant, JumpPlant) and plant.jump_system().Ad else NOT_COMPARED
+
 
 
 def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:

@@ -39,7 +39,9 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
 
 
 @contextmanager
-def open_regular(path: str | Path, what: str, *, follow: bool = True) -> Iterator[BinaryIO]:
+def open_regular(
+    path: str | Path, what: str, *, follow: bool = True, descriptor: int | None = None, buffering: int = -1
+) -> Iterator[BinaryIO]:  # fmt: skip
     """Open a regular file for reading.
 
     The type is asked of the open file, so that no pipe can be put in its place between the question and the reading; it
@@ -49,20 +51,24 @@ def open_regular(path: str | Path, what: str, *, follow: bool = True) -> Iterato
         path: the file.
         what: what it should be, for the message, with its article.
         follow: whether the path may be a symbolic link.
+        descriptor: the file, open already (its name may be gone); it stays open, and is read from its beginning.
+        buffering: bytes, see `open`.
 
     Raises:
         HilError: it cannot be opened, or is a folder, a pipe or a device.
     """
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW)
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if follow else os.O_NOFOLLOW))
+        own = os.open(path, flags) if descriptor is None else os.dup(descriptor)
     except (OSError, ValueError) as e:  # ValueError: a name with a zero byte
         raise HilError(f"{path}: cannot be read: {getattr(e, 'strerror', None) or e}") from e
     try:
-        refuse_irregular(path, os.fstat(descriptor).st_mode, what)
-        with open(descriptor, "rb", closefd=False) as file:
+        refuse_irregular(path, os.fstat(own).st_mode, what)
+        with open(own, "rb", buffering=buffering, closefd=False) as file:
+            file.seek(0)
             yield file
     finally:
-        os.close(descriptor)
+        os.close(own)
 
 
 def refuse_irregular(path: str | Path, mode: int, what: str) -> None:

@@ -82,9 +82,8 @@ def link_of(rig: RigSpec, uri: str | None = None) -> SessionLink:
             raise ExperimentError(rig.name, faults)
         own, more = ranges_of(rig, framing, traits.keyed), {"nodes": f"{len(rig.sensors)}"}
         if own_identifiers(rig):
-            texts = {path: identifiers_text(identifiers) for path, identifiers in own.items()}
-            control = texts.pop(CONTROL)
-            more = {"ids": ",".join(texts.values()), "control": control}
+            control = identifiers_text(own.pop(CONTROL))
+            more = {"ids": ",".join(map(identifiers_text, own.values())), "control": control}
         uri = with_options(uri, more)
     return SessionLink(uri=uri, traits=traits, identifiers=identifiers_on(uri))
 

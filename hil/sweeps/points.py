@@ -90,7 +90,7 @@ def latin_hypercube(arguments: Sequence[str], count: int, seed: int = 0) -> Poin
 
     if not 1 <= count <= MOST_POINTS:
         raise HilError(f"points: {count}; expected 1 to {MOST_POINTS}")
-    keys, lows, highs, units = [], [], [], []
+    ranges: dict[str, tuple[float, float, str]] = {}
     for text in arguments:
         key, _, span = text.partition("=")
         ends = [with_space(end).partition(" ") for end in span.split(":")]
@@ -101,15 +101,13 @@ def latin_hypercube(arguments: Sequence[str], count: int, seed: int = 0) -> Poin
         unit = ends[1][2]
         if not (np.isfinite((low, high)).all() and low < high) or ends[0][2] not in ("", unit):
             raise HilError(f"range {text!r:.60}: expected two finite numbers, the lower first, in one unit")
-        if key.strip() in keys or not key.strip():
+        if key.strip() in ranges or not key.strip():
             raise HilError(f"range {text!r:.60}: the key is missing or repeated")
-        keys.append(key.strip())
-        lows.append(low)
-        highs.append(high)
-        units.append(unit)
-    drawn = qmc.scale(qmc.LatinHypercube(d=len(keys), rng=np.random.default_rng(seed)).random(count), lows, highs)
-    rows = [tuple(f"{value:.6g}{f' {unit}' if unit else ''}" for value, unit in zip(row, units)) for row in drawn.tolist()]
-    return Points(keys=tuple(keys), values=tuple(rows))
+        ranges[key.strip()] = low, high, unit
+    lows, highs, units = zip(*ranges.values())
+    points = qmc.scale(qmc.LatinHypercube(d=len(ranges), rng=np.random.default_rng(seed)).random(count), lows, highs)
+    rows = [tuple(f"{value:.6g}{f' {unit}' if unit else ''}" for value, unit in zip(row, units)) for row in points.tolist()]
+    return Points(keys=tuple(ranges), values=tuple(rows))
 
 
 def split_values(text: str) -> list[str]:

@@ -6,6 +6,7 @@ import csv
 import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from os import PathLike
 from pathlib import Path
 from stat import S_ISREG
@@ -146,19 +147,14 @@ def read_column(path: Path, column: str) -> Iterator[str]:
     Raises:
         ValueError: the file is missing, no regular one, no text, too large or empty; the message starts with "file".
     """
-    index = entries = 0
-    first = True
+    entries = 0
     try:
         with _regular(path) as stream:
-            for row in csv.reader(stream):
-                if not row or row[0].lstrip().startswith("#"):
-                    continue
-                if first:
-                    first = False
-                    heading = [name.strip() for name in row]
-                    if column in heading:
-                        index = heading.index(column)
-                        continue
+            rows = (row for row in csv.reader(stream) if row and not row[0].lstrip().startswith("#"))
+            first = next(rows, [])
+            heading = [name.strip() for name in first]
+            index = heading.index(column) if column in heading else 0
+            for row in rows if column in heading or not first else chain([first], rows):
                 entries += 1
                 if entries > MAX_ENTRIES:
                     raise FieldError("file", f"{path} has more than {MAX_ENTRIES} entries")

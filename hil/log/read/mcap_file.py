@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from hil.errors import HilError
-from hil.files import refuse_irregular
+from hil.files import open_regular
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
 from hil.log.read import mcap_walk
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, MESSAGE_TIME_AT, Record
@@ -43,24 +43,15 @@ def open_mcap(path: Path, descriptor: int | None = None) -> Iterator[tuple[Binar
         HilError: if it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
     """
     try:
-        own = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC) if descriptor is None else os.dup(descriptor)
-    except (OSError, ValueError) as error:
-        raise HilError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    try:
-        status = os.fstat(own)
-        refuse_irregular(path, status.st_mode, "an MCAP log")
-        with open(own, "rb", buffering=1 << 18, closefd=False) as file:
-            file.seek(0)
+        with open_regular(path, "an MCAP log", descriptor=descriptor, buffering=1 << 18) as file:
             head = file.read(len(mcap_walk.MAGIC))
             if not head:
                 raise HilError(f"{path}: is empty, expected an MCAP log")
             if head != mcap_walk.MAGIC:
                 raise HilError(f"{path}: is no MCAP file: byte 0 begins {head!r}, expected {mcap_walk.MAGIC!r}")
-            yield file, status.st_size
+            yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
         raise HilError(f"{path}: cannot be read: {error.strerror or error}") from error
-    finally:
-        os.close(own)
 
 
 LATEST_START_NS = 1 << 62  # the year 2116

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import cast
 
 from hil.experiment import Experiment
@@ -72,7 +73,8 @@ class CanNetwork:
         Args:
             channels: behind the bus, of each node on it by number.
         """
-        return TimedBusWay(self._slots, channels, [self._sensor_frames(packet.first) for packet in self._own[: len(channels)]])
+        frames = [partial(value_frames, packet.first, fd=self._fd) for packet in self._own[: len(channels)]]
+        return TimedBusWay(self._slots, channels, frames)
 
     def downlink(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator: over the bus, or past it.
@@ -85,11 +87,7 @@ class CanNetwork:
         way = TimedBusWay(self._slots, [channel], [self._control_frames], first=len(self._own) - 1, back=True)
         return OneWay(way)
 
-    def _sensor_frames(self, first: int) -> Callable[[object], list[CanFrame]]:
-        def frames(packet: object) -> list[CanFrame]:
-            return value_frames(first, cast(tuple[float, ...], packet), fd=self._fd)
 
-        return frames
 
     def _control_frames(self, packet: object) -> list[CanFrame]:
         rows = cast(ControlPacket, packet).rows

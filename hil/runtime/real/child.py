@@ -112,9 +112,7 @@ class Child:
         if self.poll() is None:
             self._process.terminate()
 
-    def stopped(self) -> bool:
-        """Return whether it is stopped (SIGSTOP, a debugger): it is alive, and does nothing."""
-        return is_stopped(self.pid)
+
 
     def wait(self, timeout_s: float) -> bool:
         """Return whether it has ended within ``timeout_s``, as soon as it has."""

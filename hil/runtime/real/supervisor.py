@@ -28,7 +28,7 @@ from hil.rig.session_link import SessionLink
 from hil.runtime.changes import Changes, ChangeSchedule, ChangeSenders, Dump
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, rig_process
-from hil.runtime.real.child import Child, end_all
+from hil.runtime.real.child import Child, end_all, is_stopped
 from hil.runtime.real.controller_process import ControllerReport
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, StopSignals
 from hil.runtime.real.heartbeat import HeartbeatTimeout
@@ -230,7 +230,7 @@ def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outc
     """Do what is due while both processes run; return False where the session cannot go on, with the reason in the outcome."""
     now_ns, records = monotonic_ns(), outcome.pump.records
     session_ns = outcome.pump.last_ns if records else -1
-    outcome.rig_lost = heartbeat.look(now_ns, records, rig.stopped())
+    outcome.rig_lost = heartbeat.look(now_ns, records, is_stopped(rig.pid))
     if outcome.rig_lost:
         return False
     processes.send_changes(session_ns)

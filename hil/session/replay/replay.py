@@ -232,7 +232,8 @@ def what_if(
     """
     refuse_changed(run, source, "what another controller would have commanded")
     experiment = experiment_of(run, source) if experiment is None else experiment
-    other = compose(_with_controller(experiment, controller, kind), certify=False)
+    kinds = {**experiment.kinds, "controller": kind}
+    other = compose(replace(experiment, controller=controller, kinds=kinds, allow_uncertified=True), certify=False)
     if other.samples != (carried := packet_samples(experiment.controller)):
         raise HilError(f"{source}: its sensor packets carry {carried} samples, {kind} takes {other.samples}")
     applied = run.numbers(APPLIED.name)
@@ -277,5 +278,4 @@ class _Recent:
         return self._packets.get(g)
 
 
-def _with_controller(experiment: Experiment, controller: Controller | Designer, kind: str) -> Experiment:
-    return replace(experiment, controller=controller, kinds={**experiment.kinds, "controller": kind}, allow_uncertified=True)
+
