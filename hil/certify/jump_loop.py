@@ -117,18 +117,18 @@ def certify_jump_loop(loop: CertificationProblem) -> Verdict | None:
         )  # fmt: skip
         system, process = system_of(stated), process_of(rates)
         system, gain = _with_seen_sensors(system, gain, hidden=isinstance(process, FaultDetection))
-        found = sampled_verdict(
+        verdict = sampled_verdict(
             system, process, gain, period_s=loop.model.period_s, tau=loop.sc, d=loop.ca, least_delay_s=stated.min_delay_s
         )
     except NotInstalled as error:
         return undecided(loop, KIND, f"its certificate was not computed: {error}")
     except (ValueError, DesignError) as error:
         return undecided(loop, KIND, f"the theory does not cover this plant: {error}")
-    asked = controller.constraint_of_modes() if isinstance(controller, StatesConstraint) else None
-    found = _with_continuous_time(loop, found, system, gain, process)
-    if asked is not None:
-        found = _with_constraint(found, asked, system, gain, process)
-    return limited_to_model(loop.plant, found, knows_jumps=True)
+    constraint = controller.constraint_of_modes() if isinstance(controller, StatesConstraint) else None
+    verdict = _with_continuous_time(loop, verdict, system, gain, process)
+    if constraint is not None:
+        verdict = _with_constraint(verdict, constraint, system, gain, process)
+    return limited_to_model(loop.plant, verdict, knows_jumps=True)
 
 
 def _within_reach(

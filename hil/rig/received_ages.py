@@ -123,43 +123,44 @@ def _explored(
     due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
             for n in range(len(sensors))] for t in range(cycle)]  # fmt: skip
 
-    def following(state: State | None) -> Iterator[tuple[State, Chance]]:
+    def successors(state: State | None) -> Iterator[tuple[State, Chance]]:
         t = 0 if state is None else (state.phase + 1) % cycle
-        of_laws = [
-            [(at, SURE) for at in each.begins] if state is None else each.follows(state.laws[n])
-            for n, each in enumerate(channels)
+        law_outcomes = [
+            [(at, SURE) for at in channel.begins] if state is None else channel.follows(state.laws[n])
+            for n, channel in enumerate(channels)
         ]
-        of_media = [list(turn(None if state is None else state.media[i], t, due[t])) for i, turn in enumerate(turns)]
-        alone = {n: 0 for n in free if due[t][n]}
-        for moved in product(*of_media):
-            offers, chance = dict(alone), 1.0
-            for _, own, share in moved:
+        medium_outcomes = [list(turn(None if state is None else state.media[i], t, due[t])) for i, turn in enumerate(turns)]
+        of_free_nodes = {n: 0 for n in free if due[t][n]}
+        for media_now in product(*medium_outcomes):
+            offers, chance = dict(of_free_nodes), 1.0
+            for _, own, share in media_now:
                 offers, chance = offers | own, chance * share
-            for drawn in product(*of_laws):
-                laws = tuple(at for at, _ in drawn)
-                ways = (
-                    each.sends(None if state is None else state.sent[n], laws[n], offers.get(n), far[n])
-                    for n, each in enumerate(channels)
+            for laws_now in product(*law_outcomes):
+                laws = tuple(at for at, _ in laws_now)
+                on_way_outcomes = (
+                    channel.sends(None if state is None else state.sent[n], laws[n], offers.get(n), far[n])
+                    for n, channel in enumerate(channels)
                 )
-                for sent in product(*ways):
+                for on_way_now in product(*on_way_outcomes):
                     chances = [chance] * 3
-                    for _, each in (*drawn, *sent):
-                        chances = [a * b for a, b in zip(chances, each)]
-                    yield State(t, tuple(m for m, _, _ in moved), laws, tuple(on_way for on_way, _ in sent)), tuple(chances)  # type: ignore[misc]
+                    for _, bounds in (*laws_now, *on_way_now):
+                        chances = [a * b for a, b in zip(chances, bounds)]
+                    media_states, on_way = tuple(m for m, _, _ in media_now), tuple(samples for samples, _ in on_way_now)
+                    yield State(t, media_states, laws, on_way), tuple(chances)  # type: ignore[misc]
 
-    found: dict[State, bool] = dict.fromkeys((state for state, _ in following(None)), True)
-    index, ahead, steps = {state: i for i, state in enumerate(found)}, list(found), []
-    while ahead:
-        state = ahead.pop()
-        for after, chances in following(state):
-            if after not in index:
-                index[after] = len(index)
-                found[after] = False
-                ahead.append(after)
-            steps.append((index[state], index[after], chances))
-        if len(index) > MOST_STATES:
+    reachable: dict[State, bool] = dict.fromkeys((state for state, _ in successors(None)), True)
+    number, unexplored, transitions = {state: i for i, state in enumerate(reachable)}, list(reachable), []
+    while unexplored:
+        state = unexplored.pop()
+        for following, chances in successors(state):
+            if following not in number:
+                number[following] = len(number)
+                reachable[following] = False
+                unexplored.append(following)
+            transitions.append((number[state], number[following], chances))
+        if len(number) > MOST_STATES:
             return {}, []
-    return found, steps
+    return reachable, transitions
 
 
 def _turns(medium: SharedMedium, sensors: Sequence[Sensor]) -> Callable[[object, int, Sequence[bool]], Turned]:
