@@ -119,11 +119,12 @@ class AnswerMatcher:
         if self._sensor_frames and packet.sample_ns not in self._samples and packet.sample_ns > self._forgotten_ns:
             never_sent = f"slot {seq}: the answer uses a sample of {packet.sample_ns} ns, which was never sent"
             return self._foreign(seq, data, never_sent)
-        open_now, first = seq == self._k and self._packet is None, self._answered.get(seq)
+        open_now = seq == self._k and self._packet is None
         if open_now and when == "in time":
             self._packet = packet
             self._answered[seq] = self.data = data
             return True
+        first = self._answered.get(seq)
         if open_now or (first is None and seq in self._answered):
             self._answered.pop(seq, None)  # the open slot is not booked as missing before it is closed
             self._late(seq, data)
