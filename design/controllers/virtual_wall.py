@@ -160,7 +160,7 @@ class ModelFollowing:
         m x_m'' = h - (b + B_i) x_m' - K_i x_m,
 
     moves under that force; and u = -F_i (x, v, h, u(k-1) .. u(k-n2), x_m, v_m) draws the device after it. It knows one hand, that
-    of its model: whoever else holds the device may make it unstable, and its certificate says so.
+    of its model: another hand may make it unstable, and the certificate says so.
 
     Args:
         wall: materials, and where they lie.

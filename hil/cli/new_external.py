@@ -142,7 +142,7 @@ def program_files(of: ExternalController, stem: str, language: Language) -> dict
 
 
 def in_comment(text: str) -> str:
-    """Return a text as it may stand in a comment of C and in a docstring: whoever wrote an experiment writes no program.
+    """Return a text as it may stand in a comment of C and in a docstring, so that no text of an experiment becomes code.
 
     >>> in_comment("it's */ import os")
     'it_s _/ import os'

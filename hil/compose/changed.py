@@ -74,7 +74,7 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
         raise ExperimentError(e.name, [f"{path}: has {ROOM} entries; more are not taken in one run"])
     # Of a schedule the new entry alone is checked: the others were, and there may be thousands.
     raw: dict[str, Any] = copy.deepcopy((replace(e, **{table: ()}) if table in SCHEDULES else e).resolved())
-    raw["allow_uncertified"] = True  # whoever changes it sees the certificate before
+    raw["allow_uncertified"] = True  # the user has seen the certificate before
     if table not in SCHEDULES and "fault" in raw:  # what is over takes no certificate away
         left = [fault.slots(float(e.period))[1] >= k or bool(outlasts(fault, loop.rig)) for fault in e.fault]
         raw["fault"] = [entry for entry, kept in zip(raw["fault"], left, strict=True) if kept]

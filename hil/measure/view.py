@@ -58,7 +58,7 @@ class RunView:
         period_s: sample period, s.
         signals: outputs, tracked outputs and inputs, with their units.
         marks: what happened when: reference steps, disturbances, events, late packets.
-        known_rig: what the experiment says of its rig, where whoever ran it had it.
+        known_rig: the rig of the composed loop that ran, where it is known.
     """
 
     run: Run

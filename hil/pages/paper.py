@@ -66,7 +66,7 @@ def slug(title: str) -> str:
 
 
 def draw(plot: Plot, axis: Any) -> None:
-    """Draw one plot of a report. Its texts may be a stranger's: a dollar sign in them begins no formula.
+    """Draw one plot of a report. A dollar sign in its texts, which may be of a file from elsewhere, begins no formula.
 
     Args:
         plot: the plot.

@@ -251,7 +251,7 @@ def due_of(line: str, node: int = 0) -> Due:
 
     Args:
         line: of `line_of`.
-        node: who sends it.
+        node: number of the sender.
 
     Raises:
         ValueError: it is none.

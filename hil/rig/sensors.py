@@ -78,7 +78,7 @@ def sensors_of(e: Experiment, names: Sequence[str], framing: CanFraming) -> tupl
         framing: of the experiment's link.
     """
     kind = e.kinds.get("network.sc.law", "?")
-    if not e.network.nodes:  # the short form; whoever reads the list need not know it
+    if not e.network.nodes:  # the short form; readers of the list need not know it
         return (
             Sensor(
                 name="sensor", path="network.sc", outputs=tuple(range(len(e.plant.outputs))), buffer=packet_samples(e.controller),

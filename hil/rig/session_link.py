@@ -182,7 +182,7 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
 
 
 def about_rig(rig: RigSpec) -> dict[str, object]:
-    """Return what a rig answers to who asks: experiment, period, nodes, and the DBC, which is the layout of its frames."""
+    """Return what a rig announces: experiment, period, nodes, and the DBC, which is the layout of its frames."""
     try:
         dbc = rig_dbc(rig)
     except (TransportError, ExperimentError):

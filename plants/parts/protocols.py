@@ -1,4 +1,4 @@
-"""What a plant fulfils, as protocols: whoever fulfils them is run, designed for and certified like ours."""
+"""The protocols of a plant: a class that fulfils them is run, designed for and certified like ours."""
 
 from __future__ import annotations
 

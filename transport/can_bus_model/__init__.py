@@ -83,7 +83,7 @@ class CanFrame(Struct, frozen=True, kw_only=True):
 
 
 def arbitration_key(frame: CanFrame) -> int:
-    """Return the bits that decide who sends, as one number: of two frames the smaller one wins.
+    """Return the bits that decide the arbitration, as one number: of two frames the smaller one wins.
 
     A base frame wins over an extended one with the same first 11 bits, a data frame over a remote one.
 

@@ -1,10 +1,10 @@
-"""What a network law is: the seams between the laws, the impairment that applies them and whoever composes a run.
+"""The protocols of a network law: what the impairment that applies it, and the composition of a run, read of it.
 
 Two families. An *age law* says in every slot k that the newest usable packet is the one of slot k - age. A *packet
 law* gives every packet its own latency, loss and duplicates. A law is a frozen set of parameters; `start` makes the
 running process from it.
 
-What a law says beyond that earns what can be computed of it, whoever wrote it: a `ChainLaw` or a `SemiMarkovLaw` gets a
+What a law states beyond that decides what can be computed of it, ours or a user's: a `ChainLaw` or a `SemiMarkovLaw` gets a
 certificate, a design and a prediction; these, a `RecordedLaw` and a `ChannelLaw` an analysis and a test of every record.
 """
 
@@ -190,7 +190,7 @@ class PacketAges(Protocol):
 
 @runtime_checkable
 class PacketDelays(MarkovModes, Protocol):
-    """A packet law that says how late each packet comes, for whoever does not send in every slot."""
+    """A packet law that states how late each packet comes, for nodes that do not send in every slot."""
 
     @property
     def reordering(self) -> bool:
@@ -265,7 +265,7 @@ _Law = TypeVar("_Law")
 
 
 def load_files(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
-    """Return the same law with the files that it names read: for whoever loads an experiment.
+    """Return the same law with the files that it names read, as when an experiment is loaded.
 
     Args:
         law: parameters of any network law; one without a method `loaded` names no files.
@@ -278,7 +278,7 @@ def load_files(law: _Law, directory: str | PathLike[str] | None = None) -> _Law:
 
 
 def prepare(law: _Law) -> _Law:
-    """Return the same law with scipy.stats laws tabulated (and files read): for whoever composes a run.
+    """Return the same law with scipy.stats laws tabulated (and files read), as when a run is composed.
 
     A prepared law needs neither the disk nor scipy.stats, so that it can be pickled into a process that keeps time. A
     law without a method `prepared` needs no preparation.

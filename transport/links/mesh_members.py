@@ -1,4 +1,4 @@
-"""Who takes part in a mesh: connections, sockets in one directory, and a mark that changes whenever one more is there.
+"""The participants of a mesh: connections, sockets in one directory, and a mark that changes when a participant joins.
 
 Every participant listens on a socket in the directory and is connected to every other participant. A newcomer connects to all
 sockets that it finds there, removes those that no process answers (their owners were killed), and changes the mark.
@@ -25,7 +25,7 @@ from transport.links import TransportError
 from transport.links.private_directory import SOCKETS, locked, remove_left_behind
 
 HEAD: Final = Struct("<dH")
-"""Time stamp, s, or 0: when the kernel of who reads it took it; datagrams lost before this one."""
+"""Time stamp, s, or 0: when the receiver's kernel took it; datagrams lost before this one."""
 
 HEAD_BYTES: Final = 10
 """Size of `HEAD`."""
@@ -55,7 +55,7 @@ class Peer:
 
     Args:
         connection: a socket of datagrams that is connected.
-        stamped: give a datagram that says no time the kernel's, which costs who reads it a microsecond.
+        stamped: give a datagram without a time that of the kernel, which costs its reader a microsecond.
     """
 
     __slots__ = ("_recv", "_send", "_stamped", "missed", "socket")
@@ -206,7 +206,7 @@ class Members:
             self._listen()
             flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
             self._joined = os.open(self.directory / "joined", flags, 0o600)
-            self._seen = os.urandom(_MARK_BYTES)  # no mark comes twice, whoever cuts the file
+            self._seen = os.urandom(_MARK_BYTES)  # no mark comes twice, even where another process cuts the file
             os.pwrite(self._joined, self._seen, 0)  # where the disk is full it fails here, as an error
         except OSError as error:
             path.unlink(missing_ok=True)
@@ -245,7 +245,7 @@ class Members:
         with self._lock:
             mark = self._mark()
             self._accept_all()
-            self._seen = mark  # at last: whoever sends meanwhile from another thread comes here too, and waits
+            self._seen = mark  # at last: another thread that sends meanwhile comes here too, and waits
 
     def _accept_all(self) -> None:
         while not self.closed and self._listener is not None:

@@ -114,7 +114,7 @@ def check_is_link(made: object) -> None:
 
 
 def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:
-    """Return what puts the codes of a key around a link; who has no key pays nothing for it."""
+    """Return the function that adds the codes of a key to a link; a link without a key costs nothing more."""
     from transport.links.authentication import AuthenticatedLink, cmac, read_key
 
     try:

@@ -52,7 +52,7 @@ class SharedBus:
 
     Args:
         directory: where the participants meet; it is private and there.
-        rates: of this participant. The first one's are the bus's; who comes with others destroys what it cannot read.
+        rates: of this participant. Those of the first are the bus's; a participant with others destroys what it cannot read.
         ended: called with what has become of each frame of its own, while the bus is locked; twice where other processes went on
             without this one meanwhile.
         changed: called with each change of its error state, in order with those; likewise.

@@ -59,7 +59,7 @@ class Mesh(Closing):
         self.directory = directory
         self.dropped = self.lost = 0
         self._looks = looks
-        self._asked = False  # whether it has looked for newcomers since it last received: who sends does
+        self._asked = False  # whether it has looked for newcomers since it last received; sending looks for them
         self._rest = self._vain = 0  # short waits that will not look first; looks in vain, one after the other
         self._members = Members(directory, echo=echo, stamped=stamped)
 

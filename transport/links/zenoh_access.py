@@ -1,4 +1,4 @@
-"""Who may speak on a link over zenoh: certificates, passwords, the access-control list that follows, one controller at a time.
+"""Access to a link over zenoh: certificates, passwords, the access-control list that follows, one controller at a time.
 
 With ``tls/`` both ends show a certificate of one authority, and zenoh's access-control list denies whatever it does not name:
 the peer whose certificate is called *controller* may write the control key at the rig and read the sensor key, the one called

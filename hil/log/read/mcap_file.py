@@ -69,7 +69,7 @@ class Content:
 
     Args:
         schemas, channels: by number; the first copy that can be read counts.
-        messages: by number of the channel, in the order of the file; whoever reads on may take them out.
+        messages: by number of the channel, in the order of the file; the reader may take them out.
         metadata: by name; a later record of one name replaces an earlier one.
         attachments: by name.
         budget: how much the file may unpack to.

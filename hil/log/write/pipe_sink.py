@@ -7,7 +7,7 @@ A frame is a head, and behind it one record, or the values of several. Head (lit
 number, i64 nominal time in ns, i64 how much later it happened in ns. The number is that of a channel, 0 for events, or one of
 ours at the top: when session time 0 was, how many records the writer had to drop, what is in a block, and that the writer ended
 in good order. A block has the values of one record of each of some channels, in a row and without gaps: a loop packs them by one
-struct, and who reads makes records of them.
+struct, and the reader makes records of them.
 """
 
 from __future__ import annotations

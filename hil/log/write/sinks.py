@@ -108,7 +108,7 @@ class MemorySink(Sink):
 
 
 class TeeSink(Sink):
-    """Gives every record to a sink, and to whoever looks at its topic.
+    """Gives every record to a sink, and to the observers of its topic.
 
     Args:
         sink: keeps the records.

@@ -1,6 +1,6 @@
 """What a page can show, as plain data: figures, bars, histograms, matrices, tables, text, badges, tiles.
 
-These dataclasses know nothing of HTML, of a run or of an experiment. Whoever has something to show builds a list of
+These dataclasses know nothing of HTML, of a run or of an experiment. The author of a page builds a list of
 `Section` of them and gives it to `hil.pages.html.page.Page`, which is the one place that draws:
 
     >>> from hil.pages.html.page import Page

@@ -31,7 +31,7 @@ class Payload:
         self._tables: list[list[dict[str, Any]]] = []
 
     def numbers(self, columns: Sequence[tuple[str, Iterable[Any]]]) -> int:
-        """Store the numbers of a plot that the script does not draw, for whoever saves them, and return its number.
+        """Store the numbers of a plot that the script does not draw but a user may save, and return its number.
 
         Args:
             columns: heading and cells of each; floats that are not finite become empty.

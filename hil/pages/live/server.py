@@ -1,6 +1,6 @@
 """The page's server: loopback only, one process, nothing kept of a browser. A browser asks for each picture that it draws.
 
-A browser that stalls asks for nothing, so that nothing waits for it. Whoever looks needs no token; every change does.
+A browser that stalls asks for nothing, so that nothing waits for it. Reading needs no token; every change does.
 """
 
 from __future__ import annotations

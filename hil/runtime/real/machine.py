@@ -108,8 +108,8 @@ def leave_to_loop(affinity: Affinity, link: LinkTraits) -> None:
 def go_ahead_of_others() -> None:
     """Give the calling thread the lowest real-time priority, where allowed.
 
-    For the reader of a loop's pipe: while it is in a read it holds the pipe's lock, and whoever takes its CPU away then makes the
-    loop wait that long.
+    For the reader of a loop's pipe: while it is in a read it holds the pipe's lock, and if another thread then takes its CPU, the
+    loop waits that long.
     """
     with suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
