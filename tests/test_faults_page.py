@@ -167,6 +167,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     "anything at all": ("test_what_another_program_writes_is_read_or_refused_with_one_message",
                         "test_a_million_inputs_are_read_or_refused_with_one_message",
                         "test_a_message_has_at_most_2_kB_and_says_what_it_left_out"),
+    # Behind a fault
+    "one that lasts to the end": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
+    "`bit-errors`, and": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
+    "one that takes samples": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
+    "any, where a region": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
+    "one in which the actuator": ("test_a_loop_is_certified_where_no_fault_can_trip_the_watchdog",
+                                  "test_a_law_that_loses_commands_may_trip_the_watchdog_behind_a_fault"),
     # What hil writes
     "`hil run --force` on a": ("test_force_goes_through_no_link",),
     "two runs with": ("test_two_runs_never_write_one_file", "test_a_run_holds_its_log_while_it_writes"),
