@@ -16,6 +16,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
+from shlex import quote
 from typing import Final, NamedTuple
 
 from hil.bench import running
@@ -133,9 +134,8 @@ def probe(
         if take(monotonic_ns() + 100_000_000):
             break
         if monotonic_ns() > limit:
-            raise HilError(
-                f"link {link.uri!r}: no answer within {MEETING_NS / 1e9:g} s; run `hil probe --answer` at its other end"
-            )
+            remedy = f"run `hil probe {quote(link.uri)} --answer` at its other end"
+            raise HilError(f"link {link.uri!r}: no answer within {MEETING_NS / 1e9:g} s; {remedy}")
     take(monotonic_ns() + 100_000_000)
     start = monotonic_ns() + LEAD_NS
     clock = RealClock(start)
