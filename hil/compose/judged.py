@@ -85,7 +85,7 @@ def judge(
             assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
         behind = chance_behind_cuts(chains, experiment, model.d_max)
         if behind > STOPPED:
-            said = f"by its faults the watchdog stops about {100.0 * behind:.2g} % of the runs"
+            said = f"by its faults the watchdog stops about {float(f'{100.0 * behind:.2g}'):g} % of the runs"
             assumed += (f"{said}, of which nothing is claimed",)
         verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
     if external:
@@ -156,7 +156,7 @@ def _problem(
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
-        damped=rig.passivity, whole=whole_again(e, rig, _ages(ca, model.d_max)),
+        damped=rig.passivity, whole=_whole(e, rig, chains, ca, model.d_max),
         faults=sum(fault.slots(float(e.period))[0] < e.slots for fault in e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
@@ -165,6 +165,14 @@ def _problem(
         steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
         pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
     )  # fmt: skip
+
+
+def _whole(e: Experiment, rig: RigSpec, chains: Chains, ca: DelayChain | None, d_max: int) -> float | str:
+    """Return from when on the faults have no more effect, or why that is unknown, see `whole_again`."""
+    whole = whole_again(e, rig, _ages(ca, d_max))
+    if isinstance(whole, float) and chance_behind_cuts(chains, e, d_max) > 1.0 - STOPPED:
+        return "by it network.ca brings no command for so long that the watchdog trips in nearly every run"
+    return whole
 
 
 def _ages(ca: DelayChain | None, d_max: int) -> tuple[int, int, int]:

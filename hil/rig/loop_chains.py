@@ -255,7 +255,7 @@ def waiting_chance(sc: DelayChain, waited: Sequence[int], outputs: Sequence[Sequ
 
 STOPPED = 1e-3
 """Share of the runs that the watchdog may stop without being named."""
-NEGLIGIBLE, MOST_SLOTS = 1e-12, 100_000
+NEGLIGIBLE, MOST_SLOTS, MIXED = 1e-12, 100_000, 1024
 
 
 def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float:
@@ -288,26 +288,33 @@ def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float
 def chance_behind_cuts(chains: Chains, experiment: Experiment, d_max: int) -> float:
     """Return about the probability that the watchdog trips by cuts of the way to the actuator, 0 over an age law.
 
-    So many slots are without a command: those before a cut that lacked one already, the cut, and those behind it in which none
-    that was sent since its end has come. What was sent before its end counts as lost.
+    A cut begins with a command of some age in use, which serves until it is too old, or with some slots that lacked one already.
+    Behind it those slots lack one in which none has come that was sent since its end, less the shortest latency: what was sent
+    before counts as lost. Where nothing is sent, nothing comes for as long, a shortest latency later.
 
     Args:
         chains: of the rig.
         experiment: with its watchdog and its faults.
         d_max: largest delay that a packet has a row for.
     """
-    law, cuts = chains.applied.ages, as_one(no_commands(experiment))
-    if not cuts or not isinstance(law, AgeChain):
+    law, most = chains.applied.ages, experiment.limits.watchdog_slots
+    if not isinstance(law, AgeChain):
         return 0.0
-    ages, matrix, most = np.array(law.mode_ages), law.transition_matrix(), experiment.limits.watchdog_slots
+    ages, matrix, chance = np.array(law.mode_ages), law.transition_matrix(), 0.0
+    usual = law.initial_law() @ np.linalg.matrix_power(matrix, MIXED)
+    youngest, in_use = int(ages[usual > NEGLIGIBLE].min()), ages <= d_max
 
-    def lacks(slots: int, oldest: Callable[[int], int]) -> NDArray[np.float64]:
-        weights, found = law.initial_law(), [1.0]
+    def lacks(slots: int, weights: NDArray[np.float64], oldest: Callable[[int], int]) -> NDArray[np.float64]:
+        found = [1.0]
         for k in range(slots):
             weights = np.where(ages > oldest(k), weights if k == 0 else weights @ matrix, 0.0)
             found.append(float(weights.sum()))
         return np.array(found)
 
-    before, behind = lacks(most, lambda k: d_max), lacks(most, lambda k: min(k, d_max))
-    exactly, left = before[:-1] - before[1:], [np.arange(most - (end - first), 0, -1) for first, end in cuts]
-    return min(1.0, sum(float(exactly[: len(each)] @ behind[each] + before[len(each)]) for each in left))
+    before = lacks(most, usual, lambda k: d_max)
+    behind = lacks(youngest + most + d_max, law.initial_law(), lambda k: min(k, d_max))[youngest:]
+    for first, end in as_one(no_commands(experiment, youngest, youngest)):
+        left = most - (end - first)
+        chance += float(usual[in_use] @ behind[np.maximum(left + d_max - ages[in_use], 0)]) + float(before[max(left, 1)])
+        chance += float((before[1:left] - before[2 : left + 1]) @ behind[left - 1 : 0 : -1]) if left > 1 else 0.0
+    return min(1.0, chance)
