@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import LoopModel
+from design.controllers import LoopModel, OutputFeedback
 from design.verdict import State, Verdict
 from hil.certify.bounded_departures import departure_check
 from hil.certify.certifier import CertificationProblem, Check
@@ -78,6 +78,18 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
             return replace(verdict, state=state, reason=str(said), details={**verdict.details, "stable": False})
         assumptions += said if state is None else ()
     return verdict if verdict.state == "undecided" else replace(verdict, assumptions=(*verdict.assumptions, *assumptions))
+
+
+def without_loop(plant: Plant, model: LoopModel, digest: str = "") -> CertificationProblem:
+    """Return what the comparison of a plant with its model needs, where no loop runs.
+
+    Args:
+        plant: what is compared.
+        model: its model at a period.
+        digest: of what a verdict is on; by default none.
+    """
+    none = OutputFeedback(A=(), B=(), C=(), D=())
+    return CertificationProblem(plant=plant, controller=none, model=model, sc=None, ca=None, digest=digest)
 
 
 def energy_check(loop: CertificationProblem) -> Check:

@@ -8,7 +8,7 @@ import shlex
 import sys
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from hil.cli.new_external import ExternalController
 
 GROUPS = ("plants", "controllers", "laws", "links", "measures")
+PERIOD_S = 0.01
+"""Period at which a plant is checked, s."""
 PARTS = ("plant", "controller", "law", "measure", "experiment")
 
 
@@ -193,7 +195,7 @@ def _earned(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> li
     if group == "plants":
         from plants import check_plant
 
-        return check_plant(made)
+        return check_plant(made, period_s=PERIOD_S) + _compared(made)
     from hil.plugins.checks import check_controller, check_law
     from hil.plugins.user_plugins import Designer
 
@@ -205,6 +207,32 @@ def _earned(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> li
     from hil.experiment import load_experiment
 
     return check_controller(made, compose(load_experiment(experiment), certify=False).model)
+
+
+def _compared(plant: Any) -> list[str]:
+    """Return what the comparison of a plant with its model finds, as before a run; none where it says that it has more.
+
+    Raises:
+        PlantError: the plant does not move as it says.
+    """
+    import numpy as np
+
+    from design.controllers import LoopModel
+    from hil.certify.conformance import plant_check, without_loop
+    from plants.errors import PlantError
+    from plants.parts.protocols import BeyondModel, HasDepartures
+
+    if (isinstance(plant, BeyondModel) and plant.beyond_model()) or (isinstance(plant, HasDepartures) and plant.departures()):
+        return []
+    try:
+        known = plant.model().discretise(PERIOD_S)
+    except PlantError as error:
+        return [f"a run compares it with its model at its own period ({error})"]
+    A, B, C = (np.asarray(matrix) for matrix in (known.A, known.B, known.C))
+    state, found = plant_check(without_loop(plant, LoopModel(A=A, B=B, C=C, period_s=PERIOD_S, tau_max=0, d_max=0)))
+    if state == "refused":
+        raise PlantError(str(found))
+    return list(found) if state is None else [f"its loops are undecided: {found}"]
 
 
 def _earned_by_measure(kind: str, experiment: str) -> list[str]:

@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from design.controllers import LinearLaw, LoopModel, OutputFeedback
+from design.controllers import LinearLaw, LoopModel
 from design.errors import Infeasible
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import solve_tracking
 from design.tracking.problem import TrackingProblem
 from design.verdict import Verdict, digest
-from hil.certify.certifier import CertificationProblem, limited_to_model
-from hil.certify.conformance import plant_check, tested
+from hil.certify.certifier import limited_to_model
+from hil.certify.conformance import plant_check, tested, without_loop
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.errors import HilError, nearest
 from hil.plugins.user_modules import is_ours
@@ -151,11 +151,7 @@ def on_plant(target: TrackingTarget, verdict: Verdict) -> Verdict:
     verdict = limited_to_model(target.of, verdict)
     if is_ours(target.of):
         return verdict
-    unasked = OutputFeedback(A=(), B=(), C=(), D=())
-    loop = CertificationProblem(
-        plant=target.of, controller=unasked, model=model_at(target), sc=target.sc, ca=target.ca, digest=verdict.digest
-    )
-    return tested(loop, verdict, (("plant", plant_check),))
+    return tested(without_loop(target.of, model_at(target), verdict.digest), verdict, (("plant", plant_check),))
 
 
 def motion_at(target: TrackingTarget) -> LoopModel:

@@ -125,3 +125,29 @@ def test_what_a_link_plug_in_opens_that_is_none_is_said_before_anything_starts(s
         done = hil_command(*words, cwd=site, env=beside(site))
         assert done.returncode == 2 and fault in done.stderr and "Traceback" not in done.stderr, done.stderr
         assert not (site / "runs").exists()
+
+
+OTHERWISE = """
+from dataclasses import dataclass
+from plants import LinearRun, Signal, StateSpace
+
+@dataclass(frozen=True)
+class Cart:
+    damping: float = 1.0
+    inputs = (Signal("force", "N"),)
+    outputs = states = (Signal("speed", "m/s"),)
+
+    def model(self):
+        return StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
+
+    def start(self, rng):
+        return LinearRun(StateSpace(A=[[-self.damping]], B=[[1.0]], C=[[1.0]]), (0.0,))
+"""
+
+
+def test_a_plant_that_moves_otherwise_than_its_model_is_refused_before_any_run(cli: Hil) -> None:
+    Path("carts.py").write_text(OTHERWISE)
+    status, out, _ = cli("check", "plants", "carts:Cart")
+    assert status == 0 and "the plant moves as its model says: compared over 200 slots" in " ".join(out.split())
+    status, out, err = cli("check", "plants", "carts:Cart", "--parameter", "damping=1.1")
+    assert status == 2 and not out and err.startswith("hil: check_plant: carts:Cart: your plant does not move as its")
