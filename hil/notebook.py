@@ -173,9 +173,6 @@ def _cell(side: str, value: Cell) -> str:
     return f'<td style="{side}{";white-space:nowrap" if len(text) <= WHOLE else ""}">{text}</td>'
 
 
-
-
-
 PAPER_STYLE: Any = {
     "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "legend.frameon": False, "xtick.labelsize": 7,
     "ytick.labelsize": 7, "lines.linewidth": 1.0, "axes.linewidth": 0.6,

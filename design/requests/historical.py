@@ -142,9 +142,6 @@ class HistoricalDesigned:
         return historical_of(K, "last-packets")
 
 
-
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedHistorical:
     """The printed gains of Section 5.4, as an experiment can name them; of the plant they say nothing.

@@ -113,9 +113,6 @@ def _run_again_in_part(
     return (f"behind the first {compared} slots in which noise or a load moves the plant it keeps to its model: {seen} compared",)
 
 
-
-
-
 def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) -> Watched | None:
     """Return what the run of a loop is compared with: what its certificate rests on, and the plant of an external controller.
 

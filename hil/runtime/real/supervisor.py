@@ -36,6 +36,7 @@ from hil.runtime.real.machine import go_ahead_of_others, leave_to_loop
 from transport.links.private_directory import bus_directory, clear_dead_channels
 
 EVERY_NS: Final = 1_000_000_000
+LONGEST_REPORT: Final = 1 << 16
 
 
 class FreeMemory:
@@ -240,9 +241,6 @@ def _goes_on(rig: Child, processes: Processes, heartbeat: HeartbeatTimeout, outc
     return outcome.controller_lost is None or bool(records)  # a controller that ended before slot 0 never answered
 
 
-
-
-
 def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     """Return the function that starts a process, and the one that pickles its loop.
 
@@ -259,6 +257,6 @@ def _read_report(file: IO[bytes]) -> ControllerReport:
     """Return the report of a controller process; an empty one if it was killed before it wrote it."""
     file.seek(0)
     try:
-        return decode(file.read(), type=ControllerReport)
+        return decode(file.read(LONGEST_REPORT), type=ControllerReport)
     except DecodeError:  # killed, or stopped and then killed
         return ControllerReport()
