@@ -17,7 +17,7 @@ from hil.cli.terminal import Line, answer, console, json_option, print_folded, p
 from hil.errors import HilError, nearest
 
 ORDER = (
-    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "who-commands", "real-time",
+    "quick-start", "experiments", "first-plugin", "own-plant-law-controller", "wire-format", "authentication", "real-time",
     "live", "vcan", "ci", "performance", "figures", "faults", "logs-and-reports", "designs-and-certificates", "haptic-walls",
     "several-sensors", "can-bus", "identification", "networks", "reproducing-the-thesis", "errata", "glossary", "architecture",
     "decisions",

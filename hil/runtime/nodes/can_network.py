@@ -67,7 +67,7 @@ class CanNetwork:
         self._errors.plan(faults)
         self._slots.plan(faults)
 
-    def uplink(self, channels: Sequence[Impairment]) -> TimedBusWay:
+    def to_controller(self, channels: Sequence[Impairment]) -> TimedBusWay:
         """Return the medium of the sensor nodes on the bus.
 
         Args:
@@ -76,7 +76,7 @@ class CanNetwork:
         frames = [partial(value_frames, packet.first, fd=self._fd) for packet in self._own[: len(channels)]]
         return TimedBusWay(self._slots, channels, frames)
 
-    def downlink(self, channel: Impairment) -> Impairment:
+    def to_actuator(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator: over the bus, or past it.
 
         Args:

@@ -73,7 +73,7 @@ def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: C
         if shared.table.kind == "can":
             assert bus is not None
             own = sorted(shared.nodes)
-            parts.append((own, bus.uplink([channels[i] for i in own])))
+            parts.append((own, bus.to_controller([channels[i] for i in own])))
         elif shared.table.kind == "can-arbitration":
             own = sorted(shared.nodes, key=lambda node: loop.rig.sensors[node].can_id)  # a lower identifier wins
             rng = rng_for(seed, f"medium.{shared.name}")
@@ -132,11 +132,11 @@ class FaultInjector:
             path.plan(intervals)
         self._actuator.plan(loop.rig.fault_schedule.actuator)
 
-    def uplink(self, medium: Medium) -> Medium:
+    def to_controller(self, medium: Medium) -> Medium:
         """Return the way to the controller, with its faults."""
         return FaultedMedium(medium, self._nodes) if self.there else medium
 
-    def downlink(self, channel: Impairment) -> Impairment:
+    def to_actuator(self, channel: Impairment) -> Impairment:
         """Return the way to the actuator, with its faults."""
         return OneWay(FaultedMedium(IndependentChannels([channel]), [self._actuator])) if self.there else channel
 

@@ -86,8 +86,8 @@ class Rig:
             back = ChangingMedium(IndependentChannels([channel]), 1, loop.model.d_max + 1)
             self._network = ChangingMedium(medium, len(self._sensors), loop.model.tau_max + 1), back
             medium, channel = self._network[0], OneWay(back)
-        self._uplink = faults.uplink(medium)
-        self._downlink = faults.downlink(channel if bus is None else bus.downlink(channel))
+        self._to_controller = faults.to_controller(medium)
+        self._to_actuator = faults.to_actuator(channel if bus is None else bus.to_actuator(channel))
         limits = [(names.index(name), e.plant.states[names.index(name)], bound) for name, bound in e.limits.state.items()]
         safety = Safety(e.limits.input, limits, e.limits.watchdog_slots, e.period_ns, e.plant.inputs)
         self._port = loop.rig.port.output if loop.rig.port is not None and e.limits.passivity is not None else None
@@ -179,10 +179,10 @@ class Rig:
         self._r = self._reference.at(k)
         nonce = self._nonce(k) if self._nonce is not None else 0
         for i, node in enumerate(self._sensors):
-            sample = node.measure(k, y, self._uplink.may_send(i, k))
+            sample = node.measure(k, y, self._to_controller.may_send(i, k))
             if sample is not None:
-                self._uplink.offer(i, k, sample)
-        self._sent = self._uplink.collect(k)
+                self._to_controller.offer(i, k, sample)
+        self._sent = self._to_controller.collect(k)
         mangled: list[bytes] = []
         if self._faults is not None:
             mangled = [self._faults.flip(self._frame(k, nonce, MORE, *arrived)) for arrived in self._faults.mangled()]
@@ -249,8 +249,8 @@ class Rig:
         k = self.k
         packet = self.answers.close()
         if packet is not None and self.answers.usable(packet):
-            self._downlink.offer(k, packet)
-        draws, arrivals = self._downlink.collect(k)
+            self._to_actuator.offer(k, packet)
+        draws, arrivals = self._to_actuator.collect(k)
         for i, law in self._laws:
             law.take(draws if i == len(self._sensors) else self._sent[i][0])
         applied = self.actuator.apply(k, arrivals, t_ns if self._woken is None else self._woken(t_ns))

@@ -37,19 +37,19 @@ def busy(first_ns: int, until_ns: int, identifier: int = 0x10) -> list[Due]:
     return [Due(at, 3, frame) for at in range(first_ns, until_ns, length)]
 
 
-def uplink(bus: BusInSlots) -> TimedBusWay:
+def to_controller(bus: BusInSlots) -> TimedBusWay:
     return TimedBusWay(bus, [channel()], [lambda packet: value_frames(0x100, packet, fd=False)])  # type: ignore[arg-type]
 
 
 def test_a_packet_counts_in_its_slot_if_its_last_frame_is_complete_by_the_deadline() -> None:
-    way = uplink(bus_of([]))
+    way = to_controller(bus_of([]))
     way.offer(0, 0, (1.0, 2.0, 3.0))  # two frames
     draws, arrivals = way.collect(0)[0]
     assert arrivals == [(0, (1.0, 2.0, 3.0))] and [draw.reason for draw in draws] == [DELIVERED]
 
 
 def test_a_packet_that_waits_for_others_arrives_in_a_later_slot_under_the_slot_of_its_sample() -> None:
-    way = uplink(bus_of(busy(0, 15_000_000)))
+    way = to_controller(bus_of(busy(0, 15_000_000)))
     way.offer(0, 0, (1.0,))
     assert way.collect(0)[0][1] == []
     assert way.collect(1)[0][1] == []  # the deadline of slot 1 is 14 ms
@@ -58,7 +58,7 @@ def test_a_packet_that_waits_for_others_arrives_in_a_later_slot_under_the_slot_o
 
 def test_a_newer_packet_takes_the_place_of_one_that_waits_and_not_of_one_that_is_being_sent() -> None:
     seen: list[Transmission] = []
-    way = uplink(bus_of([*busy(0, 9_000_000), Due(9_000_000, 3, CanFrame(identifier=0x11))], seen=seen))
+    way = to_controller(bus_of([*busy(0, 9_000_000), Due(9_000_000, 3, CanFrame(identifier=0x11))], seen=seen))
     way.offer(0, 0, (1.0,))
     way.collect(0)
     way.offer(0, 1, (2.0,))  # packet 0 is on the bus
@@ -66,7 +66,7 @@ def test_a_newer_packet_takes_the_place_of_one_that_waits_and_not_of_one_that_is
     first = next(each for each in seen if each.waiting.frame.identifier == 0x100)
     assert RATES.ns(first.start) < T < RATES.ns(first.end)
     assert arrivals == [(1, (2.0,))] and (SUPERSEDED, 0) in [(draw.reason, draw.packet_slot) for draw in draws]
-    way = uplink(bus_of(busy(0, 12_000_000)))
+    way = to_controller(bus_of(busy(0, 12_000_000)))
     way.offer(0, 0, (1.0,))
     way.collect(0)
     way.offer(0, 1, (2.0,))
@@ -76,7 +76,7 @@ def test_a_newer_packet_takes_the_place_of_one_that_waits_and_not_of_one_that_is
 
 def test_a_fifo_sends_every_packet_though_newer_ones_wait() -> None:
     seen: list[Transmission] = []
-    way = uplink(bus_of(busy(0, 20_000_000), overwrite=False, seen=seen))
+    way = to_controller(bus_of(busy(0, 20_000_000), overwrite=False, seen=seen))
     for k in range(3):
         way.offer(0, k, (float(k),))
         way.collect(k)
@@ -86,7 +86,7 @@ def test_a_fifo_sends_every_packet_though_newer_ones_wait() -> None:
 
 def test_both_directions_are_on_one_bus_and_delay_each_other() -> None:
     bus = bus_of([])
-    up = uplink(bus)
+    up = to_controller(bus)
     way = TimedBusWay(bus, [channel()], [lambda packet: value_frames(0x140, [0.0] * 150, fd=False)], first=1, back=True)
     down = OneWay(way)
     up.offer(0, 0, (1.0,))
