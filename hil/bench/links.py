@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, cast
@@ -244,11 +244,13 @@ def _has_threads(template: str) -> bool:
 
 
 def free_port() -> int:
-    """Return a free port of this machine."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
+    """Return a port of this machine that is free over TCP and over UDP."""
+    while True:
+        with socket.socket() as over_tcp, socket.socket(type=socket.SOCK_DGRAM) as over_udp:
+            over_tcp.bind(("127.0.0.1", 0))
+            with suppress(OSError):
+                over_udp.bind(over_tcp.getsockname())
+                return int(over_tcp.getsockname()[1])
 
 
 # What follows runs in the processes of a pair.

@@ -12,7 +12,6 @@ from hil.experiment.rig_tables import BIT_ERRORS
 from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
 from hil.rig.spec import RigSpec
-from transport.dbc import LONGEST_NAME, BusNode, dbc_text
 from transport.links import TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
 from transport.links.opening import is_foreign
@@ -151,6 +150,8 @@ def rig_dbc(rig: RigSpec, link: str | None = None) -> str:
     Raises:
         ExperimentError: two nodes with one CAN identifier, or one of more than 11 bits.
     """
+    from transport.dbc import LONGEST_NAME, BusNode, dbc_text  # no run needs it: a hundredth of its start
+
     on = link_of(rig, link)
     own, framing, sensors = on.identifiers, on.traits.can or CanFraming(), rig.sensors
     if own is None:
