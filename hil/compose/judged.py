@@ -68,7 +68,9 @@ def judge(
     Raises:
         ExperimentError: the loop has no certificate, and ``allow_uncertified`` is not set.
     """
-    problem = replace(_problem(experiment, rig, chains, controller, model, selection, in_phase), taken_over=taken_over)
+    behind = chance_behind_cuts(chains, experiment, model.d_max)
+    problem = _problem(experiment, rig, chains, controller, model, selection, in_phase, behind)
+    problem = replace(problem, taken_over=taken_over)
     verdict = certify(problem)
     watched = _watched(problem, verdict, external)
     if watched is not None and watched.claimed:
@@ -83,7 +85,6 @@ def judge(
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
             assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
-        behind = chance_behind_cuts(chains, experiment, model.d_max)
         if behind > STOPPED:
             said = f"by its faults the watchdog stops about {float(f'{100.0 * behind:.2g}'):g} % of the runs"
             assumed += (f"{said}, of which nothing is claimed",)
@@ -130,9 +131,10 @@ def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) ->
 
 
 def _problem(
-    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, in_phase: bool
-) -> CertificationProblem:
-    """Return the loop of the controller that is named, as it is judged."""
+    e: Experiment, rig: RigSpec, chains: Chains, controller: Controller, model: LoopModel, selection: str, in_phase: bool,
+    behind: float,
+) -> CertificationProblem:  # fmt: skip
+    """Return the loop of the controller that is named, as it is judged; `behind`: see `chance_behind_cuts`."""
     found = loop_chains(rig, chains, controller, model)
     sc, ca, chainless, unmet = found.sc, found.ca, found.chainless, found.unmet
     repeat = sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None)
@@ -153,7 +155,7 @@ def _problem(
     return CertificationProblem(
         plant=e.plant, port=rig.port, controller=controller, model=model, sc=sc, ca=ca,
         digest=digest_of(e, controller, model),
-        damped=rig.passivity, whole=_whole(e, rig, chains, ca, model.d_max),
+        damped=rig.passivity, whole=_whole(e, rig, ca, model.d_max, behind),
         faults=sum(fault.slots(float(e.period))[0] < e.slots for fault in e.fault),
         input_limits=e.limits.input, state_limits=e.limits.state, selection=selection,
         slack=found.slack, shares=found.shares, unmet=unmet,
@@ -164,10 +166,10 @@ def _problem(
     )  # fmt: skip
 
 
-def _whole(e: Experiment, rig: RigSpec, chains: Chains, ca: DelayChain | None, d_max: int) -> float | str:
+def _whole(e: Experiment, rig: RigSpec, ca: DelayChain | None, d_max: int, behind: float) -> float | str:
     """Return from when on the faults have no more effect, or why that is unknown, see `whole_again`."""
     whole = whole_again(e, rig, _ages(ca, d_max))
-    if isinstance(whole, float) and chance_behind_cuts(chains, e, d_max) > 1.0 - STOPPED:
+    if isinstance(whole, float) and behind > 1.0 - STOPPED:
         return "by it network.ca brings no command for so long that the watchdog trips in nearly every run"
     return whole
 

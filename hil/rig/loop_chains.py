@@ -298,7 +298,7 @@ def chance_behind_cuts(chains: Chains, experiment: Experiment, d_max: int) -> fl
         d_max: largest delay that a packet has a row for.
     """
     law, most = chains.applied.ages, experiment.limits.watchdog_slots
-    if not isinstance(law, AgeChain):
+    if not no_commands(experiment) or not isinstance(law, AgeChain):
         return 0.0
     ages, matrix, chance = np.array(law.mode_ages), law.transition_matrix(), 0.0
     usual = law.initial_law() @ np.linalg.matrix_power(matrix, MIXED)
