@@ -137,6 +137,8 @@ class Interrupted(list[int]):
         yield from super().__iter__()
 
 
+# A thread of joblib's may still hand out the work that was given up.
+@pytest.mark.filterwarnings("ignore:Exception in thread ExecutorManagerThread:pytest.PytestUnhandledThreadExceptionWarning")
 def test_an_interrupt_while_workers_are_started_is_not_lost() -> None:
     with pytest.raises(KeyboardInterrupt):
         list(spread(abs, Interrupted(range(8)), Workers(backend="loky", jobs=2)))

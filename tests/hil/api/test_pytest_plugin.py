@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hil import session
 from hil.api.pytest_plugin import Runner, folder_of, has_vcan
 from hil.errors import HilError
 from hil.experiment import shipped
@@ -21,9 +22,11 @@ OUR_GATES = (Path(__file__).parents[2] / "conftest.py").read_text()
 
 
 @pytest.fixture(autouse=True)
-def without_hypothesis(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its plug-in imports all of it at the end of each pytest that a test starts: a third of its start."""
+def as_on_a_desk(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Outside CI, where pytest cuts its summary lines, and without hypothesis, a third of the start of a pytest."""
     monkeypatch.setenv("PYTEST_ADDOPTS", "-p no:hypothesispytest")
+    for name in ("CI", "BUILD_NUMBER"):
+        monkeypatch.delenv(name, raising=False)
 
 
 WARM = ("-W", "ignore::pytest.PytestAssertRewriteWarning")
@@ -271,9 +274,6 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
 
 
 def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from hil import session
-    from hil.api.pytest_plugin import Runner
-
     kept = session.run_session
 
     def late(*given: object, **options: object) -> object:

@@ -48,9 +48,11 @@ def test_a_caller_of_the_command_line_keeps_its_garbage_collection(cli: Hil, loo
     """A program looks for it as it did; `hil` begins without, and the modules of any command are set aside."""
     if not looked_for:
         gc.disable()
+    known = [[] for _ in range(10_000)]
     frozen = gc.get_freeze_count()
     assert cli("list")[0] == 0 and gc.isenabled()
-    assert (gc.get_freeze_count() == frozen) is looked_for
+    # What was set aside before and is let go meanwhile makes a few less.
+    assert (gc.get_freeze_count() < frozen + len(known)) is looked_for
 
 
 COMPARED = """
