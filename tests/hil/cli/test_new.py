@@ -98,9 +98,12 @@ def test_the_rig_beside_a_program_has_the_frames_that_the_program_has(cli: Hil, 
     assert f"hil rig 'my loop.toml' --link '{at}?" in "".join(path.read_text() for path in Path("more").glob("drive.*"))
 
 
-def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(cli: Hil) -> None:
+def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are_the_same(
+    cli: Hil, monkeypatch: pytest.MonkeyPatch
+) -> None:
     words = ("--language", "c", "--for", "dc-motor-h2")
     assert cli("new", "controller", "one", *words)[0] == 0
+    monkeypatch.setattr("time.ctime", lambda: "a second later")  # cantools dates its files
     status, out, err = cli("new", "controller", "two", *words)
     assert (status, err) == (0, "") and "wrote two.c" in out and "packet_codes.h" not in out
     Path("packet_codes.h").write_text("of other packets")
