@@ -15,16 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
+from design.monte_carlo import JUMPS, uniforms
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.parallel_runs import JUMPS, uniforms
 from design.monte_carlo.studies import settling_times
 from design.processes.elementary import log
 from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.rates import WeibullRate, clip_rate
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop import JumpSystem
 from hil.compose.loop import compose
 from hil.experiment import load_experiment, shipped
 from hil.log.run import records_sha256

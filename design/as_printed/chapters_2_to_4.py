@@ -36,12 +36,12 @@ from design.lmi.decision import attenuation, decide
 from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.fault_tolerant import inverse_block
 from design.semi_markov_loop.fault_tolerant_analysis import check_loop
 from design.semi_markov_loop.robust_feedback import feedback_program, tabulate
 from design.semi_markov_loop.stability import CONDITION, checked_gain, stability_certificate
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 Reading = Literal["literal", "consistent"]
 LARGEST = 1e6

@@ -21,11 +21,11 @@ import numpy.typing as npt
 from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.errors import FieldError
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
 from design.lmi.decision import decide
 from design.lmi.program import LmiProgram, symmetric_blocks
+from design.passivity import HeldDevice
 from design.passivity.condition import is_passive_over
-from design.passivity.loop import HeldDevice
 from design.passivity.transparency import distortion, low_pass
 
 Array = npt.NDArray[np.float64]

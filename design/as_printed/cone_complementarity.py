@@ -25,8 +25,8 @@ from design.jump_linear.bounded_real import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
 from design.lmi import solver
 from design.processes.delay_chain import Array
+from design.tracking import TrackingProblem
 from design.tracking.loop_objective import LoopObjective, check_plant, stabilising
-from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, Progress, certified
 
 STEP = 0.02  # the level asked for lies this share below the last norm that was reached

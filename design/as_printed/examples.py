@@ -13,7 +13,7 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.rates import PiecewiseLinearRate, clip_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop.system import DelayedJumpSystem, FloatArray, JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop import DelayedJumpSystem, FloatArray, JumpSystem, NormBounded, VertexUncertainty
 
 CHAPTER2_BOUNDARY_S = 0.8326
 """Printed section boundary below (2.26): the median of the hazard 2h, not of the printed hazard h."""

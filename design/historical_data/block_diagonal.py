@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from design.errors import Infeasible
-from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop
+from design.historical_data import Array, DelayedPlant, LiftedLoop
 from design.historical_data.sensor_schedule import Mask
 from design.lmi import solver
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from design.controllers.sensor_nodes import SensorNodes
 from design.errors import Infeasible, NotStable
-from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, cycle
+from design.historical_data import Array, DelayedPlant, LiftedLoop, cycle
 from design.historical_data.sensor_schedule import undecided_because
 
 RARE: Final = 1e-5

@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import NotStable
-from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close, cycle, with_held
+from design.historical_data import Array, DelayedPlant, LiftedLoop, close, cycle, with_held
 from design.verdict import Verdict
 
 Renewed = npt.NDArray[np.bool_] | None
@@ -91,7 +91,7 @@ def certify_cost(
         history: x(0), x(-1), ... of the run, (h, n): the cost is then from there, whatever the start's moment; default zero.
         deviation: standard deviation of the noise on every state, (n,); default none. The cost is without it, and its own
             long-run cost per slot is beside.
-        renewed: (phases, n), as of `design.historical_data.lifted_loop.close`; the gains then have a column more.
+        renewed: (phases, n), as of `design.historical_data.close`; the gains then have a column more.
     """
     loop = close(plant, gains, transition, renewed=renewed)
     past, noisy = history is not None and bool(np.any(history[1:])), deviation is not None and bool(np.any(deviation))
@@ -137,7 +137,7 @@ def close_received(plant: DelayedPlant, gains: Array, transition: Array | None =
         plant: the plant and its weights.
         gains: (phases, memory + 1, p, n).
         transition: chain of the phases; default the cycle.
-        renewed: (phases, n), as of `design.historical_data.lifted_loop.close`.
+        renewed: (phases, n), as of `design.historical_data.close`.
     """
     phases, columns, p, n = gains.shape
     K = gains.transpose(0, 2, 1, 3).reshape(phases, p, columns * n)
@@ -171,7 +171,7 @@ def cost_from(
         history: x(0), x(-1), ..., at most as many as the plant has delayed states and one, (h, n).
         phases: probability of each phase in slot 0.
         transition: chain of the phases; default the cycle.
-        renewed: (phases, n), as of `design.historical_data.lifted_loop.close`.
+        renewed: (phases, n), as of `design.historical_data.close`.
 
     Raises:
         NotStable: J is infinite.
@@ -201,7 +201,7 @@ def stationary_cost(
         deviation: standard deviation of the noise, one number or one for each state, in its unit; independent over slots.
         transition: chain of the phases; default the cycle.
         phases: probability of each phase in slot 0, for a chain that does not forget it; default uniform.
-        renewed: (phases, n), as of `design.historical_data.lifted_loop.close`.
+        renewed: (phases, n), as of `design.historical_data.close`.
 
     Raises:
         NotStable: the covariance grows without end.

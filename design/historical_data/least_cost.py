@@ -19,8 +19,8 @@ from msgspec import structs
 
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.errors import FieldError, Infeasible, NotStable
+from design.historical_data import Array, DelayedPlant, LiftedLoop, close
 from design.historical_data.guaranteed_cost import Start, cost, start_at
-from design.historical_data.lifted_loop import Array, DelayedPlant, LiftedLoop, close
 from design.historical_data.sensor_schedule import Mask, mask_of
 
 EASIER = 0.97  # the matrices of a loop that is not stable yet are scaled until they are, and this much less with every round

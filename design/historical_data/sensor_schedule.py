@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from design.controllers.sensor_nodes import SensorNodes, Turns, Uses
 from design.errors import FieldError
-from design.historical_data.lifted_loop import cycle
+from design.historical_data import cycle
 
 Mask = npt.NDArray[np.bool_]
 Array = npt.NDArray[np.float64]

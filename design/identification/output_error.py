@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from scipy.stats import t as student
 
 from design.errors import DesignError
-from design.identification.axis import Array, Record, covariance, dry_friction, sensitivities
+from design.identification import Array, Record, covariance, dry_friction, sensitivities
 
 
 def plain_least_squares(records: Sequence[Record]) -> tuple[float, float] | None:

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from design.errors import NotStable
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
 from design.jump_linear.second_moment import DENSE_LIMIT, Array, Bordered, Resolvent, expect, to_matrix, to_vector
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from msgspec import Struct
 from msgspec.structs import asdict
 
-from design.jump_linear.mjls import MJLS, STABILITY_MARGIN
+from design.jump_linear import MJLS, STABILITY_MARGIN
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
 from design.jump_linear.stability_proof import BUDGET, OPEN, side_of_one
 from design.verdict import State

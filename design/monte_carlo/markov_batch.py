@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError
-from design.jump_linear.mjls import MJLS
-from design.monte_carlo.parallel_runs import CHAIN, NOISE, ONE_CORE, DrawTable, FloatArray, Workers, in_chunks, inside_chunk
+from design.jump_linear import MJLS
+from design.monte_carlo import CHAIN, NOISE, ONE_CORE, DrawTable, FloatArray, Workers, in_chunks, inside_chunk
 from design.processes.elementary import normal_quantile, product
 
 IntArray = npt.NDArray[np.intp]

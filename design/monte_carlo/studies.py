@@ -2,8 +2,8 @@
 
     settling_times   T_s of (2.28) per run       mean_states   E x(t), E x(t)x(t)' on a grid       trajectories   for plots
 
-Every run has its own streams of random numbers (``design.monte_carlo.parallel_runs``), and the runs are computed in chunks that
-are always cut at the same places (``design.monte_carlo.parallel_runs``), so the numbers do not depend on how the work is split.
+Every run has its own streams of random numbers, and the runs are computed in chunks that are always cut at the same places (see
+`design.monte_carlo`), so the numbers do not depend on how the work is split.
 
 References: thesis Section 2.5 and (2.28); ERRATA 5 and 8.
 """
@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, check_above_zero
+from design.monte_carlo import ONE_CORE, Workers, in_chunks, inside_chunk
 from design.monte_carlo.jump_loop import JumpLoop, MatrixFlow, Segments, segments
-from design.monte_carlo.parallel_runs import ONE_CORE, Workers, in_chunks, inside_chunk
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.intp]

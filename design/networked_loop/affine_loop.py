@@ -18,8 +18,8 @@ from msgspec import Struct
 
 from design.controllers import row_count
 from design.errors import FieldError
-from design.jump_linear.mjls import MJLS
-from design.networked_loop.loop_parts import (
+from design.jump_linear import MJLS
+from design.networked_loop import (
     check_gains,
     default_initial,
     initial_law,

@@ -45,7 +45,7 @@ def certify_loop(
         Q, R: weights of z; defaults C and the row 0.01 .. 0.01.
         output, samples, integral: as in `design.networked_loop.closed_loop.loop_structure`.
         initial: distribution of the mode at the impulse; default: uniform over plain chains, else stationary, see
-            `design.networked_loop.loop_parts`.
+            `design.networked_loop`.
         hinf: compute the H-infinity norm too (some 10 ms more).
 
     Returns:

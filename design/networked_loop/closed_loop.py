@@ -36,8 +36,8 @@ from msgspec.structs import replace
 
 from design.controllers import LinearLaw, RowsLaw, Selection
 from design.errors import FieldError
+from design.networked_loop import check_plant_shapes
 from design.networked_loop.affine_loop import LoopStructure, wired
-from design.networked_loop.loop_parts import check_plant_shapes
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 SELECTIONS: tuple[str, ...] = get_args(Selection)

@@ -24,8 +24,8 @@ import numpy.typing as npt
 from design.jump_linear.second_moment import cost_once
 from design.lmi.program import Array as AnyArray
 from design.lmi.program import LmiProgram, transpose
+from design.networked_loop import check_gains
 from design.networked_loop.affine_loop import LoopStructure
-from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import Array
 
 MOST_UNKNOWNS = 1500

@@ -28,9 +28,9 @@ import numpy.typing as npt
 from design.controllers import Selection
 from design.errors import FieldError
 from design.jump_linear.second_moment import congruence_matrices, to_matrix, to_vector
+from design.networked_loop import check_gains, check_held, steady_state
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
-from design.networked_loop.loop_parts import check_gains, check_held, steady_state
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 SPARSE = 0.05

@@ -22,11 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import FieldError, Infeasible
+from design.jump_linear import MJLS
 from design.jump_linear.bounded_real import hinf_norm, solve_bounded_real
-from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import expect
+from design.networked_loop import check_gains
 from design.networked_loop.affine_loop import LoopStructure
-from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import Array
 
 TOLERANCE = 1e-5

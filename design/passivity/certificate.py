@@ -34,8 +34,8 @@ import numpy as np
 
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material, Wall
+from design.passivity import HapticLoop, HeldDevice
 from design.passivity.condition import damping_needed, is_passive_over
-from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.synthesis import ceiling_n_per_m
 from design.passivity.transparency import felt_n_per_m
 from design.processes.delay_chain import DelayChain

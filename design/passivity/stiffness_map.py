@@ -16,8 +16,8 @@ import numpy as np
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material
 from design.errors import DesignError
+from design.passivity import HapticLoop, HeldDevice
 from design.passivity.condition import is_passive_over
-from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.synthesis import MARGIN, ceiling_n_per_m, stiffest_coupler, unit_m_per_n
 
 NO_COUPLER = Coupler(taps_m_per_n=(0.0,))

@@ -48,7 +48,7 @@ import numpy.typing as npt
 from design.controllers.rendered_wall import Coupler
 from design.controllers.wall import Material
 from design.errors import FieldError
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
 
 Array = npt.NDArray[np.float64]
 

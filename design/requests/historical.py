@@ -18,7 +18,7 @@ from design.requests.tracking import DesignTask
 from design.tracking.gain_cache import cached_history
 
 if TYPE_CHECKING:
-    from design.historical_data.lifted_loop import DelayedPlant
+    from design.historical_data import DelayedPlant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     from design.processes.partitions import Partition
     from design.processes.semi_markov import SemiMarkov
+    from design.semi_markov_loop import JumpSystem
     from design.semi_markov_loop.fault_tolerant_analysis import Siqc
-    from design.semi_markov_loop.system import JumpSystem
 
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -173,7 +173,7 @@ class RobustScheduled:
 
     def _solved(self, task: DesignTask) -> ScheduledGain:
         from design.processes.semi_markov import FaultDetection, SemiMarkov
-        from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+        from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 
         system, process = task.jump_system, task.jump_process
         if system is None or process is None:

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from design.controllers import LinearLaw
-    from design.historical_data.lifted_loop import DelayedPlant
+    from design.historical_data import DelayedPlant
     from design.processes.delay_chain import DelayChain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
-    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+    from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
+    from design.tracking import TrackingProblem
     from design.tracking.design_file import DesignFile
-    from design.tracking.problem import TrackingProblem
     from design.tracking.synthesis import Design, Progress
 
 
@@ -237,7 +237,7 @@ class Designed:
 
 def _rows(gains: NDArray[np.float64], ca: DelayChain, stays: int) -> NDArray[np.float64]:
     """Return the gains of a design with a row for every delay, and for how long it has lasted where they depend on that."""
-    from design.tracking.problem import with_every_row
+    from design.tracking import with_every_row
 
     return np.asarray(gains) if stays == 1 else with_every_row(np.asarray(gains), ca, stays)
 

@@ -157,7 +157,7 @@ def damping_of(task: DesignTask) -> float:
     Raises:
         FieldError: its damping cannot be said.
     """
-    from design.passivity.loop import continuous
+    from design.passivity import continuous
 
     model = task.model
     rates = continuous(model.A, model.B, model.period_s)
@@ -205,7 +205,7 @@ class DesignedFollowing:
         """
         import numpy as np
 
-        from design.passivity.loop import HeldDevice, continuous
+        from design.passivity import HeldDevice, continuous
         from design.passivity.model_following import follow_wall
 
         model, count = task.model, len(self.wall.materials)

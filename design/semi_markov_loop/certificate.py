@@ -20,7 +20,7 @@ from design.lmi.decision import Attenuation
 from design.lmi.exact import Lift, as_float
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.system import FloatArray, JumpSystem
+from design.semi_markov_loop import FloatArray, JumpSystem
 
 Method = Literal["exact", "pwl", "pwc", "printed"]
 Verdict = Literal["certified", "refused", "undecided"]

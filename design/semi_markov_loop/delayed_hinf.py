@@ -45,9 +45,9 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate, Method, attenuation_certificate
 from design.semi_markov_loop.sojourn_grid import Cell, along_cells, bounded_gains, cells, require_inverse
-from design.semi_markov_loop.system import DelayedJumpSystem
 
 ASSUMPTIONS = (
     "rates anywhere in their bounds on every section",

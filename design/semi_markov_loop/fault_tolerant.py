@@ -38,6 +38,7 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate, check_stabilisable
 from design.semi_markov_loop.fault_tolerant_analysis import (
     Siqc,
@@ -48,7 +49,6 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
 )
 from design.semi_markov_loop.period_moments import gain_mode
 from design.semi_markov_loop.sojourn_grid import bounded_gains, pair_cells, pair_corners
-from design.semi_markov_loop.system import JumpSystem
 
 Measured = tuple[str, ...]
 FAILING = (0.0, 0.25, 0.5, 0.75, 0.9, 1.0)

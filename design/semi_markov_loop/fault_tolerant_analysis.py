@@ -29,10 +29,10 @@ from design.lmi.exact import Lift, as_float
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection
+from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.period_moments import gain_mode, moment_operators
 from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
-from design.semi_markov_loop.system import FloatArray, JumpSystem
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -25,7 +25,7 @@ from scipy.linalg import expm
 
 from design.errors import FieldError
 from design.processes.semi_markov import FaultDetection
-from design.semi_markov_loop.system import FloatArray, JumpSystem, NormBounded, VertexUncertainty
+from design.semi_markov_loop import FloatArray, JumpSystem, NormBounded, VertexUncertainty
 
 
 class TooLarge(ValueError):

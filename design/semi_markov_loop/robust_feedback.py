@@ -40,10 +40,10 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.certificate import JumpCertificate, Method, check_stabilisable
 from design.semi_markov_loop.sojourn_grid import Cell, refine, require_inverse
 from design.semi_markov_loop.stability import analyse
-from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 CONDITION = 1e4
 """Largest condition number of X that is searched (X >= I, X <= CONDITION I)."""

@@ -34,13 +34,13 @@ from design.errors import FieldError, check_above_zero
 from design.lmi.program import LmiSolution
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_phase import delayed_decrease, uncertain_decrease
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded
 from design.verdict import State, Verdict
 
 TOLERANCE = 1e-6

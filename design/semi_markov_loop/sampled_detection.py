@@ -20,6 +20,7 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 from design.controllers.scheduled_gain import ScheduledGain
 from design.lmi.program import Array, LmiProgram, LmiSolution
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.period_moments import (
     Box,
     PeriodMoments,
@@ -33,7 +34,6 @@ from design.semi_markov_loop.period_moments import (
     svec_size,
 )
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, check_size, rates_by_age
-from design.semi_markov_loop.system import FloatArray, JumpSystem
 
 CONDITION = 1e5
 """Largest condition number of P that is searched."""

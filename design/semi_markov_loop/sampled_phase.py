@@ -60,9 +60,9 @@ import numpy as np
 
 from design.lmi.exact import as_float
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
+from design.semi_markov_loop import DelayedJumpSystem, FloatArray, NormBounded
 from design.semi_markov_loop.period_moments import TooLarge, factors, held_flow, svec_size
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, rates_by_age
-from design.semi_markov_loop.system import DelayedJumpSystem, FloatArray, NormBounded
 
 CONDITION = 1e4
 """Largest eigenvalue of P that is searched."""

@@ -28,6 +28,7 @@ from scipy.sparse.linalg import ArpackError, eigs
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.period_moments import (
     Box,
     TooLarge,
@@ -39,7 +40,6 @@ from design.semi_markov_loop.period_moments import (
     svec,
     svec_size,
 )
-from design.semi_markov_loop.system import FloatArray, JumpSystem
 from design.verdict import State, Verdict
 
 LARGEST = 2000

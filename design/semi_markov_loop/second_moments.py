@@ -27,9 +27,9 @@ import numpy as np
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import DesignError, FieldError
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.period_moments import congruence, moment_operators, svec_size
-from design.semi_markov_loop.system import FloatArray, JumpSystem
 
 ORDER = 12
 

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.period_moments import (
     Box,
     PeriodMoments,
@@ -33,7 +34,6 @@ from design.semi_markov_loop.period_moments import (
     period_moments,
     svec_size,
 )
-from design.semi_markov_loop.system import FloatArray, JumpSystem
 
 IntArray = npt.NDArray[np.intp]
 BINS = 64

@@ -34,10 +34,10 @@ from design.lmi.program import (
 )
 from design.processes.partitions import Partition
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.certificate import JumpCertificate, Method
 from design.semi_markov_loop.second_moments import exact_certificate
 from design.semi_markov_loop.sojourn_grid import Cell, along_cells, refine
-from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 CONDITION = 1e4
 """Largest condition number of the Lyapunov matrices that is searched (P >= I, P <= CONDITION I)."""

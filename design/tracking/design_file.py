@@ -19,7 +19,7 @@ from design.controllers import LoopModel
 from design.errors import FieldError
 from design.networked_loop.closed_loop import SELECTIONS
 from design.processes.delay_chain import Array, DelayChain
-from design.tracking.problem import TrackingProblem, row_sojourns_of, with_every_row
+from design.tracking import TrackingProblem, row_sojourns_of, with_every_row
 from design.tracking.synthesis import Design
 
 MAX_BYTES: Final = 20_000_000

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import DesignError, FieldError
+from design.tracking import TrackingProblem
 from design.tracking.design_file import read_json
-from design.tracking.problem import TrackingProblem
 from design.tracking.synthesis import Design, certified, solve
 
 G = TypeVar("G")

@@ -11,14 +11,14 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import NotStable
+from design.jump_linear import H2Derivative, H2Nearby, h2_derivative
 from design.jump_linear.bounded_real import Fold, locate_norm, many, refine_fold, solve_bounded_real
-from design.jump_linear.mjls import H2Derivative, H2Nearby, h2_derivative
 from design.jump_linear.second_moment import Resolvent, expect, mean_square_radius
 from design.jump_linear.stability_proof import StabilityProof, is_positive
 from design.networked_loop.affine_loop import LoopStructure
 from design.processes.delay_chain import Array
+from design.tracking import GainParametrisation
 from design.tracking.bfgs import Descent, bfgs
-from design.tracking.problem import GainParametrisation
 
 FLATTEST = 1e-8
 """Least curvature that a descent starts with, as a share of the largest."""

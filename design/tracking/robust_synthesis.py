@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.errors import DesignError
-from design.jump_linear.mjls import STABILITY_MARGIN
+from design.jump_linear import STABILITY_MARGIN
 from design.networked_loop.uncertainty import guaranteed_h2, robust_h2, uncertainty_margin
 from design.processes.delay_chain import Array
 from design.tracking.bfgs import Objective, bfgs

@@ -22,9 +22,9 @@ from design.errors import FieldError, Infeasible, NotStable
 from design.jump_linear.certificate import Certificate
 from design.networked_loop.certify import LowerBounds, certify_structure, lower_bounds
 from design.processes.delay_chain import Array
+from design.tracking import COARSER, DEFAULT_STARTS, TrackingProblem, embed
 from design.tracking.bfgs import Descent, bfgs
 from design.tracking.loop_objective import LoopObjective, check_plant, closed_classes, stabilising
-from design.tracking.problem import COARSER, DEFAULT_STARTS, TrackingProblem, embed
 
 __all__ = ["Design", "Progress", "TrackingProblem", "solve"]
 

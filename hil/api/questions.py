@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from design.jump_linear.certificate import Certificate
     from design.networked_loop.certify import LowerBounds
-    from design.tracking.problem import TrackingProblem
+    from design.tracking import TrackingProblem
     from design.tracking.synthesis import Design
 
 

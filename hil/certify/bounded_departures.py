@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from design.controllers import GainTable, LoopModel, integral_limit
 from design.errors import DesignError, NotStable
-from design.jump_linear.mjls import STABILITY_MARGIN
+from design.jump_linear import STABILITY_MARGIN
 from design.verdict import Verdict
 from hil.certify.certifier import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs

@@ -16,7 +16,7 @@ from hil.certify.certifier import CertificationProblem, limited_to_model, undeci
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
-    from design.historical_data.lifted_loop import DelayedPlant
+    from design.historical_data import DelayedPlant
 
 KIND: Kind = "guaranteed cost"
 
@@ -26,7 +26,7 @@ def delayed_plant_of(plant: Plant, model: LoopModel) -> DelayedPlant | None:
 
     A plant that states no cost is weighed by the unit matrix, its input by zero.
     """
-    from design.historical_data.lifted_loop import DelayedPlant
+    from design.historical_data import DelayedPlant
 
     n, m = model.B.shape
     if isinstance(plant, JumpPlant) or not np.array_equal(model.C, np.eye(n)):

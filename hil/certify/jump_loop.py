@@ -21,8 +21,8 @@ from plants.parts.protocols import JumpPlant
 if TYPE_CHECKING:
     from design.controllers.scheduled_gain import ScheduledGain
     from design.processes.semi_markov import FaultDetection, SemiMarkov
+    from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
     from design.semi_markov_loop.certificate import JumpCertificate
-    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
     from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates
 
 
@@ -35,7 +35,7 @@ def system_of(plant: JumpModel) -> JumpSystem | DelayedJumpSystem:
         ValueError: matrices that do not fit each other, a delay that grows as fast as time (3.2), or both a delay inside and
             uncertain matrices, for which there is no theory.
     """
-    from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, VertexUncertainty
+    from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, VertexUncertainty
 
     a, b = np.array(plant.A, dtype=float), np.array(plant.B, dtype=float)
     c = np.array(plant.C, dtype=float) if plant.C else None
@@ -151,8 +151,8 @@ def _with_constraint(
 ) -> Verdict:
     """Return the verdict with what the conditions of Chapter 4 say of a quadratic constraint (4.6)."""
     from design.processes.semi_markov import FaultDetection
+    from design.semi_markov_loop import DelayedJumpSystem
     from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant
-    from design.semi_markov_loop.system import DelayedJumpSystem
 
     try:
         if isinstance(system, DelayedJumpSystem) or not isinstance(process, FaultDetection):
@@ -174,7 +174,7 @@ def _with_seen_sensors(
     system: JumpSystem | DelayedJumpSystem, gain: ScheduledGain, *, hidden: bool
 ) -> tuple[JumpSystem | DelayedJumpSystem, ScheduledGain]:
     """Return K_i S_i in the place of the gains where the mode is seen: sample and mode are of the same instant."""
-    from design.semi_markov_loop.system import DelayedJumpSystem
+    from design.semi_markov_loop import DelayedJumpSystem
 
     if hidden or isinstance(system, DelayedJumpSystem) or system.sensors is None:
         return system, gain
@@ -193,7 +193,7 @@ def in_continuous_time(
         DesignError: no verdict could be computed.
     """
     from design.processes.semi_markov import FaultDetection
-    from design.semi_markov_loop.system import DelayedJumpSystem
+    from design.semi_markov_loop import DelayedJumpSystem
 
     if isinstance(process, FaultDetection):
         from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant

@@ -37,8 +37,8 @@ def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:
     if isinstance(found := _touched_by(loop), str):
         return undecided(loop, "passivity", found)
     port, its, back = found
+    from design.passivity import HeldDevice
     from design.passivity.certificate import certify_wall
-    from design.passivity.loop import HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     elements = tuple(loop.plant.passive_elements()) if isinstance(loop.plant, HasPassiveElements) else ()
@@ -99,7 +99,7 @@ def certify_model_following(loop: CertificationProblem) -> Verdict | None:
     port, *chains = found
     if any(len(set(chain.delay.tolist())) > 1 for chain in chains):
         return undecided(loop, "passivity", "no certificate covers model following with delays that change")
-    from design.passivity.loop import HeldDevice
+    from design.passivity import HeldDevice
     from design.passivity.model_following import contact_matrices
 
     running, met = controller.start(loop.model), list(controller.wall.met)

@@ -169,7 +169,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
     none: the intervals are then too narrow.
     """
     from design.errors import DesignError
-    from design.identification.axis import Record
+    from design.identification import Record
     from design.identification.output_error import identify_axis
     from hil.measure.identification_records import AXES, read_axis_record
 

@@ -71,7 +71,7 @@ def command(
     130 (SIGTERM: 143); with --resume the same command goes on from there. If --runs did not suffice for --until, the status is 1.
     """
 
-    from design.monte_carlo.parallel_runs import Workers
+    from design.monte_carlo import Workers
     from hil.cli.sweep_parameters import as_points, csv_of, end_interrupted, points_of, run_points
     from hil.experiment import load_experiment
     from hil.files import check_output, write_output

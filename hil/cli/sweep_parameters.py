@@ -15,7 +15,7 @@ from hil.cli.terminal import Working, answer, print_folded, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
-    from design.monte_carlo.parallel_runs import Workers
+    from design.monte_carlo import Workers
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
     from hil.sweeps.sweep import Sweep

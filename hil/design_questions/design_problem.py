@@ -13,7 +13,7 @@ from design.controllers import LinearLaw, LoopModel
 from design.errors import Infeasible
 from design.processes.delay_chain import DelayChain
 from design.requests.tracking import solve_tracking
-from design.tracking.problem import TrackingProblem
+from design.tracking import TrackingProblem
 from design.verdict import Verdict, digest
 from hil.certify.certifier import limited_to_model
 from hil.certify.conformance import plant_check, tested, without_loop

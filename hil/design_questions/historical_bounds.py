@@ -15,9 +15,9 @@ from hil.errors import HilError
 from hil.rig.loop import Loop
 
 if TYPE_CHECKING:
+    from design.historical_data import DelayedPlant
     from design.historical_data.gapped_history import PhaseGains
     from design.historical_data.guaranteed_cost import Start
-    from design.historical_data.lifted_loop import DelayedPlant
 
 Gains = npt.NDArray[np.float64]
 
@@ -37,9 +37,9 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     Raises:
         HilError: another controller or plant, or orders that cannot be tried.
     """
+    from design.historical_data import close
     from design.historical_data.cost_bounds import causal_bound, cost_moments, hearing_of, mean_full_state_bound
     from design.historical_data.gapped_history import phase_gains
-    from design.historical_data.lifted_loop import close
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
     plant = delayed_plant_of(loop.experiment.plant, loop.model)

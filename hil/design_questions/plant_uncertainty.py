@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.errors import DesignError, Infeasible
-from design.jump_linear.mjls import STABILITY_MARGIN
+from design.jump_linear import STABILITY_MARGIN
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.polytope import MOST_UNKNOWNS, Growth, quadratic_growth
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval, difference_interval
-from design.monte_carlo.parallel_runs import Workers
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.measure.measure import Quantity

@@ -12,8 +12,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
-from design.monte_carlo.parallel_runs import Workers, spread
 from hil.compose.judged import caution
 from hil.compose.loop import compose
 from hil.errors import HilError

@@ -8,8 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval
-from design.monte_carlo.parallel_runs import Workers
 from hil.compose.loop import compose
 from hil.design_questions.trigger_gains import Candidate, TriggerQuestion
 from hil.errors import HilError

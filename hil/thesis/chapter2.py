@@ -19,10 +19,10 @@ from design.as_printed.examples import (
 from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, Synthesis, largest_uncertainty
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse
-from design.semi_markov_loop.system import JumpSystem
 from hil.pages.html.figures import BarGroup, Bars
 from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, feasibility, markov, verdict_of

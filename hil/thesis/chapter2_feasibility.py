@@ -18,11 +18,11 @@ from design.lmi.decision import decide, prove_certificate
 from design.lmi.program import LmiSolution
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, feedback_program, robust_feedback
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.stability import analyse, largest_decay
-from design.semi_markov_loop.system import JumpSystem
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.statements import Statement, above, exactly, not_judged, says
 

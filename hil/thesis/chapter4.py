@@ -25,9 +25,9 @@ from design.as_printed.examples import (
 from design.errors import Infeasible
 from design.processes.rates import PiecewiseLinearRate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, mean_square_abscissa, worst_growth
-from design.semi_markov_loop.system import JumpSystem
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose.loop import compose
 from hil.experiment import load_experiment

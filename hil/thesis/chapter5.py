@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains, printed_functional, stabilising_intervals
+from design.historical_data import DelayedPlant, close
 from design.historical_data.block_diagonal import (
     BlockDiagonalProof,
     common_bound,
@@ -22,7 +23,6 @@ from design.historical_data.block_diagonal import (
 from design.historical_data.cost_bounds import causal_bound, hearing_of
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, largest_input, match_peak, orders_by_cost, synthesise
-from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment

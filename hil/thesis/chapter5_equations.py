@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
+from design.historical_data import DelayedPlant, close, cycle
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at
 from design.historical_data.least_cost import synthesise
-from design.historical_data.lifted_loop import DelayedPlant, close, cycle
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment

@@ -19,10 +19,10 @@ from design.as_printed.chapters_5_and_6 import (
 )
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
-from design.identification.axis import Record
+from design.identification import Record
 from design.identification.output_error import identify_axis
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HeldDevice, push_response
+from design.passivity import HeldDevice, push_response
 from design.passivity.transparency import distortion_bound
 from hil.compose.loop import compose
 from hil.errors import HilError

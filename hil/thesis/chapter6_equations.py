@@ -12,8 +12,8 @@ from design.controllers.rendered_wall import Coupler, WallController, static_cou
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
 from design.jump_linear.bounded_real import hinf_norm
+from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.condition import damping_needed
-from design.passivity.loop import HapticLoop, HeldDevice, push_response
 from design.passivity.material_chain import material_chain
 from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion

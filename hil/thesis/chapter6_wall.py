@@ -18,8 +18,8 @@ from design.controllers.rendered_wall import Coupler, WallController, static_cou
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import square_rows
 from design.jump_linear.bounded_real import hinf_norm
+from design.passivity import HeldDevice
 from design.passivity.certificate import lags
-from design.passivity.loop import HeldDevice
 from design.passivity.material_chain import boundaries, material_chain, memory_statistic, paced_chain, true_chain
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion, felt_n_per_m, sparing

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.mjls import h2_norm
 from design.monte_carlo.markov_batch import simulate_mjls
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure

@@ -14,9 +14,9 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from design.monte_carlo.parallel_runs import Workers, spread
+from design.monte_carlo import Workers, spread
+from design.networked_loop import steady_state
 from design.networked_loop.certify import certify_loop
-from design.networked_loop.loop_parts import steady_state
 from design.networked_loop.prediction import Prediction, predict_tracking
 from hil.measure.batch_protocols import BatchValues, BatchView
 from hil.measure.prediction import predict

@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.period_moments import gain_mode
 from design.semi_markov_loop.second_moments import exponential
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 
 FloatArray = npt.NDArray[np.float64]
 

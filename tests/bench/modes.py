@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from design.tracking.problem import TrackingProblem
+    from design.tracking import TrackingProblem
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 Row = dict[str, Any]
@@ -53,7 +53,7 @@ def bench_modes(
 
 def motor_problem(most: int, objective: str) -> TrackingProblem:
     """Return the motor's design with both delays from 0 to `most`, the gain knowing both."""
-    from design.tracking.problem import TrackingProblem
+    from design.tracking import TrackingProblem
     from hil.compose.loop import compose
     from hil.experiment import load_experiment
 
@@ -64,7 +64,7 @@ def motor_problem(most: int, objective: str) -> TrackingProblem:
 
 def large_problem(states: int, objective: str) -> TrackingProblem:
     """Return the design for a plant of many states (fixed random numbers, spectral radius 0.97), with 6 modes."""
-    from design.tracking.problem import TrackingProblem
+    from design.tracking import TrackingProblem
 
     rng = np.random.default_rng(0)
     A = rng.standard_normal((states, states))
@@ -121,7 +121,7 @@ def _evaluations(problem: TrackingProblem, gains: Array) -> tuple[float, float]:
     """CPU seconds of an H2 norm with its derivative: near the last one, as a descent takes it, and each alone."""
     from threadpoolctl import threadpool_limits
 
-    from design.jump_linear.mjls import h2_derivative
+    from design.jump_linear import h2_derivative
     from design.tracking.loop_objective import LoopObjective
 
     structure, space = problem.structure(), problem.space()
@@ -205,8 +205,8 @@ def _many_modes(side: int, progress: Callable[[str], None]) -> Row:
 def _one_mode(n: int, progress: Callable[[str], None]) -> list[Row]:
     import control
 
+    from design.jump_linear import MJLS, h2_norm
     from design.jump_linear.bounded_real import hinf_norm
-    from design.jump_linear.mjls import MJLS, h2_norm
 
     progress(f"norms of one mode, {n} states")
     rng = np.random.default_rng(n)

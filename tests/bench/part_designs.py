@@ -22,7 +22,7 @@ from tests.bench.modes import (
 )  # fmt: skip
 
 if TYPE_CHECKING:
-    from design.tracking.problem import TrackingProblem
+    from design.tracking import TrackingProblem
     from design.tracking.synthesis import Design
 
 ALONE, H2_BESIDE = "its evaluations, each alone", "the H2 design of the same loop"

@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from design.monte_carlo.parallel_runs import safe_path
+from design.monte_carlo import safe_path
 from hil.errors import HilError
 from tests.bench.engines import SWEEPS, bench_sweep
 from tests.bench.figure import FLAT, AtMost, Figure, Found, Measure, Part, Tell
@@ -69,7 +69,7 @@ def _commands(tell: Tell, quick: bool) -> Iterator[Found]:
 
 
 def _dask(tell: Tell, quick: bool) -> Iterator[Found]:
-    from design.monte_carlo.parallel_runs import Workers
+    from design.monte_carlo import Workers
     from hil.experiment import load_experiment
     from hil.sweeps.seeds import here, run_sweep
 

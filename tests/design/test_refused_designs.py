@@ -13,7 +13,7 @@ from design.controllers.send_all import SendAll
 from design.controllers.wall import MATERIALS, Wall
 from design.controllers.wall_pattern import Patch, Pattern
 from design.errors import FieldError, check_above_zero, check_at_least_zero, check_finite
-from design.passivity.loop import HeldDevice
+from design.passivity import HeldDevice
 from design.processes.delay_chain import DelayChain
 from design.processes.further_rates import ColdStandbyRate
 from design.requests.historical import HistoricalDesigned

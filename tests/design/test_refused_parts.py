@@ -23,16 +23,16 @@ from design.controllers.smith import Smith
 from design.controllers.virtual_wall import VirtualWall
 from design.controllers.wall import MATERIALS
 from design.errors import DesignError, FieldError
-from design.historical_data.lifted_loop import DelayedPlant
-from design.identification.axis import LEAST_SAMPLES, Record
+from design.historical_data import DelayedPlant
+from design.identification import LEAST_SAMPLES, Record
 from design.identification.output_error import identify_axis
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
 from design.lmi.exact import prove, prove_inequalities
 from design.monte_carlo.confidence import deviation_interval, mean_interval
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
+from design.networked_loop import check_plant_shapes
 from design.networked_loop.closed_loop import dynamic_loop
-from design.networked_loop.loop_parts import check_plant_shapes
 from design.passivity.transparency import distortion
 from design.processes.delay_chain import DelayChain
 from design.processes.partitions import equal_probability, uniform
@@ -40,12 +40,12 @@ from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.requests.local_design import game_feedback, lqr_feedback
 from design.requests.scheduled import RobustScheduled
+from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, check_loop
 from design.semi_markov_loop.period_moments import Box, period_moments
 from design.semi_markov_loop.sojourn_grid import refine
-from design.semi_markov_loop.system import JumpSystem, NormBounded
-from design.tracking.problem import TrackingProblem
+from design.tracking import TrackingProblem
 
 ONE = SemiMarkov(rates=((None,),))
 TWO = SemiMarkov(rates=((None, constant_rate(1.0)), (constant_rate(1.0), None)))

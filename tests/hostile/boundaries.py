@@ -20,9 +20,9 @@ from typing import Any
 import click
 import numpy as np
 
+from design.tracking import TrackingProblem
 from design.tracking.design_file import load_design
 from design.tracking.gain_cache import design_of, read_entry
-from design.tracking.problem import TrackingProblem
 from hil.cli.can import _decode, database_of
 from hil.cli.option_types import NumberList
 from hil.cli.terminal import message_lines

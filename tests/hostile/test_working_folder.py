@@ -28,7 +28,7 @@ raise ImportError(__file__)
 
 REAL = [HIL, "run", "dc-motor-hinf", "--clock", "real", "--duration", "0.5", "--quiet", "-o", "run.mcap", "--link"]
 SPREAD = """
-from design.monte_carlo.parallel_runs import Workers, spread
+from design.monte_carlo import Workers, spread
 assert list(spread(abs, [-1, -2, -3], Workers(backend="loky", jobs=2))) == [1, 2, 3]
 """
 LIVE = """

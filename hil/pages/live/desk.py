@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import msgspec
 
-from design.monte_carlo.parallel_runs import safe_path
+from design.monte_carlo import safe_path
 from hil.compose.changed import changed, is_schedule, refuse_in_real_time
 from hil.errors import HilError
 from hil.pages.live.side import Side

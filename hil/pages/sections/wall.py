@@ -141,7 +141,7 @@ def _margin(loop: Loop, controller: WallController) -> Figure | None:
     port = loop.rig.port
     if port is None:
         return None
-    from design.passivity.loop import HapticLoop, HeldDevice
+    from design.passivity import HapticLoop, HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     own = loop.model.tau_max + loop.model.d_max

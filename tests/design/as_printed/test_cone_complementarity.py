@@ -9,7 +9,7 @@ import pytest
 
 from design.as_printed.cone_complementarity import design_by_ccl, solve_ccl
 from design.errors import DesignError
-from design.tracking.problem import TrackingProblem
+from design.tracking import TrackingProblem
 from design.tracking.synthesis import solve
 
 ALWAYS, LATE = [[1.0]], [[0.6, 0.4], [0.5, 0.5]]

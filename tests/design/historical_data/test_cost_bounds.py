@@ -11,8 +11,8 @@ import pytest
 from msgspec import structs
 
 from design.controllers.sensor_nodes import SensorNodes, Turns
+from design.historical_data import DelayedPlant
 from design.historical_data.cost_bounds import Hearing, causal_bound, full_state_bound, hearing_of, mean_full_state_bound
-from design.historical_data.lifted_loop import DelayedPlant
 from design.historical_data.sensor_schedule import round_robin
 
 Array = npt.NDArray[np.float64]

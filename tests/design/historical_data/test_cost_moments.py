@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
+from design.historical_data import LiftedLoop, cycle
 from design.historical_data.cost_bounds import cost_moments
-from design.historical_data.lifted_loop import LiftedLoop, cycle
 
 L = np.array([[[0.3, 0.2, 0.0], [1.0, 0.0, 0.1], [0.0, -0.3, 0.2]], [[-0.2, 0.1, 0.3], [0.2, 0.4, 0.0], [0.1, 0.0, -0.5]]])
 Q = np.array([np.diag([1.0, 0.5, 0.0]), np.array([[1.0, 0.2, 0.0], [0.2, 2.0, 0.0], [0.0, 0.0, 0.3]])])

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains, printed_functional, stabilising_intervals
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.errors import Infeasible, NotStable
+from design.historical_data import DelayedPlant, LiftedLoop, close
 from design.historical_data.block_diagonal import (
     common_bound,
     cone_complementarity,
@@ -19,7 +20,6 @@ from design.historical_data.block_diagonal import (
 from design.historical_data.cost_bounds import causal_bound, hearing_of, mean_full_state_bound
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, cost_from, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, match_peak, orders_by_cost, synthesise
-from design.historical_data.lifted_loop import DelayedPlant, LiftedLoop, close
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from design.jump_linear.second_moment import operator_matrix
 from plants.delayed_states import DelayedStates

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from design.identification.axis import Record, held, square_wave
+from design.identification import Record, held, square_wave
 
 INERTIA, DAMPING = 0.7943, 1.9857
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from design.errors import DesignError
-from design.identification.axis import Record, expected_errors, forced, free, held, sensitivities, square_wave
+from design.identification import Record, expected_errors, forced, free, held, sensitivities, square_wave
 
 
 @pytest.mark.parametrize("pole", [-1.0, 0.0, 1e-9, 0.499, 0.501, 2.5, 60.0])

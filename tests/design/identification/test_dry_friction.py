@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from design.identification.axis import Record, dry_friction, forced, held, square_wave
+from design.identification import Record, dry_friction, forced, held, square_wave
 from design.identification.output_error import identify_axis
 from tests.design.identification.axis_runs import square_records
 

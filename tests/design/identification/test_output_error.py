@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from design.errors import DesignError
-from design.identification.axis import Record, covariance, expected_errors, sensitivities
+from design.identification import Record, covariance, expected_errors, sensitivities
 from design.identification.output_error import _start, identify_axis, residual_test
 from tests.design.identification.axis_runs import DAMPING, INERTIA, square_records
 

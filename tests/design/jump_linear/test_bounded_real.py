@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from design.errors import NotStable
+from design.jump_linear import MJLS, h2_norm
 from design.jump_linear.bounded_real import (
     Fold,
     bounded_real_margin,
@@ -14,7 +15,6 @@ from design.jump_linear.bounded_real import (
     refine_fold,
     solve_bounded_real,
 )
-from design.jump_linear.mjls import MJLS, h2_norm
 from design.jump_linear.second_moment import Resolvent, expect
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure

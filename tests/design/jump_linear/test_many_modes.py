@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.jump_linear import bounded_real, certificate, coupled_lyapunov, second_moment
+from design.jump_linear import MJLS, H2Nearby, bounded_real, certificate, coupled_lyapunov, h2_derivative, second_moment
 from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 from design.jump_linear.coupled_lyapunov import ShiftStates, factors_of, mean
-from design.jump_linear.mjls import MJLS, H2Nearby, h2_derivative
 from design.jump_linear.second_moment import Bordered, Resolvent, mean_square_radius, operator_matrix
 from design.jump_linear.stability_proof import StabilityProof
 from design.networked_loop.affine_loop import LoopStructure

@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 
 from design.errors import NotStable
-from design.jump_linear.mjls import MJLS, h2_derivative, h2_norm
+from design.jump_linear import MJLS, h2_derivative, h2_norm
 from design.jump_linear.second_moment import (
     Resolvent,
     backward,

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.jump_linear import second_moment
+from design.jump_linear import MJLS, second_moment
 from design.jump_linear.certificate import certify_system
 from design.jump_linear.long_computations import PRODUCTS, gmres
-from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import Bordered, Resolvent, backward, forward, mean_square_radius, operator_matrix
 
 Arrays = tuple[np.ndarray, np.ndarray]

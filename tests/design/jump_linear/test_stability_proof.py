@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import design.jump_linear.second_moment as second_moment
-from design.jump_linear import certificate, stability_proof
+from design.jump_linear import MJLS, certificate, stability_proof
 from design.jump_linear.certificate import certify_system
-from design.jump_linear.mjls import MJLS
 from design.jump_linear.second_moment import backward, cost_once, mean_square_radius, operator_matrix
 from design.jump_linear.stability_proof import side_of_one
 from hil.certify.send_all_loop import second_moment_verdict

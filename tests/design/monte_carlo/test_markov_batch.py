@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.jump_linear.mjls import MJLS, h2_norm
+from design.jump_linear import MJLS, h2_norm
 from design.monte_carlo.markov_batch import CHUNK, simulate_mjls
 from design.networked_loop.closed_loop import loop_structure
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF

@@ -14,10 +14,10 @@ from scipy import stats
 
 from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_system
 from design.errors import DesignError
-from design.jump_linear.mjls import MJLS
+from design.jump_linear import MJLS
+from design.monte_carlo import JUMPS, NOISE, DrawTable, Workers, _cancel, spread, uniforms
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls
-from design.monte_carlo.parallel_runs import JUMPS, NOISE, DrawTable, Workers, _cancel, spread, uniforms
 from design.monte_carlo.studies import CHUNK, mean_states, settling_times
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov

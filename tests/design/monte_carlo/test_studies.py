@@ -22,7 +22,7 @@ from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, settling_times, trajectories
 from design.processes.rates import clip_rate, constant_rate
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop.system import JumpSystem
+from design.semi_markov_loop import JumpSystem
 
 HAZARD_2H = clip_rate(0.0, 400.0, slope=2.0)  # Weibull(1, 2) but for a probability of exp(-40000)
 DOUBLED = SemiMarkov(rates=((None, HAZARD_2H), (HAZARD_2H, None)))

@@ -6,9 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from design.jump_linear import certificate
+from design.jump_linear import MJLS, certificate
 from design.jump_linear.certificate import certify_system
-from design.jump_linear.mjls import MJLS
 from design.networked_loop.certify import certify_loop, lower_bounds
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain

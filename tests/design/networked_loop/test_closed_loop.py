@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from design.networked_loop import check_gains
 from design.networked_loop.closed_loop import SELECTIONS, loop_structure
-from design.networked_loop.loop_parts import check_gains
 from design.processes.delay_chain import DelayChain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, VTOL
 

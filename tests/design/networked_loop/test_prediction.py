@@ -6,8 +6,7 @@ from scipy.stats import norm
 
 from design.errors import DesignError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_vector
-from design.networked_loop import prediction
-from design.networked_loop.loop_parts import steady_state
+from design.networked_loop import prediction, steady_state
 from design.networked_loop.prediction import predict_tracking
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve

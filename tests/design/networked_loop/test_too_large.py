@@ -10,9 +10,8 @@ import pytest
 
 from design.controllers import LoopModel
 from design.errors import TooLarge
-from design.networked_loop import affine_loop
+from design.networked_loop import MOST_MODES, affine_loop, joint_modes
 from design.networked_loop.closed_loop import loop_structure
-from design.networked_loop.loop_parts import MOST_MODES, joint_modes
 from design.processes.delay_chain import DelayChain
 from hil.certify.certifier import CertificationProblem
 from hil.certify.certify import judge

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from design.errors import Infeasible
+from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.mjls import h2_norm
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.uncertainty import robust_norms, uncertainty_margin
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from design.passivity.loop import HeldDevice
+from design.passivity import HeldDevice
 
 PERIOD_S = 0.05
 DAMPING = 1.9857

@@ -8,8 +8,8 @@ import pytest
 from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.controllers.wall_pattern import Patch, Pattern, square_rows
+from design.passivity import HeldDevice
 from design.passivity.certificate import certify_wall
-from design.passivity.loop import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from design.processes.delay_chain import DelayChain
 from tests.design.passivity.published import DAMPING, DEVICE, LAMBDA, PERIOD_S

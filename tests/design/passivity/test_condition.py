@@ -7,8 +7,8 @@ import pytest
 
 from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Material
+from design.passivity import HapticLoop, HeldDevice
 from design.passivity.condition import cosine_coefficients, damping_needed, is_nonnegative, is_passive_over
-from design.passivity.loop import HapticLoop, HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from tests.design.passivity.published import DAMPING, DEVICE, PERIOD_S
 

@@ -6,7 +6,7 @@ import pytest
 from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HapticLoop, HeldDevice, push_response
+from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.stiffness_map import colgate_n_per_m, exact_n_per_m, gil_hulin_n_per_m
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import distortion, distortion_bound

@@ -5,8 +5,8 @@ import pytest
 
 from design.controllers.contract import LoopModel
 from design.controllers.wall import Wall
-from design.jump_linear.mjls import MJLS
-from design.passivity.loop import HeldDevice
+from design.jump_linear import MJLS
+from design.passivity import HeldDevice
 from design.passivity.model_following import contact_matrices, follow_wall
 from hil.compose.loop import compose
 from hil.errors import ExperimentError

@@ -10,8 +10,8 @@ from design.controllers.virtual_wall import VirtualWall
 from design.controllers.wall import MATERIALS, Contact, Material, Wall
 from design.controllers.wall_pattern import square_rows
 from design.errors import FieldError
+from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.certificate import certify_wall
-from design.passivity.loop import HapticLoop, HeldDevice, push_response
 from design.passivity.transparency import felt_n_per_m, sparing
 from hil.compose.loop import compose
 from hil.experiment import load_experiment

@@ -14,7 +14,7 @@ from design.controllers.rendered_wall import static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS
 from design.errors import FieldError
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HapticLoop
+from design.passivity import HapticLoop
 from design.passivity.transparency import distortion
 from tests.design.passivity.published import DAMPING, DEVICE, PERIOD_S
 

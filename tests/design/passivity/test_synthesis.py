@@ -6,8 +6,8 @@ import pytest
 from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.errors import DesignError, Infeasible
+from design.passivity import HapticLoop, push_response
 from design.passivity.condition import is_passive_over
-from design.passivity.loop import HapticLoop, push_response
 from design.passivity.synthesis import ceiling_n_per_m, least_sum, stiffest_coupler
 from tests.design.passivity.published import DAMPING, DEVICE, LAMBDA, PERIOD_S
 

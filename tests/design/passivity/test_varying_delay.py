@@ -5,9 +5,9 @@ import pytest
 
 from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Contact, Material, Wall
+from design.passivity import HeldDevice
 from design.passivity.certificate import certify_wall, keeps_order, lags
 from design.passivity.condition import is_passive_over
-from design.passivity.loop import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from design.processes.delay_chain import DelayChain
 

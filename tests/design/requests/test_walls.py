@@ -14,7 +14,7 @@ from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import Wall
 from design.controllers.wall_pattern import square_rows
 from design.errors import FieldError
-from design.passivity.loop import HeldDevice
+from design.passivity import HeldDevice
 from design.passivity.synthesis import stiffest_coupler
 from design.passivity.transparency import sparing
 from design.processes.delay_chain import DelayChain

@@ -16,10 +16,10 @@ from design.errors import Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, decay_of, delayed_hinf
 from design.semi_markov_loop.sojourn_grid import cells
-from design.semi_markov_loop.system import DelayedJumpSystem
 
 SYSTEM, PROCESS = chapter3_system(), chapter3_process()
 SECTIONS = ((0.0, 1.8),) * 3

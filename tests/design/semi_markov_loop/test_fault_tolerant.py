@@ -21,6 +21,7 @@ from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import (
@@ -32,7 +33,6 @@ from design.semi_markov_loop.fault_tolerant_analysis import (
     worst_growth,
 )
 from design.semi_markov_loop.second_moments import second_moment_decay
-from design.semi_markov_loop.system import JumpSystem
 
 SYSTEM = chapter4_system()
 PROCESS = chapter4_process(failure_restarts_detection_clock=False)

@@ -13,10 +13,10 @@ from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import JumpSystem, VertexUncertainty
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty, robust_feedback
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.stability import analyse
-from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 
 PROCESS = chapter2_process()
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))

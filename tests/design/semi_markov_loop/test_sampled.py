@@ -23,11 +23,11 @@ from design.processes.delay_chain import DelayChain
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.requests.scheduled import scheduled_of
+from design.semi_markov_loop import JumpSystem, NormBounded, VertexUncertainty
 from design.semi_markov_loop.period_moments import STIFF, Box, TooLarge, isometry, period_moments, smat
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_matrix, renewal_radius
-from design.semi_markov_loop.system import JumpSystem, NormBounded, VertexUncertainty
 
 
 def _constant_process(rates):

@@ -9,10 +9,10 @@ import numpy as np
 from design.controllers.scheduled_gain import constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import JumpSystem, VertexUncertainty
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.sampled_detection import _grows, growth_while_it_stays
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
-from design.semi_markov_loop.system import JumpSystem, VertexUncertainty
 
 T, LATE = 0.05, 40
 FAST = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(5.0, 60.0))

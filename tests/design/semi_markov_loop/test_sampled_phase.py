@@ -12,10 +12,10 @@ from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
 from design.semi_markov_loop.sampled import MARGIN, sampled_verdict
 from design.semi_markov_loop.sampled_phase import UncertainProgram, uncertain_decrease
 from design.semi_markov_loop.sojourn_renewal import SampledLoop
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, NormBounded, VertexUncertainty
 from design.verdict import Verdict
 
 AGEING = PiecewiseLinearRate(times_s=(0.0, 1.0), values=(0.2, 3.0))

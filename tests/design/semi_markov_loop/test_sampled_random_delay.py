@@ -12,8 +12,8 @@ from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.delay_chain import DelayChain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, VertexUncertainty
 from design.semi_markov_loop.sampled import sampled_verdict
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem, VertexUncertainty
 from design.verdict import Verdict
 from tests.design.semi_markov_loop.test_sampled import exact_radius
 

@@ -9,11 +9,10 @@ from scipy.linalg import expm
 from design.controllers.scheduled_gain import constant_gain
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
-from design.semi_markov_loop import sojourn_cells
+from design.semi_markov_loop import JumpSystem, sojourn_cells
 from design.semi_markov_loop.sampled import sampled_verdict
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius
-from design.semi_markov_loop.system import JumpSystem
 
 
 def drawn(rng):

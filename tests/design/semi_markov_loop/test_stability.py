@@ -25,9 +25,9 @@ from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfN
 from design.processes.partitions import Partition, equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path
+from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.second_moments import exponential, second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse, largest_decay, stability_inequalities
-from design.semi_markov_loop.system import JumpSystem, NormBounded
 
 PROCESS = chapter2_process()
 STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 200.0))

@@ -7,7 +7,7 @@ import pytest
 
 from design.networked_loop.certify import lower_bounds
 from design.processes.delay_chain import DelayChain
-from design.tracking.problem import TrackingProblem
+from design.tracking import TrackingProblem
 from design.tracking.synthesis import certified, solve
 
 SCALAR = {"A": [[1.0]], "B": [[1.0]], "C": [[1.0]], "R": 0.0, "sc": [[1.0]]}

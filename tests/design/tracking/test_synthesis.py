@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from design.errors import DesignError, Infeasible, NotStable
+from design.networked_loop import check_held, steady_state
 from design.networked_loop.certify import certify_loop, certify_structure
 from design.networked_loop.closed_loop import loop_structure
-from design.networked_loop.loop_parts import check_held, steady_state
 from design.processes.delay_chain import DelayChain
+from design.tracking import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.bfgs import bfgs
 from design.tracking.loop_objective import LoopObjective, closed_classes, stabilising
-from design.tracking.problem import COARSER, INFORMATION, embed, gain_parametrisation, selection_of
 from design.tracking.synthesis import TrackingProblem, solve
 from tests.bench.modes import shortening_chain
 from tests.design.chapter7 import LAMBDA, MOTOR, PI, PRINTED_HINF, VTOL, VTOL_R

@@ -15,11 +15,11 @@ from design.processes.delay_chain import DelayChain
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.requests.scheduled import Scheduled
+from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolerant
 from design.semi_markov_loop.sampled import sampled_verdict
-from design.semi_markov_loop.system import JumpSystem
 from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import _with_seen_sensors, system_of
 from hil.compose.loop import compose

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from design.controllers import Local, RowsLaw
+from design.jump_linear import MJLS
 from design.jump_linear.certificate import observed_part
-from design.jump_linear.mjls import MJLS
 from hil.api.experiment_source import load_experiment
 from hil.compose.loop import compose
 from hil.plugins.checks import check_statements

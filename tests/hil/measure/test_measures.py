@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from design.monte_carlo.parallel_runs import Workers
+from design.monte_carlo import Workers
 from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 
 from design.controllers import GainIndex, SendAll
 from design.processes.delay_chain import DelayChain
+from design.tracking import row_sojourns_of, with_every_row
 from design.tracking.design_file import load_design
-from design.tracking.problem import row_sojourns_of, with_every_row
 from hil.api.questions import design
 from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError

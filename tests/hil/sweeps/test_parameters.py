@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from design.monte_carlo.parallel_runs import Workers
+from design.monte_carlo import Workers
 from hil.cli import main
 from hil.cli.sweep import command
 from hil.compose.loop import compose

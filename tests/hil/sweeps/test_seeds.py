@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from design.monte_carlo import Workers
 from design.monte_carlo.confidence import StopRule
-from design.monte_carlo.parallel_runs import Workers
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
+from design.historical_data import DelayedPlant, close
 from design.historical_data.block_diagonal import BlockDiagonalProof, largest_eigenvalue
 from design.historical_data.guaranteed_cost import cost, start_at, stationary_cost
 from design.historical_data.least_cost import OrderCost, PeakMatch, cyclic_orders
-from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose.loop import compose
 from hil.experiment import load_experiment

@@ -15,7 +15,7 @@ from design.as_printed.chapters_5_and_6 import (
 from design.controllers.rendered_wall import wave_coupler
 from design.controllers.wall import MATERIALS
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity.loop import HeldDevice, push_response
+from design.passivity import HeldDevice, push_response
 from design.passivity.transparency import distortion
 from hil.thesis.chapter6 import PASSIVITY, PUSH, passivity, push
 from hil.thesis.chapter6_equations import loop_of

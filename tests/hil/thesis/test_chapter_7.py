@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from design.jump_linear import h2_norm
 from design.jump_linear.bounded_real import hinf_norm
-from design.jump_linear.mjls import h2_norm
-from design.monte_carlo.parallel_runs import Workers
+from design.monte_carlo import Workers
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve

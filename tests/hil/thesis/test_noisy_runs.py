@@ -11,7 +11,7 @@ import pytest
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov, sample_fault_detection
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from hil.thesis.noisy_runs import delayed_runs, fault_runs
 
 ONE = SemiMarkov(rates=((None,),))

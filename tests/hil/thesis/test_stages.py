@@ -21,12 +21,12 @@ import pytest
 
 from design.as_printed.chapters_2_to_4 import PrintedRequest
 from design.as_printed.examples import chapter3_gain, chapter4_seen_gain
-from design.monte_carlo.parallel_runs import Workers
+from design.monte_carlo import Workers
 from design.passivity.synthesis import stiffest_coupler
 from design.processes.partitions import Partition
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import Synthesis
-from design.semi_markov_loop.system import DelayedJumpSystem, JumpSystem
 from design.tracking.synthesis import TrackingProblem
 from hil.pages.html.figures import Bars, Histogram
 from hil.thesis import Stage

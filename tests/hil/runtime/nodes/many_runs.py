@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import HistoryGains
-from design.historical_data.lifted_loop import Array, LiftedLoop
+from design.historical_data import Array, LiftedLoop
 from design.jump_linear.second_moment import forward
 from hil.rig.loop import Loop
 from hil.runtime.streams import rng_for

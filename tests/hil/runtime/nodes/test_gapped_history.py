@@ -9,9 +9,9 @@ import pytest
 
 from design.controllers import Historical, Known, LoopModel, SensorNodes, Turns
 from design.controllers.sensor_nodes import PacketWindow, window_of
+from design.historical_data import DelayedPlant, close
 from design.historical_data.gapped_history import gap_window, gapped_gains, gaps_undecided, phase_gains, window_mask
 from design.historical_data.guaranteed_cost import close_received
-from design.historical_data.lifted_loop import DelayedPlant, close
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of

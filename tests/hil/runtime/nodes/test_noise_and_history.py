@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from design.historical_data import DelayedPlant
 from design.historical_data.guaranteed_cost import close_received
-from design.historical_data.lifted_loop import DelayedPlant
 from design.jump_linear.second_moment import forward
 from hil.certify.historical_loop import delayed_plant_of
 from hil.compose.loop import compose

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from scipy.stats import norm
 
 from design.controllers import Historical, HistoryGains, Known, LoopModel, Rows, Sample, Selection
+from design.historical_data import LiftedLoop, close
 from design.historical_data.cost_bounds import CostMoments, cost_moments
-from design.historical_data.lifted_loop import LiftedLoop, close
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
 from hil.api.experiment_source import load_experiment as experiment_of
 from hil.certify.historical_loop import delayed_plant_of
