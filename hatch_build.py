@@ -23,7 +23,7 @@ COMPILERS = ("mypy", "setuptools")
 """What compiles, in the versions of constraints.txt; and the machine's C compiler."""
 
 
-class Additions(BuildHookInterface):  # type: ignore[misc]
+class Additions(BuildHookInterface[Any]):
     """Writes the schema, and compiles what the hook's table in pyproject.toml names: for a wheel, never for a checkout."""
 
     def dependencies(self) -> list[str]:
