@@ -32,9 +32,13 @@ class Point(NamedTuple):
 
         Raises:
             ImportError, AttributeError: there is no such module or attribute.
+            BaseException: whatever the module raises.
         """
         module, _, attribute = self.value.partition("[")[0].partition(":")
         return reduce(getattr, filter(None, attribute.strip().split(".")), import_module(module.strip()))
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value}, of the package {said_by(self.package, 'Name') or '?'}"
 
 
 class Package(Protocol):

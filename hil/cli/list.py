@@ -5,6 +5,7 @@ What is installed, and the keys of one of it; the file of an experiment, its sch
 
 from __future__ import annotations
 
+import sys
 import textwrap
 from typing import Any, Final
 
@@ -196,7 +197,7 @@ def schema() -> None:
     """Print the JSON Schema of experiment files (for editors: put its path in the file's `#:schema` line)."""
     from hil.experiment.schema import experiment_schema
 
-    print_json(experiment_schema())
+    print_json(experiment_schema(warn=lambda said: print(f"hil: {visible(said)}", file=sys.stderr)))
 
 
 @click.command()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
+from warnings import warn
 
 import msgspec
 
+from hil.errors import HilError
 from hil.experiment.nodes import Node
 from hil.experiment.rig_tables import Fault
 from hil.experiment.table import Seconds
@@ -31,56 +33,72 @@ ARRAY: Final = "The array of a file: .npz, .npy, .csv or .mat; key is its name i
 FILE: Final = _table(ARRAY, "file", file=TEXT, key=TEXT) | CLOSED
 
 
-def experiment_schema(plugins: Mapping[str, Mapping[str, type]] | None = None) -> dict[str, Any]:
+def experiment_schema(
+    plugins: Mapping[str, Mapping[str, type | None]] | None = None, warn: Callable[[str], object] = warn
+) -> dict[str, Any]:
     """Return the schema as a JSON-able dict (draft 2020-12).
 
     Args:
         plugins: group ("hil.plants", "hil.controllers", "hil.laws") to name to class; what is installed by default.
+        warn: called with a message on each installed plug-in that cannot be described; its table may have any keys.
     """
     if plugins is None:
         groups: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws")
-        plugins = {group: {name: registry.load(group, name) for name in registry.names(group)} for group in groups}
-    kinds = {group: list(named) for group, named in plugins.items()}
-    classes = {(group, name): cls for group, named in plugins.items() for name, cls in named.items()}
-    _, definitions = msgspec.json.schema_components(
-        [Experiment, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
+        plugins = {group: {name: _describable(group, name, warn) for name in registry.names(group)} for group in groups}
+    classes = {(group, name): cls for group, named in plugins.items() for name, cls in named.items() if cls is not None}
+    found, definitions = msgspec.json.schema_components(
+        [Experiment, Direction, Node, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
     )
-    for definition in definitions.values():
+    experiment, direction, node, *tables = (definitions[ref["$ref"].rpartition("/")[2]] for ref in found)
+    del definitions[found[0]["$ref"].rpartition("/")[2]]
+    for definition in (experiment, *definitions.values()):
         if definition.get("type") == "object" and "properties" in definition:
             definition["additionalProperties"] = False  # an unknown key is a fault everywhere
             _explain(definition)
-    for cls in classes.values():
+    for cls, table in zip(classes.values(), tables, strict=True):
         for field in dataclasses.fields(cls) if dataclasses.is_dataclass(cls) else ():
             if not field.init:  # nothing that a file could set
-                del definitions[cls.__name__]["properties"][field.name]
+                del table["properties"][field.name]
+    of = dict(zip(classes, tables, strict=True))
 
     def variants(group: str) -> dict[str, Any]:
         out = []
-        for name in kinds[group]:
-            cls = classes[group, name]
-            own = dict(definitions[cls.__name__])
+        for name in plugins[group]:
+            own = dict(of.get((group, name), {"type": "object"}))
             fields = {key: _or_file(field) for key, field in own.get("properties", {}).items()}
             own["properties"] = {"kind": {"const": name}, **fields}
             own["required"] = ["kind", *own.get("required", [])]
             out.append(own)
         return {"oneOf": [*out, OWN]}
 
-    experiment = definitions.pop("Experiment")
     for hidden in HIDDEN:
         del experiment["properties"][hidden]
     experiment["properties"]["plant"] |= variants("hil.plants")
     experiment["properties"]["controller"] |= variants("hil.controllers")
     laws = variants("hil.laws")
     laws["oneOf"].append(LAW_FILE)
-    definitions[Direction.__name__]["properties"]["law"] |= laws
-    definitions[Direction.__name__]["required"] = ["law"]
-    definitions[Node.__name__]["properties"]["law"] |= laws
+    direction["properties"]["law"] |= laws
+    direction["required"] = ["law"]
+    node["properties"]["law"] |= laws
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "$id": "hilrig-experiment",
         **experiment,
         "$defs": definitions,
     }
+
+
+def _describable(group: registry.Group, name: str, warn: Callable[[str], object]) -> type | None:
+    """Return the class of a plug-in, None where it cannot be loaded, or has a key of a type that no file holds."""
+    try:
+        cls = registry.load(group, name)
+        msgspec.json.schema_components([cls], schema_hook=_hook)
+    except Exception as error:
+        said = str(error).rpartition("\n")[2]
+        why = said if isinstance(error, HilError) else f"{name!r} of the package {registry.provider(group, name)}: {said}"
+        warn(f"{why}; the schema lets its table have any keys")
+        return None
+    return cls
 
 
 def _or_file(field: dict[str, Any]) -> dict[str, Any]:

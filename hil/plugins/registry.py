@@ -5,6 +5,7 @@ A kind with a colon is no entry point but a class of the user's own file, see :m
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import cache
 from typing import Final, Literal
@@ -72,7 +73,7 @@ def load(group: Group, name: str, folder: str = ".") -> type:
         folder: where the experiment stands.
 
     Raises:
-        HilError: if no such plug-in is installed (the message names the nearest), or its module cannot be imported.
+        HilError: if no such plug-in is installed (the message names the nearest), or it cannot be loaded, whatever it raises.
     """
     if is_own(name):
         own: type = load_own(name, folder)
@@ -83,8 +84,10 @@ def load(group: Group, name: str, folder: str = ".") -> type:
         raise HilError(f"no {group[4:-1]} plug-in is called {name!r}{_hint(group, name, found)} {there}")
     try:
         plugin: type = found[name].load()
-    except (ImportError, AttributeError) as e:
-        raise HilError(f"{group[4:-1]} plug-in {name!r} cannot be loaded from {found[name].value}: {e}") from e
+    except KeyboardInterrupt:
+        raise
+    except BaseException as e:
+        raise HilError(f"{group[4:-1]} plug-in {found[name]}, cannot be loaded: {type(e).__name__}: {e}") from e
     return plugin
 
 
@@ -130,5 +133,8 @@ def kind_of_class(group: Group, cls: type) -> str | None:
     """Return the entry point of a dataclass, None if it has none, or is no dataclass: its table could not make it again."""
     if not is_dataclass(cls):
         return None
-    fits = (name for name, point in _of(group).items() if point.value.partition(":")[2] == cls.__qualname__)
-    return next((name for name in fits if load(group, name) is cls), None)
+    for name, point in _of(group).items():
+        with suppress(HilError):  # one that cannot be loaded is none of this class
+            if point.value.partition(":")[2] == cls.__qualname__ and load(group, name) is cls:
+                return name
+    return None

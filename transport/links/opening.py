@@ -70,23 +70,19 @@ def open_link(uri: str, role: Role) -> Link:
     around = None if keyed is None else _codes(keyed, role, uri)
     uri = _for_the_plugin(uri) if keyed is not None else uri
     try:
-        opener = plugin.load()
-    except (ImportError, AttributeError) as error:
-        raise TransportError(f"link {uri!r}: plug-in {plugin.value} cannot be loaded: {error}") from error
-    try:
-        link: Link = opener(uri, role)
+        link: Link = plugin.load()(uri, role)
         check_is_link(link)
         return link if around is None else around(link)
     except (TransportError, KeyboardInterrupt):
         raise
     except AssertionError as error:
-        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: check_link: {error}") from None
+        raise TransportError(f"link {uri!r}: plug-in {plugin}: check_link: {error}") from None
     except BaseException as error:  # whatever a plug-in raises, where it is opened or asked what it has
         from traceback import extract_tb  # of a fault alone
 
         last = extract_tb(error.__traceback__)[-1]
-        where = f"({last.filename}, line {last.lineno})"
-        raise TransportError(f"link {uri!r}: plug-in {plugin.value}: {type(error).__name__}: {error} {where}") from error
+        where = "" if last.filename.startswith("<") else f" ({last.filename}, line {last.lineno})"  # <frozen importlib>
+        raise TransportError(f"link {uri!r}: plug-in {plugin}: {type(error).__name__}: {error}{where}") from error
 
 
 LINK: Final = {

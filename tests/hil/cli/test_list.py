@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 
 from hil.cli.list import DEEPEST, _keys
 from hil.plugins import registry
+from plants.dc_motor import DCMotor
 from tests.hil.cli.conftest import Hil
+from transport import TransportError, open_link
 
 GROUPS: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures")
 EVERY = [(group, name) for group in GROUPS for name in registry.names(group)]
@@ -32,10 +35,52 @@ def test_every_key_of_every_plug_in_of_ours_is_explained(cli: Hil, group: str, n
     assert not [key for key, said in found["keys"].items() if re.search(r"\bNone\b", said["meaning"])], "no file can say None"
 
 
-def test_of_another_package_alone_it_is_said_from_which(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "provider", lambda group, name: "my-laws" if name == "iid" else "hilrig")
-    _, out, _ = cli("list")
-    assert "iid (from my-laws)" in out and out.count("(from ") == out.count("iid") == 1
+BROKEN = {
+    "worn_tank.py": "raise ValueError('worn out')\n",
+    "odd_tank.py": """
+from dataclasses import dataclass
+@dataclass
+class Own:
+    A: type
+@dataclass
+class DCMotor:
+    A: int
+""",
+    "worn-1.0.dist-info/METADATA": "Name: worn\nVersion: 1.0\n",
+    "worn-1.0.dist-info/entry_points.txt": """
+[hil.plants]
+own = worn_tank:DCMotor
+odd = odd_tank:Own
+another = odd_tank:DCMotor
+[hil.links]
+worn = worn_tank:Link
+""",
+}
+
+
+def test_a_package_that_cannot_be_loaded_is_named_and_the_rest_works(
+    cli: Hil, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "worn-1.0.dist-info").mkdir()
+    for name, text in BROKEN.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(registry, "_found", registry._found.__wrapped__)
+    found = json.loads(cli("list", "--json")[1])["plugins"]["plants"]
+    assert {name for name, package in found.items() if package == "worn"} == {"own", "odd", "another"}
+    assert "vtol-fault, another (from worn)," in " ".join(cli("list")[1].split())
+    why = "plant plug-in own = worn_tank:DCMotor, of the package worn, cannot be loaded: ValueError: worn out"
+    assert why in " ".join(cli("list", "plants")[1].split())
+    status, out, said = cli("schema")
+    plants = {each["properties"]["kind"].get("const"): each for each in json.loads(out)["properties"]["plant"]["oneOf"]}
+    assert status == 0 and plants["own"].keys() == plants["odd"].keys() == {"type", "properties", "required"}
+    assert "gain" in plants["dc-motor"]["properties"] and "A" in plants["another"]["properties"]
+    keys = "the schema lets its table have any keys"
+    odd = "'odd' of the package worn: type <class 'type'> is not supported"
+    assert said.splitlines() == [f"hil: {odd}; {keys}", f"hil: {why}; {keys}"]
+    assert registry.kind_of_class("hil.plants", DCMotor) == "dc-motor", "though another has a class of that name"
+    with pytest.raises(TransportError, match="plug-in worn = worn_tank:Link, of the package worn: ValueError: worn out"):
+        open_link("worn:", "rig")
 
 
 def test_lines_fit_eighty_columns(cli: Hil) -> None:
