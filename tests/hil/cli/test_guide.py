@@ -6,6 +6,7 @@ import json
 import re
 import sys
 from importlib.metadata import distributions
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -41,6 +42,8 @@ def test_a_page_uses_the_words_of_the_glossary(topic: str) -> None:
     text = re.sub(r"`[^`]*`|```.*?```", "", pages()[topic].read_text(encoding="utf-8"), flags=re.S)
     unsaid = r"\b(?:nobody|somebody|anybody|everybody|strangers?|told|heard|hears|doors?|talkers?|spoke|speaks)\b"
     assert not re.findall(unsaid, text, re.I)
+    depths = [len(marks) for marks in re.findall(r"^(#+) ", text, re.M)]
+    assert depths[0] == 1 and all(below <= above + 1 for above, below in pairwise(depths)), "make docs refuses the page"
 
 
 def test_the_page_of_figures_is_made_of_what_was_measured() -> None:
