@@ -18,7 +18,7 @@ from hil.experiment import Experiment as Experiment
 from hil.log.read.run import read_run as read_run
 from hil.log.run import Run as Run
 from hil.session import Session as Session
+from hil.sweeps import Sweep as Sweep
 from hil.sweeps.comparison import Comparison as Comparison
 from hil.sweeps.parameters import ParameterSweep as ParameterSweep
-from hil.sweeps.sweep import Sweep as Sweep
 from hil.thesis import reproduce as reproduce

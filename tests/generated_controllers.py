@@ -19,7 +19,7 @@ import pytest
 from hil.cli.new_external import Language, LinkKind, external_controller, program_files
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.clock import monotonic_ns

@@ -25,7 +25,7 @@ from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfN
 from design.processes.rates import WeibullRate, clip_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment, shipped
 from hil.log.run import records_sha256
 from hil.runtime.virtual import simulate

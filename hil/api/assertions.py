@@ -9,7 +9,7 @@ from typing import Any
 
 from design.monte_carlo.confidence import SequentialTest
 from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError, nearest
 from hil.session import Session, simulated_session
 

@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment, load_experiment, object_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.files import check_output, check_page, write_output
@@ -27,12 +27,12 @@ from hil.session import ClockName, Session, run_session
 from hil.session.replay.replay import Verdict as LogVerdict
 from hil.session.replay.replay import experiment_of
 from hil.session.replay.replay import verify as verify_run
+from hil.sweeps import Sweep
 from hil.sweeps.comparison import Comparison, check_named
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
 from hil.sweeps.points import Points, grid_of, latin_hypercube
 from hil.sweeps.seeds import LAST_SEED, here, run_sweep
-from hil.sweeps.sweep import Sweep
 
 
 @checked_arguments

@@ -20,7 +20,7 @@ from hil.errors import HilError
 from hil.experiment.tables import Experiment
 from hil.files import check_output, write_output
 from hil.log.write.provenance import package_versions
-from hil.measure.measure import Named
+from hil.measure import Named
 from hil.notebook import Cell, Result, SingleResult, data_frame
 from hil.runtime.clock import monotonic_ns
 from transport.law_tests.analysis import LawAnalysis, analyse_law

@@ -25,8 +25,8 @@ import numpy as np
 from hil.bench import Ask, Commands, open_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.runtime.clock import monotonic_ns
+from hil.runtime.real import die_with_parent, go_real_time
 from hil.runtime.real.child import python_module
-from hil.runtime.real.machine import die_with_parent, go_real_time
 from transport.links.python_can import can
 
 BUSES: Final = (

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any, Final, cast
 from hil.bench import Ask, Commands, open_pair
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.clock import RealClock, monotonic_ns
+from hil.runtime.real import cpu_for, die_with_parent, go_real_time
 from hil.runtime.real.child import python_module
-from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 from transport.links import Closing, LinkCounters
 from transport.links.traits import LinkTraits, address_of, scheme_of, traits_of, without_options

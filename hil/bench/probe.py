@@ -21,14 +21,14 @@ from typing import Final, NamedTuple
 
 from hil.bench import running
 from hil.errors import HilError
+from hil.log import Logged
 from hil.log.records import Channel, Schema
 from hil.log.topics.loop import PROBE
-from hil.log.topics.topic import Logged
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.runtime.clock import RealClock, monotonic_ns, wall_clock
+from hil.runtime.real import die_with_parent
 from hil.runtime.real.child import python_module
-from hil.runtime.real.machine import die_with_parent
 from transport import ControlPacket, Link, SensorPacket, TransportError, decode, encode_control, encode_sensor, open_link
 
 LEAD_NS: Final = 5_000_000

@@ -13,7 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows, Sample, SensorNodes
-from hil.rig.watched import EQUAL, Running
+from hil.rig.loop import EQUAL, Running
 
 Array = NDArray[np.float64]
 Start = Callable[[], Running]

@@ -20,7 +20,7 @@ from design.controllers import GainTable, LoopModel, integral_limit
 from design.errors import DesignError, NotStable
 from design.jump_linear import STABILITY_MARGIN
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, Check, limited_to_model, table_of
+from hil.certify import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs
 from hil.certify.region import ClosedLoop, judge_region
 from hil.certify.saturation import ends_from_anywhere, escapes

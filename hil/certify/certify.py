@@ -1,7 +1,7 @@
 """The one place for certificates: what is claimed of the loop that will run, by what proof, under what assumptions.
 
 Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
-kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.certifier.Certifier` over the
+kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.Certifier` over the
 protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
 protocols is judged like ours.
 """
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from design.errors import TooLarge
 from design.verdict import Verdict
-from hil.certify.certifier import (
+from hil.certify import (
     CertificationProblem,
     Certifier,
     limited_to_received,
@@ -32,7 +32,7 @@ from hil.certify.send_all_loop import certify_linear_law, certify_send_all
 from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.plugins.user_modules import is_ours
-from hil.rig.spec import RigSpec
+from hil.rig import RigSpec
 from transport.laws import ChainLaw, SemiMarkovLaw
 
 CERTIFIERS: tuple[Certifier, ...] = (

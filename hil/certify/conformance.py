@@ -5,7 +5,7 @@ by them: both are driven with random inputs and compared. A difference at small 
 a difference at large inputs alone leaves it undecided, as it is not linear; without one, the verdict states as an assumption how
 far it was tested.
 
-The test ends after some slots; what a run is compared with while it runs is `hil.rig.watched`.
+The test ends after some slots; what a run is compared with while it runs is `hil.rig.loop`.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from design.controllers import LoopModel, OutputFeedback
 from design.verdict import State, Verdict
+from hil.certify import CertificationProblem, Check
 from hil.certify.bounded_departures import departure_check
-from hil.certify.certifier import CertificationProblem, Check
 from hil.certify.motion_test import (
     ALIKE,
     SEED,
@@ -34,7 +34,7 @@ from hil.certify.motion_test import (
 )
 from hil.certify.stated_controller import answers_of
 from hil.plugins.user_modules import is_ours
-from hil.rig.watched import EQUAL, FreeMotion, OneStep
+from hil.rig.loop import EQUAL, FreeMotion, OneStep
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from design.controllers import HistoryGains, LoopModel, SensorNodes
 from design.controllers.sensor_nodes import window_of
 from design.verdict import Kind, Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model, undecided, why_no_history
+from hil.certify import CertificationProblem, limited_to_model, undecided, why_no_history
 from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:

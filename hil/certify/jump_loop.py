@@ -14,8 +14,8 @@ from design.controllers import LoopModel, ModeSchedule
 from design.controllers.contract import StatesConstraint
 from design.errors import DesignError, NotInstalled
 from design.verdict import Kind, Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
-from hil.rig.watched import JumpStep
+from hil.certify import CertificationProblem, limited_to_model, undecided
+from hil.rig.loop import JumpStep
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 
-from hil.certify.certifier import CertificationProblem, Check
+from hil.certify import CertificationProblem, Check
 from hil.certify.motion_test import SEED, Array, random_inputs
 from plants.parts.protocols import JumpPlant, PlantRun
 from plants.parts.semi_markov import JumpModel, JumpRates

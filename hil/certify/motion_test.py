@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from design.controllers import LoopModel
 from design.verdict import State
-from hil.rig.watched import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, Free, FreeMotion, kind_of
 from plants.parts.protocols import Plant
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from design.controllers import GainTable, packet_samples, row_sojourns_distinguished, sojourns_distinguished
 from design.errors import DesignError
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.certify.motion_test import SEED
 from hil.plugins.user_modules import is_ours
 from plants.parts.protocols import HasOwnInputs, HasSensorNoise

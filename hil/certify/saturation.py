@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from design.controllers import GainTable, integral_limit, integrates, packet_samples
 from design.errors import DesignError
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, table_of
+from hil.certify import CertificationProblem, table_of
 from hil.certify.region import Array, ClosedLoop, first_state, not_judged
 from plants.parts.protocols import HasOwnInputs
 

@@ -29,8 +29,8 @@ from design.errors import FieldError, NotStable
 from design.jump_linear.order_of_modes import growth_in_every_order
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
+from hil.certify import CertificationProblem, jumping, limited_to_model, table_of, undecided
 from hil.certify.bounded_departures import Modes, ends_within
-from hil.certify.certifier import CertificationProblem, jumping, limited_to_model, table_of, undecided
 from hil.certify.region import ClosedLoop
 from hil.rig.delay_chains import gains_within
 from plants.parts.protocols import JumpPlant

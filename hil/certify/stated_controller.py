@@ -27,6 +27,7 @@ from design.controllers import (
 )
 from design.controllers.rendered_wall import WallController
 from design.verdict import State
+from hil.certify import CertificationProblem, Check, table_of
 from hil.certify.answers_test import (
     SEED,
     SLOTS,
@@ -41,11 +42,10 @@ from hil.certify.answers_test import (
     scheduled_excitation,
     shares_memory,
 )
-from hil.certify.certifier import CertificationProblem, Check, table_of
 from hil.certify.motion_test import by_size
 from hil.certify.send_all_loop import laws_of
 from hil.plugins.user_modules import is_ours
-from hil.rig.watched import EQUAL, handed, looks_back
+from hil.rig.loop import EQUAL, handed, looks_back
 
 if TYPE_CHECKING:
     from design.controllers import Controller

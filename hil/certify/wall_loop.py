@@ -12,13 +12,13 @@ from msgspec.structs import replace
 from design.controllers import packet_samples
 from design.controllers.rendered_wall import ModelFollower, WallController
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, limited_to_model, undecided
+from hil.certify import CertificationProblem, limited_to_model, undecided
 from hil.certify.motion_test import SEED
 from plants.parts.protocols import HasPassiveElements
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
-    from hil.rig.spec import Port
+    from hil.rig import Port
 
 
 def certify_wall_loop(loop: CertificationProblem) -> Verdict | None:

@@ -126,7 +126,7 @@ def _of_traffic(
 
 
 def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: ErrorBursts | None) -> BusAnalysis:
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.design_questions.bus_analysis import analyse
     from hil.experiment import load_experiment
     from hil.measure.bus_load import bus_of

@@ -43,8 +43,8 @@ def compare(
     from hil.experiment import load_experiment
     from hil.files import check_page, write_output
     from hil.pages.many_runs import compare_page
+    from hil.sweeps import statistics
     from hil.sweeps.comparison import check_named, compare
-    from hil.sweeps.sweep import statistics
 
     if not 2 <= runs < 2**63:
         raise HilError(f"--runs: {runs} is {'below 2' if runs < 2 else 'not below 2^63'}")

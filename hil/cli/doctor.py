@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_info
 from hil.cli.terminal import answer, json_option, print_folded
 from hil.log.write.provenance import loop_form
 from hil.plugins.user_modules import REMEDY, shadows
-from hil.runtime.real.machine import processor
+from hil.runtime.real import processor
 from hil.vcan import what_would_run
 
 if TYPE_CHECKING:

@@ -66,8 +66,8 @@ def law(
     the laws explains the packets, and no law is written.
     """
     from hil.files import check_output, write_output
+    from hil.log.recordings import fit_document, law_text, packet_records
     from hil.log.recordings.read import read_recording
-    from hil.log.recordings.recording import fit_document, law_text, packet_records
     from transport.errors import FieldError
     from transport.law_fit import fit_law
 
@@ -116,7 +116,7 @@ def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.files.toml_text import toml_value
-    from hil.log.recordings.recording import class_text, independence_text
+    from hil.log.recordings import class_text, independence_text
 
     tested = fit.tested
     print_folded(f"{way}: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come")

@@ -78,7 +78,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
     Raises:
         HilError: no such bus, too few packets, or a file that cannot be written.
     """
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.design_questions.loop_on_bus import estimated_laws, exact_laws, to_estimate_from
     from hil.experiment import load_experiment, parse_table
     from hil.files import check_output, write_output

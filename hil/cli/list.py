@@ -211,7 +211,7 @@ def solve(experiments: tuple[str, ...]) -> None:
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """
-    from hil.compose.loop import solved_gains
+    from hil.compose import solved_gains
     from hil.compose.stored_gains import gains_file, gains_text
     from hil.experiment import load_experiment
     from hil.files import made_folder, write_output

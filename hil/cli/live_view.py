@@ -22,7 +22,7 @@ from hil.log.records import CDR_HEADER, EVENTS_TOPIC
 from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.measure.summary import percentiles
-from hil.pages.html.numbers import text_of
+from hil.pages.html import text_of
 from plants.parts.linear import Signal
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
     from hil.experiment import Experiment
-    from hil.log.write.sinks import PayloadWriter
+    from hil.log.write import PayloadWriter
 
 REFRESH_HZ = 10
 RECENT = 2000

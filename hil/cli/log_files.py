@@ -104,7 +104,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
 
     Foxglove and Lichtblick import the JSON under "Import from file", PlotJuggler loads the XML by "Layout".
     """
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
     from hil.files import check_output, write_output
     from hil.log.read.run import read_run

@@ -110,7 +110,7 @@ def _starts(path: Path, of: ExternalController, *, compiled: bool) -> list[str]:
 def _program(stem: str, language: str, argument: str, kind: str, keyed: bool) -> tuple[ExternalController, dict[str, str], str]:
     """Return a controller as a program of its own, its files, and what to say of it; see `hil.cli.new_external`."""
     from hil.cli.new_external import external_controller, program_files
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
 
     named = load_experiment(argument)
@@ -203,7 +203,7 @@ def _earned(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> li
         return check_law(made)
     if isinstance(made, Designer):
         return [f"{type(made).__name__} is a Designer: an experiment that names it solves its gains, and judges their loop"]
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
 
     return check_controller(made, compose(load_experiment(experiment), certify=False).model)
@@ -236,10 +236,10 @@ def _compared(plant: Any) -> list[str]:
 
 
 def _earned_by_measure(kind: str, experiment: str) -> list[str]:
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
+    from hil.measure import made_of
     from hil.measure.check import check_measure
-    from hil.measure.measure import made_of
     from hil.measure.view import view_of
     from hil.pages.sections import check_section
     from hil.plugins import registry

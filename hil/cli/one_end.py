@@ -53,7 +53,7 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
 
     The rig is started elsewhere: hil rig EXPERIMENT --link URI.
     """
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
     from hil.rig.session_link import link_of
     from hil.runtime.real.controller_process import serve

@@ -76,8 +76,8 @@ def _shown(value: Cell) -> Text:
     """Return a table's cell that shows a text as it is: escaped, and without markup."""
     from rich.text import Text
 
+    from hil.pages.html import text_of
     from hil.pages.html.figures import Badge
-    from hil.pages.html.numbers import text_of
 
     if isinstance(value, Badge):
         return Text(visible(value.label).translate(_TYPED), style=_STYLES.get(value.state, ""))

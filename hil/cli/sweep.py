@@ -76,8 +76,8 @@ def command(
     from hil.experiment import load_experiment
     from hil.files import check_output, write_output
     from hil.measure.signals import with_unit
+    from hil.sweeps import SweepStore, statistics
     from hil.sweeps.seeds import columns_of, here, run_sweep
-    from hil.sweeps.sweep import SweepStore, statistics
 
     if runs < 1:
         raise HilError(f"--runs: {runs} is below 1")

@@ -16,9 +16,9 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.monte_carlo import Workers
+    from hil.sweeps import Sweep
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
-    from hil.sweeps.sweep import Sweep
 
 
 def run_points(

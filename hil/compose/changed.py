@@ -17,8 +17,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from design.verdict import Verdict
-from hil.certify.certifier import UNTIL_ALL_CAME
-from hil.compose.loop import check_references, compose
+from hil.certify import UNTIL_ALL_CAME
+from hil.compose import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
 from hil.rig.loop import Loop, digest_of

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from design.controllers import AgedFeedback, Controller, GainTable, LinearFeedback, LoopModel, integral_limit, integrates
 from design.errors import TooLarge
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
 from hil.certify.conformance import NOISY, one_step
 from hil.certify.jump_loop import jump_step
@@ -20,8 +20,9 @@ from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.plugins.user_modules import is_ours
+from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
-from hil.rig.loop import Loop, digest_of
+from hil.rig.loop import CANCELS, EQUAL, RUN_AGAIN, JumpStep, Loop, OneStep, Watched, digest_of
 from hil.rig.loop_chains import (
     ANY_PHASE,
     IN_PHASE,
@@ -33,8 +34,6 @@ from hil.rig.loop_chains import (
     watchdog_chance,
 )
 from hil.rig.schedules import whole_again
-from hil.rig.spec import RigSpec
-from hil.rig.watched import CANCELS, EQUAL, RUN_AGAIN, JumpStep, OneStep, Watched
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:

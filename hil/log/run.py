@@ -20,7 +20,7 @@ from hil.log.append_column import ROWS, pieces
 from hil.log.events import decode_events
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Schema
 from hil.log.topics import missing
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 
 StructuredArray = np.ndarray[Any, np.dtype[np.void]]
 _CDR: Final = int.from_bytes(CDR_HEADER, "little")

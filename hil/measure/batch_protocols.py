@@ -18,7 +18,7 @@ from design.controllers import LoopModel, Selection
 from design.controllers.contract import KnownInBatch
 from hil.experiment import Experiment
 from hil.measure.signals import Signals
-from hil.rig.spec import RigSpec
+from hil.rig import RigSpec
 
 BatchValues: TypeAlias = npt.NDArray[np.float64]
 

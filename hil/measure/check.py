@@ -14,8 +14,8 @@ from hil.errors import ExperimentError, nearest
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.topics import TOPICS
+from hil.measure import Measure, made_of, own_measures, quantities_of, stated_by
 from hil.measure.batch_protocols import BatchMeasure
-from hil.measure.measure import Measure, made_of, own_measures, quantities_of, stated_by
 from hil.measure.view import RunView
 from hil.plugins.user_plugins import asked, in_own_words, needs
 

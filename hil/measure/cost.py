@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from hil.log.append_column import pieces
 from hil.log.topics import SC, SENSOR, STATE
+from hil.measure import Quantity
 from hil.measure.batch_protocols import BatchValues, BatchView
-from hil.measure.measure import Quantity
 from hil.measure.network_paths import loads, node_loads
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, RunView, matrix, signal_names

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from hil.log.append_column import whole
 from hil.log.topics import STATE
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.measure.signals import Signals
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
 

@@ -20,7 +20,7 @@ from hil.log.events import CHANGE
 from hil.log.run import Run
 from hil.log.topics import CA, SC
 from hil.measure.view import MEASUREMENT, RunView
-from hil.rig.spec import RigSpec
+from hil.rig import RigSpec
 from transport.draws import DELIVERED, DISORDERED, LOST, REASONS, SUPERSEDED
 from transport.law_tests import law_p_value, transition_counts
 from transport.laws import ChainLaw, NetworkLaw

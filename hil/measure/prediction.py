@@ -24,10 +24,10 @@ from design.controllers import (
 )
 from hil.measure.signals import AFTER_S, signals_of, target_of
 from hil.measure.tracking import squared_unit
+from hil.rig import motion_of
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
 from hil.rig.loop_chains import STOPPED, watchdog_chance
-from hil.rig.spec import motion_of
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
 
 if TYPE_CHECKING:

@@ -17,11 +17,11 @@ from hil.experiment import Experiment
 from hil.log.events import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
-from hil.measure.measure import measured, quantities_of, run_measures
+from hil.measure import measured, quantities_of, run_measures
 from hil.measure.network_paths import changed_fields, law_kinds, loads, network_metrics, network_paths
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
+from hil.rig import RigSpec
 from hil.rig.schedules import SCHEDULES
-from hil.rig.spec import RigSpec
 from transport.draws import REASONS
 
 Array: TypeAlias = npt.NDArray[Any]
@@ -103,7 +103,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
     """Return the summary of a run as plain JSON values.
 
     Keys: experiment, seed, clock, link, controller (see `controller_of`), slots, duration_s; metrics (the numbers of the
-    experiment's measures, see `hil.measure.measure.measured`), titles (what people read of them) and units (nothing for a pure
+    experiment's measures, see `hil.measure.measured`), titles (what people read of them) and units (nothing for a pure
     number); network.sc and network.ca (see `network_metrics`) and network.nodes (the same per sensor node, and its load; see
     `network_summary`), network.bus (where a CAN bus takes time; see `hil.measure.bus_load.BusLoad`); timing (see
     `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
@@ -111,7 +111,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
 
     Args:
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
-        failed: takes what a measure raised; see `hil.measure.measure.measured`.
+        failed: takes what a measure raised; see `hil.measure.measured`.
     """
     run = view.run
     slots = _slots(run)
@@ -228,7 +228,7 @@ def _bus(view: RunView) -> dict[str, Any]:
 
 
 def run_metrics(run: Run, experiment: Experiment, rig: RigSpec) -> dict[str, Any]:
-    """Return the numbers of a run by name; see `hil.measure.measure.measured`.
+    """Return the numbers of a run by name; see `hil.measure.measured`.
 
     Args:
         run: needs the topics `/plant/measurement`, `/reference` and `/actuator/applied`.

@@ -9,8 +9,8 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from hil.measure import Quantity
 from hil.measure.batch_protocols import BatchValues, BatchView
-from hil.measure.measure import Quantity
 from hil.measure.signals import AFTER_S, SETTLED_SHARE, SETTLING_BAND, STEADY_SHARE, Followed, Signals, pairwise_sum, target_of
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, REFERENCE_STEP, RunView
 

@@ -19,8 +19,8 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.log.topics.loop import inputs_among
 from hil.measure.signals import Followed, Signals, bare, tracked_among
+from hil.rig import RigSpec
 from hil.rig.normal_form import rig_of
-from hil.rig.spec import RigSpec
 from plants.errors import PlantError
 
 MEASUREMENT, REFERENCE = topics.MEASUREMENT.name, topics.REFERENCE.name

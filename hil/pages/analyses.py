@@ -11,9 +11,9 @@ from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
-from hil.log.recordings.recording import class_text, independence_text
+from hil.log.recordings import class_text, independence_text
+from hil.pages.html import capital
 from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
-from hil.pages.html.numbers import capital
 from hil.pages.html.page import Page
 from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
@@ -31,7 +31,7 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
 
     Args:
         fits: by direction.
-        said: see `hil.log.recordings.recording.fit_document`.
+        said: see `hil.log.recordings.fit_document`.
         model_shares: share of slots at age 0, 1, ... under each fitted law.
     """
     badges = [

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.measure.signals import with_unit
+from hil.pages.html import capital
 from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
-from hil.pages.html.numbers import capital
 from hil.pages.html.page import Page
+from hil.sweeps import statistics
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
 from hil.sweeps.shown import SHORTER, axis_for, ends_of, within
-from hil.sweeps.sweep import statistics
 
 
 def compare_page(comparison: Comparison) -> str:

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 from hil.errors import HilError
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel, Schema
 from hil.log.topics import panels
-from hil.log.write.sinks import PayloadWriter, together
+from hil.log.write import PayloadWriter, together
 from hil.rig.loop import Loop
 from hil.runtime.changes import Changes
 from hil.runtime.clock import Clock

@@ -166,7 +166,7 @@ PLANT = {
 def own_fault(group: Group, plugin: Any) -> str | None:
     """Return why an object is no plant, controller or network law that a rig can run; None if it is one, or is something else.
 
-    How a controller answers is seen once its loop is known, see `hil.compose.loop.check_own`.
+    How a controller answers is seen once its loop is known, see `hil.compose.check_own`.
 
     Args:
         group: what it has to be.

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from msgspec import Struct
 
+from hil.rig import RigSpec
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
 from hil.rig.delay_chains import delay_chain
 from hil.rig.receiver import Receiver, received, recorded_chain, why_no_ages
 from hil.rig.sensors import SharedMedium
-from hil.rig.spec import RigSpec
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import frame_length
 from transport.laws import RecordedLaw

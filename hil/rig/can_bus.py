@@ -12,8 +12,8 @@ from msgspec import Struct
 
 from design.controllers import row_count
 from hil.experiment.nodes import Medium, TrafficTable
+from hil.rig import RigSpec
 from hil.rig.sensors import Sensor, SharedMedium, first_identifiers
-from hil.rig.spec import RigSpec
 from transport.can_bus_model import BitRates, CanFrame
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, identifiers_text
 from transport.links.traits import CanFraming, LinkTraits

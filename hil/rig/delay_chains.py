@@ -20,8 +20,8 @@ from design.controllers import (
     sojourns_distinguished,
 )
 from design.errors import FieldError
+from hil.rig import RigSpec
 from hil.rig.receiver import Received, received, why_no_ages
-from hil.rig.spec import RigSpec
 from transport.laws import NetworkLaw, SemiMarkovLaw
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.wire import MAX_ROWS

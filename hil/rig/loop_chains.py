@@ -28,13 +28,13 @@ from design.controllers import (
     sojourns_distinguished,
 )
 from hil.experiment import Experiment
+from hil.rig import RigSpec
 from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
 from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.receiver import Received, recorded_chain
 from hil.rig.schedules import as_one, no_commands
-from hil.rig.spec import RigSpec
 from transport.laws import AgeChain, RecordedLaw
 
 if TYPE_CHECKING:

@@ -10,11 +10,11 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.plugins.user_plugins import user_failure
+from hil.rig import Port, RigSpec, port_of
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of, can_faults
 from hil.rig.receiver import Receiver
 from hil.rig.schedules import beyond_the_end, fault_schedule, fault_schedule_faults
 from hil.rig.sensors import node_faults, sensor_nodes, sensors_of, shared_media
-from hil.rig.spec import Port, RigSpec, port_of
 from transport.links.traits import CanFraming, traits_of
 
 

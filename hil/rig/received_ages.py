@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hil.rig import RigSpec
 from hil.rig.receiver import SURE, Chance, Channel, Received, channel_of
 from hil.rig.sensors import Sensor, SharedMedium
-from hil.rig.spec import RigSpec
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain

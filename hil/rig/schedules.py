@@ -13,7 +13,7 @@ from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
 from transport.medium.faulted import FaultInterval
 
 if TYPE_CHECKING:
-    from hil.rig.spec import RigSpec
+    from hil.rig import RigSpec
     from transport.can_bus_model.disturbances import BusFault
 
 

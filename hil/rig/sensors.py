@@ -1,6 +1,6 @@
 """The sensor nodes of an experiment: one list of one or more, what is wrong with them, and what the theory takes of them.
 
-They count by their number, or by the CAN identifier that decides the arbitration; `hil.rig.spec.RigSpec` has them for every room.
+They count by their number, or by the CAN identifier that decides the arbitration; `hil.rig.RigSpec` has them for every room.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ from msgspec import Struct
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS
+from hil.rig import RigSpec
 from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_rows, own_identifiers, ranges_of
 from hil.rig.schedules import bus_faults
-from hil.rig.spec import RigSpec
 from transport.links import TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
 from transport.links.opening import is_foreign

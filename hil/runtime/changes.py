@@ -18,7 +18,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Literal
 from msgspec import Struct
 
 from hil.log.events import CHANGE
-from hil.log.write.sinks import Sink
+from hil.log.write import Sink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig

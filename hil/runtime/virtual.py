@@ -13,7 +13,7 @@ import msgspec
 
 from hil.log.run import Run
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink, Sink
+from hil.log.write import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.runtime.changes import Changes, log_change, take
 from hil.runtime.clock import Clock, Kernel, VirtualClock

@@ -20,7 +20,7 @@ from hil.log.run import Run, StructuredArray
 from hil.log.topics import BUS, CA, SC, channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
-from hil.measure.measure import Named, measures_of
+from hil.measure import Named, measures_of
 from hil.measure.signals import with_unit
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, seconds, view_of

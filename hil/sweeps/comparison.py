@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from design.monte_carlo.confidence import EQUAL, Interval, difference_interval, ratio_interval
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
 from hil.sweeps.seeds import here, quantities_in, run_sweep

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from design.controllers.contract import KnownInBatch
 from hil.log.topics import SC, STATE
+from hil.measure import measures_of
 from hil.measure.batch_protocols import (
     BatchController,
     BatchMeasure,
@@ -24,7 +25,6 @@ from hil.measure.batch_protocols import (
     RunningControllers,
     RunningPlants,
 )
-from hil.measure.measure import measures_of
 from hil.measure.signals import signals_of
 from hil.rig.loop import Loop
 from hil.sweeps.batch_delivery import KnownSamples, applied_rows, delivered, law_supports_batch, nodes_of, received, starved

@@ -16,14 +16,14 @@ from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval, difference_interval
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
+from hil.sweeps import SweepStore
 from hil.sweeps.comparison import common_quantities
 from hil.sweeps.points import Points, numbers_of
 from hil.sweeps.seeds import columns_of, quantities_in, run_sweep
 from hil.sweeps.shown import ShownResult, Values, all_together, asked, interval_of, mean_and_interval, paint_points, pairs, within
-from hil.sweeps.sweep import SweepStore
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -14,22 +14,22 @@ from numpy.typing import NDArray
 
 from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
+from hil.compose import compose
 from hil.compose.judged import caution
-from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
+from hil.measure import Named, Quantity, measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.batch_protocols import BatchMeasure, BatchView
-from hil.measure.measure import Named, Quantity, measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins.user_modules import is_ours
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
+from hil.sweeps import Sweep, SweepStore
 from hil.sweeps.lockstep import measured_alone, run_batch, runs_per_batch, swept_at_once, view_of_batch
-from hil.sweeps.sweep import Sweep, SweepStore
 
 MOST_JOBS = 512
 LAST_SEED = 2**63

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval, mean_interval
 from hil.errors import unknown_name
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result, data_frame
 

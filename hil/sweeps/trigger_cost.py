@@ -10,7 +10,7 @@ import numpy as np
 
 from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.design_questions.trigger_gains import Candidate, TriggerQuestion
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment

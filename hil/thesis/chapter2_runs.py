@@ -18,7 +18,7 @@ from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, settling_times, trajectories
 from design.processes.rates import WeibullRate
 from design.processes.semi_markov import SemiMarkov
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Figure, Histogram, Series

@@ -29,7 +29,7 @@ from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_tolerant, mean_square_abscissa, worst_growth
 from hil.certify.jump_loop import process_of, system_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.thesis.chapter import Chapter, ReportProgress, Stage
 from hil.thesis.chapter2_feasibility import markov_approximation

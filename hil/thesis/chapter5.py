@@ -24,7 +24,7 @@ from design.historical_data.cost_bounds import causal_bound, hearing_of
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, largest_input, match_peak, orders_by_cost, synthesise
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.pages.html.figures import Figure, Series
 from hil.runtime.virtual import simulate

@@ -14,7 +14,7 @@ from design.historical_data import DelayedPlant, close, cycle
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at
 from design.historical_data.least_cost import synthesise
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.run import Run
 from hil.measure.cost import Cost

@@ -24,7 +24,7 @@ from design.identification.output_error import identify_axis
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity import HeldDevice, push_response
 from design.passivity.transparency import distortion_bound
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.view import APPLIED, MEASUREMENT, view_of

@@ -17,7 +17,7 @@ from design.passivity.condition import damping_needed
 from design.passivity.material_chain import material_chain
 from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate

@@ -23,7 +23,7 @@ from design.passivity.certificate import lags
 from design.passivity.material_chain import boundaries, material_chain, memory_statistic, paced_chain, true_chain
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion, felt_n_per_m, sparing
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.thesis.chapter6_equations import SIDE_M, STEP_M, distortion_norm, loop_of, safe_coupler

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.networked_loop.prediction import Prediction, predict_tracking
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchView
 from hil.measure.tracking import tracking_of_batch

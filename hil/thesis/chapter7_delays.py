@@ -18,7 +18,7 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain, Index
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.pages.html.figures import Figure, Series
 from hil.thesis.chapter import Plot, ReportProgress

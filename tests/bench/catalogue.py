@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.runtime.real.machine import die_with_parent
+from hil.runtime.real import die_with_parent
 from tests.bench import part_designs, part_logs, part_real_time, part_start, part_sweeps
 from tests.bench.figure import Measure, Part, Row, row_of
 

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink, Sink
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.runtime.virtual import run_virtual
 from hil.sweeps.seeds import run_one_by_one, run_seeds

@@ -17,18 +17,18 @@ from contextlib import ExitStack
 from statistics import median
 from typing import Any, Final
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
+from hil.log.write import PayloadWriter, Record
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.pipe_sink import MOST_TOGETHER, PipeSink
 from hil.log.write.provenance import Provenance
 from hil.log.write.pump import pump
-from hil.log.write.sinks import PayloadWriter, Record
 from hil.rig.loop import Loop
 from hil.runtime.clock import RealClock, monotonic_ns
+from hil.runtime.real import die_with_parent, go_real_time
 from hil.runtime.real.child import python_module
-from hil.runtime.real.machine import die_with_parent, go_real_time
 from hil.runtime.virtual import run_virtual
 
 EXPERIMENT: Final = "dc-motor-1khz"

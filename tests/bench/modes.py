@@ -54,7 +54,7 @@ def bench_modes(
 def motor_problem(most: int, objective: str) -> TrackingProblem:
     """Return the motor's design with both delays from 0 to `most`, the gain knowing both."""
     from design.tracking import TrackingProblem
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
 
     model = compose(load_experiment("dc-motor-hinf"), certify=False).model

@@ -13,7 +13,7 @@ from tests.bench.processes import HIL, NUMPY, Spent, spent
 
 MOTOR, SOLVED = "dc-motor-hinf", "smjls-robust"
 SCIPY = "import scipy.linalg; "
-COMPOSE = f"from hil.compose.loop import compose; from hil.experiment import load_experiment; compose(load_experiment('{MOTOR}'))"
+COMPOSE = f"from hil.compose import compose; from hil.experiment import load_experiment; compose(load_experiment('{MOTOR}'))"
 REAL_S = 2.0
 
 NUMPY_STARTS = "start of Python with numpy"

@@ -41,7 +41,7 @@ def _sweeps(tell: Tell, quick: bool) -> Iterator[Found]:
 @cache
 def _alone_s(quick: bool) -> float:
     """Seconds of one run of the motor, run by run."""
-    from hil.compose.loop import compose
+    from hil.compose import compose
     from hil.experiment import load_experiment
     from hil.sweeps.seeds import run_one_by_one
 

@@ -10,9 +10,9 @@ from mcap.writer import CompressionType, Writer
 
 from hil.log.events import encode_event, to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write import PayloadWriter
 from hil.log.write.mcap_sink import FLUSH_BYTES, LIBRARY
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter
 
 
 class PlainSink:

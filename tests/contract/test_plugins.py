@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment, parse_plugin, shipped
 from hil.plugins import registry
 from hil.plugins.checks import check_controller, check_law

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hil.cli import main
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate

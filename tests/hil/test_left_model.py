@@ -17,11 +17,10 @@ from design.controllers.historical import Historical
 from hil.api.experiment_source import load_experiment
 from hil.api.pytest_plugin import explained
 from hil.certify.conformance import one_step
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.log.read.run import read_run
 from hil.pages.run_page import verdicts
-from hil.rig.loop import Loop
-from hil.rig.watched import OneStep, Watched
+from hil.rig.loop import Loop, OneStep, Watched
 from hil.runtime.nodes.plant_watch import BLOCK, PlantWatch, left_over
 from hil.session import Session, run_session, simulated_session
 from hil.sweeps.seeds import run_seeds

@@ -12,10 +12,9 @@ import pytest
 from scipy.special import pdtrc
 
 from hil.api.experiment_source import load_experiment
+from hil.compose import compose
 from hil.compose.judged import NOT_COMPARED
-from hil.compose.loop import compose
-from hil.rig.loop import Loop
-from hil.rig.watched import JumpStep
+from hil.rig.loop import JumpStep, Loop
 from hil.runtime.nodes.jump_watch import FEW, UNLIKELY, JumpWatch, _too_many
 from hil.runtime.nodes.plant_watch import BLOCK
 from hil.session import simulated_session

@@ -11,7 +11,7 @@ import pytest
 
 from design.controllers import LoopModel, Rows
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.rig.loop import Loop
 from hil.session import simulated_session
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hil.compose import compose
 from hil.compose.judged import DELAYED
-from hil.compose.loop import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate

@@ -31,13 +31,13 @@ from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files import mat_child
 from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
 from hil.log.events import decode_event, encode_event
+from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
-from hil.log.recordings.recording import packet_records
 from hil.measure.identification_records import read_signal_table
 from hil.pages.live.script import read_script
 from hil.rig.named_files import read_traffic
+from hil.sweeps import SweepStore
 from hil.sweeps.points import grid, latin_hypercube
-from hil.sweeps.sweep import SweepStore
 from plants import FMU
 from plants.errors import FieldError
 from plants.fmu import _digest

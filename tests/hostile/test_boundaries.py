@@ -32,7 +32,7 @@ from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.log.read.mcap_walk import walk
 from hil.log.read.recover import recover
 from hil.pages.html.payload import Payload
-from hil.sweeps.sweep import SweepStore
+from hil.sweeps import SweepStore
 from tests.hostile.boundaries import BOUNDARIES, BUS, DESIGN, PACKETS, bus_log, units
 from tests.hostile.logs import foreign_log, motor, use_log, words, write_log
 from tests.hostile.mutation import mutated

@@ -35,7 +35,7 @@ LIVE = """
 import sys
 sys.path.remove("")  # as of a command: children take over a -P of their parent
 from contextlib import closing
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.pages.live.desk import Composer
 with closing(Composer()) as composer:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.compose import compose
 from hil.compose.changed import changed
-from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import read_run

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hil.cli.new_external import Language
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
 from hil.log.read.run import Run

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import Terminated
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.log.read.run import read_run
@@ -236,8 +236,8 @@ def test_a_session_that_does_not_begin_says_why_at_once(spoil: str, external: bo
     code = (
         "import hil.runtime.real.supervisor as real\n"
         "from hil.errors import HilError\n"
-        "from hil.experiment import load_experiment; from hil.compose.loop import compose\n"
-        "from hil.log.topics import channels_of; from hil.log.write.sinks import MemorySink\n"
+        "from hil.experiment import load_experiment; from hil.compose import compose\n"
+        "from hil.log.topics import channels_of; from hil.log.write import MemorySink\n"
         "from hil.rig.session_link import link_of\n"
         "class Spoilt: hello_timeout_s = 1\n"
         f"{spoil}\n"

@@ -14,7 +14,7 @@ import pytest
 
 from design.controllers.historical import Historical
 from hil.cli.guide import pages
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from hil.session import run_session

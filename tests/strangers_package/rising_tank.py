@@ -74,7 +74,7 @@ class Wear:
     topics: ClassVar[tuple[str, ...]] = ("/actuator/applied",)
 
     def quantities(self, signals: Any) -> tuple[Any, ...]:
-        from hil.measure.measure import Quantity
+        from hil.measure import Quantity
 
         return (Quantity(name="wear", title="way of the input", unit=signals.input_unit(), per_output=False),)
 

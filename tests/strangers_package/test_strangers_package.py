@@ -71,7 +71,7 @@ measures = ["tracking", "wear"]
 CHECKS = """
 import json, sys, tempfile
 import hil
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.plugins.checks import check_controller, check_law
 from hil.measure.check import check_measure
 from hil.measure.view import view_of

@@ -15,7 +15,7 @@ import can
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.runtime.virtual import simulate

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hil.errors import HilError
 from hil.files import open_regular
 from hil.files.arrays import read_columns
-from hil.log.recordings.recording import ROUND_TRIP, THERE, Recording, Way
+from hil.log.recordings import ROUND_TRIP, THERE, Recording, Way
 from transport.packets import ControlPacket, SensorPacket, decode, packet_size
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ import numpy as np
 from hil.errors import HilError
 from hil.files.can_logs import can_frames
 from hil.log.read.run import read_run
+from hil.log.recordings import BACK, THERE, Recording, Way
 from hil.log.recordings.packet_files import LATEST_S, read_captured_frames, read_latencies, read_ping_capture
-from hil.log.recordings.recording import BACK, THERE, Recording, Way
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import CA, SC
 from hil.log.topics.loop import PROBE

@@ -12,11 +12,11 @@ from typing import Any, Final
 from hil.errors import HilError
 from hil.log.events import to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
+from hil.log.write import PayloadWriter, Record, Sink
 from hil.log.write.mcap_records import layouts
 from hil.log.write.mcap_writer import Index, McapWriter
 from hil.log.write.open_chunk import ColumnBuffer, Keep
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import PayloadWriter, Record, Sink
 
 LIBRARY: Final = "hilrig"
 FLUSH_BYTES: Final = 1 << 16

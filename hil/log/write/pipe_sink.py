@@ -22,7 +22,7 @@ from typing import Any, Final, Generic, TypeVar
 
 from hil.log.events import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
-from hil.log.write.sinks import PayloadWriter, Record
+from hil.log.write import PayloadWriter, Record
 
 HEAD: Final = Struct("<IHqq")
 COUNT: Final = Struct("<Q")

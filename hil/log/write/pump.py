@@ -17,11 +17,11 @@ from typing import Final
 
 from hil.errors import HilError
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel
+from hil.log.write import Dated, PayloadWriter, Sink, both, record_to
 from hil.log.write import pipe_sink as pipe
 from hil.log.write.mcap_sink import REAL_FLUSH_BYTES, McapSink
 from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Dated, PayloadWriter, Sink, both, record_to
 
 _LENGTH: Final = Struct("<I")
 _MAX_PAYLOAD: Final = 1 << 24
@@ -69,7 +69,7 @@ def pump(
         sink: gets the records; committed after every read and every look.
         channels: the session's table.
         taps: topic to a function that also gets time and payload of that topic's records, for a live view; none may raise, see
-            `hil.log.write.sinks.harmless`.
+            `hil.log.write.harmless`.
         stop: asked whenever the pipe is empty; true ends the pump though a process still holds the writing end.
         report: filled in as records come, for who watches; a new one by default.
 

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.signals import with_unit
+from hil.pages.html import text_of
 from hil.pages.html.figures import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
-from hil.pages.html.numbers import text_of
 from hil.pages.html.payload import BUCKETS, WHOLE, Payload, Still, bucket_extremes, columns_of, reduced
 from hil.pages.html.svg import still_html
 

@@ -22,7 +22,7 @@ from hil.pages.live.side import Side
 from hil.plugins.user_plugins import words
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
-from hil.runtime.real.machine import die_with_parent
+from hil.runtime.real import die_with_parent
 
 
 class Composer:

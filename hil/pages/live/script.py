@@ -13,7 +13,7 @@ from hil.compose.changed import refuse_in_real_time
 from hil.errors import HilError
 from hil.files import read_regular
 from hil.log.records import Channel
-from hil.log.write.sinks import PayloadWriter
+from hil.log.write import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
 from hil.session.replay.recorded import ChangeRequest, changes_of, composed

@@ -23,7 +23,7 @@ from typing import Any, Final, Literal, Protocol, TypeAlias, Union, get_args, ge
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.measure.measure import run_measures
+from hil.measure import run_measures
 from hil.measure.view import RunView
 from hil.pages.html.figures import Badge, Figure, Section
 from hil.pages.html.page import block_html

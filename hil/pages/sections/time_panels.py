@@ -16,12 +16,12 @@ import numpy.typing as npt
 from hil.log import topics
 from hil.log.append_column import pieces
 from hil.log.topics import STATE
-from hil.measure.measure import run_measures
+from hil.measure import run_measures
 from hil.measure.network_paths import network_paths
 from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
+from hil.pages.html import capital
 from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
-from hil.pages.html.numbers import capital
 from hil.pages.html.payload import Float, reduced
 from hil.pages.sections.statistics import DIRECTIONS, MEASURED, network_table
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows
 from design.controllers.contract import Controller
-from hil.rig.watched import EQUAL, Running, handed, looks_back
+from hil.rig.loop import EQUAL, Running, handed, looks_back
 
 LEAST: Final = 60
 """Slots of one reference below which the feedforward is not judged."""

@@ -7,9 +7,8 @@ from collections.abc import Sequence
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
 from hil.plugins.user_modules import is_ours
-from hil.rig.loop import Loop
+from hil.rig.loop import Loop, Running
 from hil.rig.sensors import Sensor
-from hil.rig.watched import Running
 from hil.runtime.nodes.answer_watch import AnswerWatch
 from transport.packets import SensorPacket
 

@@ -7,11 +7,11 @@ from itertools import chain
 from math import nan
 from typing import TYPE_CHECKING, Any
 
+from hil.log import SlotRecord
 from hil.log.records import Channel
 from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
 from hil.log.topics.loop import EXTENDED, FD, REMOTE, SWITCH
-from hil.log.topics.topic import SlotRecord
-from hil.log.write.sinks import Sink, record_to, records_to
+from hil.log.write import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected
 from transport.can_bus_model import BitRates

@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.rig.watched import CANCELS, EQUAL, LARGEST, JumpStep
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, JumpStep
 from hil.runtime.nodes.plant_watch import ANOTHER, MOST_KEPT, Blocks, Result, at_once
 from plants.parts.protocols import PlantRun
 from transport.draws import Draw

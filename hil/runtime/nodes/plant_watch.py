@@ -17,7 +17,7 @@ from typing import Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.rig.watched import CANCELS, EQUAL, LARGEST, RUN_AGAIN, OneStep, kind_of
+from hil.rig.loop import CANCELS, EQUAL, LARGEST, RUN_AGAIN, OneStep, kind_of
 from plants.parts.protocols import PlantRun
 
 Array = NDArray[np.float64]

@@ -12,11 +12,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from hil.log.events import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
-from hil.log.write.sinks import Sink
+from hil.log.write import Sink
 from hil.rig.can_bus import can_bus_of
-from hil.rig.loop import Loop
+from hil.rig.loop import EQUAL, JumpStep, Loop, OneStep
 from hil.rig.sensors import SharedMedium
-from hil.rig.watched import EQUAL, JumpStep, OneStep
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.journal import Journal

@@ -21,9 +21,9 @@ from hil.rig.session_link import SessionLink
 from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.ending import failure_of
 from hil.runtime.real.exchange import warm_up_controller
-from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
 from transport.links import Link, OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free

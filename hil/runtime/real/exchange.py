@@ -15,8 +15,8 @@ from contextlib import suppress
 from msgspec import Struct
 
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink
 from hil.log.write.pipe_sink import PipeSink
-from hil.log.write.sinks import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.answer_matcher import AnswerMatcher

@@ -15,8 +15,8 @@ from typing import NoReturn
 from msgspec import Struct, structs
 
 from hil.log.topics import TIMING, channels_of
+from hil.log.write import record_to
 from hil.log.write.pipe_sink import PipeSink
-from hil.log.write.sinks import record_to
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, about_rig, link_faults
 from hil.runtime.changes import ChangeReceiver, log_change, log_late, take
@@ -24,9 +24,9 @@ from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.nodes.wire import KEY_BYTES, Wire, session_wire
+from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, failure_of
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
-from hil.runtime.real.machine import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.slot import Slot
 from plants.errors import PlantError
 from transport.links import Discoverable, Link, OnBus, TransportError

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from design.controllers import MultiSampleController
 from design.controllers.rendered_wall import WallController
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.log.topics import ROWS
 from hil.measure.view import MEASUREMENT, RunView, matrix

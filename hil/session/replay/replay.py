@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import Controller, packet_samples
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
 from hil.experiment.table import UnavailablePlugin

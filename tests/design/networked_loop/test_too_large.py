@@ -13,9 +13,9 @@ from design.errors import TooLarge
 from design.networked_loop import MOST_MODES, affine_loop, joint_modes
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.certify.certify import judge
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 
 PLANT = np.array([[1.0, 0.05], [0.0, 0.9]]), np.array([[0.0], [0.05]]), np.array([[1.0, 0.0]])

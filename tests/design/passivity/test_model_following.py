@@ -8,7 +8,7 @@ from design.controllers.wall import Wall
 from design.jump_linear import MJLS
 from design.passivity import HeldDevice
 from design.passivity.model_following import contact_matrices, follow_wall
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate

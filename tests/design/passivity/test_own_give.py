@@ -13,7 +13,7 @@ from design.errors import FieldError
 from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.certificate import certify_wall
 from design.passivity.transparency import felt_n_per_m, sparing
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 
 SPRING = Material(stiffness_n_per_m=500.0)

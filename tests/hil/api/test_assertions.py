@@ -8,7 +8,7 @@ from scipy.stats import binom
 
 import hil
 from design.monte_carlo.confidence import SequentialTest
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.measure.network_paths import network_metrics
 from hil.session import simulated_session
 from transport import MarkovAge

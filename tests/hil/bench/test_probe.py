@@ -13,8 +13,8 @@ import pytest
 
 from hil.bench.probe import monotonic_ns, own_boot, probe, write_probe_log
 from hil.log.read.run import read_run
+from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
-from hil.log.recordings.recording import packet_records
 from tests.hil.cli.conftest import Hil, cli
 from transport import ControlPacket, SensorPacket, decode, encode_control
 from transport.links import LinkCounters

@@ -12,7 +12,7 @@ from design.jump_linear.leaving import ultimate_bound
 from design.networked_loop import polytope
 from design.processes.delay_chain import DelayChain
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, LinearPlant

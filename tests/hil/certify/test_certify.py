@@ -13,13 +13,13 @@ from msgspec.structs import replace
 
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.certify.certify import CERTIFIERS, certify
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
+from hil.rig import port_of
 from hil.rig.loop import Loop, digest_of
-from hil.rig.spec import port_of
 from hil.runtime.virtual import simulate
 from plants import LinearPlant
 

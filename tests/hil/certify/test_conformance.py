@@ -19,7 +19,7 @@ from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.answers_test import scheduled_excitation
 from hil.certify.stated_controller import wall_excitation
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from plants import SwitchedExample
 from plants.switched_example import SwitchedExampleRun

@@ -17,7 +17,7 @@ from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
 from hil.certify.certify import judge
 from hil.certify.jump_loop import jump_step, process_of, system_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import Seconds, load_experiment
 from hil.experiment.rig_tables import Limits

@@ -7,9 +7,9 @@ import pytest
 
 from design.controllers import LoopModel
 from design.verdict import Verdict
-from hil.certify.certifier import CertificationProblem, why_no_controller, why_no_history
+from hil.certify import CertificationProblem, why_no_controller, why_no_history
 from hil.certify.certify import judge
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from plants.dc_motor import DCMotor
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from design.jump_linear.order_of_modes import growth_in_every_order
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import gains_within

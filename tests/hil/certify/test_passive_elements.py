@@ -10,7 +10,7 @@ from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Material, Wall
 from design.passivity.certificate import cut_off
 from hil.api.experiment_source import load_experiment as experiment_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from design.requests.scheduled import QuadraticConstraint, Scheduled
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment, shipped
 from hil.thesis import chapter4

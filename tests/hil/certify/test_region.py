@@ -17,7 +17,7 @@ from design.jump_linear.leaving import SLOTS
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from plants import DCMotor, Departure, Driver, LinearPlant

@@ -22,7 +22,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import analyse_fault_tolera
 from design.semi_markov_loop.sampled import sampled_verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.jump_loop import _with_seen_sensors, system_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.thesis import chapter4
 from hil.thesis.chapter4 import GAIN_BOUND, SENSOR_FAULT, sensor_fault

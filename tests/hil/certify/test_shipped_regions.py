@@ -13,7 +13,7 @@ import hil
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.region import RISK
-from hil.compose.loop import compose
+from hil.compose import compose
 from tests.hil.certify.test_region import ANYWHERE, ENCODER, SUPPLY
 
 CALM: dict[str, Any] = {"reference": [], "disturbance": [], "allow_uncertified": True, "plant.driver": {"saturation_v": SUPPLY}}

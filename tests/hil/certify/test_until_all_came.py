@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import hil.certify as certifier
 from design.verdict import Verdict
-from hil.certify import certifier
-from hil.certify.certifier import UNTIL_ALL_CAME, WAITS_TOO_LONG, limited_to_received
+from hil.certify import UNTIL_ALL_CAME, WAITS_TOO_LONG, limited_to_received
 
 CERTIFIED = Verdict(kind="mean-square stability", state="certified", reason="its radius is 0.9", number=0.9, limit=1.0)
 

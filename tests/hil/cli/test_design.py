@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from design.errors import DesignError
 from hil.cli.design import command
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from tests.bench.design import GOALS, bench_design

@@ -11,8 +11,8 @@ import pytest
 from hil.design_questions.measured_network import measured
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
-from hil.log.recordings.recording import packet_records
 from hil.pages.analyses import _section
 from hil.pages.html.figures import Figure
 from tests.hil.cli.conftest import Hil

@@ -5,10 +5,10 @@ from rich.console import Console
 from rich.text import Text
 
 from hil.cli.live_view import LiveView
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import Experiment, load_experiment
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.runtime.virtual import run_virtual
 
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import hil
 from hil.cli import cli
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 

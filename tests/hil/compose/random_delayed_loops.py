@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from plants import JumpModel, JumpRates, TransitionRates
 from tests.hil.compose.random_jump_loops import sampled_radius
 from tests.hil.compose.random_loops import Array, jump_loop, jump_matrices, radius, rates_of, rows

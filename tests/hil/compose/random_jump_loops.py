@@ -12,7 +12,7 @@ from scipy.linalg import expm
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.delay_chain import DelayChain
 from design.requests.scheduled import scheduled_of
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from plants import JumpModel, JumpRates, TransitionRates
 from tests.hil.compose.random_loops import Array, chain, held, jump_loop, jump_matrices, radius, rates_of, rows
 

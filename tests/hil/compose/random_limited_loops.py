@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from plants import Departure, Signal
 from tests.hil.compose.random_loops import Array, Flat
 from tests.hil.compose.random_table_loops import send_all_draw, send_all_radius

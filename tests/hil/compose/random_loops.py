@@ -14,7 +14,7 @@ from design.controllers import LoopModel
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.delay_chain import DelayChain
 from design.requests.scheduled import scheduled_of
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from plants import JumpModel, JumpRates, Signal, StateSpace
 
 Array = np.ndarray[Any, Any]

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 

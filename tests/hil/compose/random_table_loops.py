@@ -10,7 +10,7 @@ from scipy.linalg import solve_discrete_are
 
 from design.controllers import LoopModel, SendAll, nested
 from design.processes.delay_chain import DelayChain
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.rig.delay_chains import delay_chain
 from tests.hil.compose.random_loops import Array, Flat, chain, radius
 from transport.laws.semi_markov import SemiMarkovAge

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.certify.certifier import CertificationProblem
+from hil.certify import CertificationProblem
 from hil.certify.certify import judge
 from tests.hil.compose.random_delayed_loops import delayed_case
 from tests.hil.compose.random_jump_loops import fault_case, jump_case, network_case, sectioned_case, uncertain_case

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from hil.compose import compose
 from hil.compose.changed import changed, is_schedule
-from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
 from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.pages.live.script import Scripted, read_script, script_of
 from hil.rig.loop import Loop
 from hil.runtime.virtual import run_virtual

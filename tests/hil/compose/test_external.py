@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 
 
 def test_the_verdict_on_an_external_controller_is_undecided_and_says_what_the_named_one_is_worth() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 
 import hil
+from hil.compose import compose
 from hil.compose.judged import caution, fourth_moments_of
-from hil.compose.loop import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Table

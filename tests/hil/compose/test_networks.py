@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from design.controllers import SendAll
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.measure.network_paths import expected_frequencies, expected_transitions

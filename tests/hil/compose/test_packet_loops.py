@@ -15,7 +15,7 @@ from design.errors import FieldError
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import dynamic_loop
 from design.processes.delay_chain import DelayChain
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import predict
 from hil.rig.receiver import Receiver, received

@@ -16,7 +16,7 @@ from design.controllers import Local, RowsLaw
 from design.jump_linear import MJLS
 from design.jump_linear.certificate import observed_part
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.plugins.checks import check_statements
 from hil.rig.loop_chains import settled
 from hil.runtime.virtual import simulate

@@ -8,8 +8,8 @@ import pytest
 
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
+from hil.compose import compose
 from hil.compose.judged import caution
-from hil.compose.loop import compose
 from hil.errors import ExperimentError
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate

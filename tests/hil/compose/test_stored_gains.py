@@ -19,7 +19,7 @@ from design.processes.further_rates import UserRate
 from design.processes.rates import clip_rate
 from design.processes.semi_markov import SemiMarkov
 from design.requests.tracking import Designed, DesignTask
-from hil.compose.loop import compose, solved_gains
+from hil.compose import compose, solved_gains
 from hil.compose.stored_gains import FORMAT, NoDigest, _said, problem_digest
 from hil.experiment import Experiment, load_experiment, shipped
 from hil.rig.loop import Gains

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from plants.delayed_states import B_5_4
 
 

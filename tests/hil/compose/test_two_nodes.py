@@ -12,7 +12,7 @@ from scipy.stats import norm
 from design.controllers import Known, MultiSampleController, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.cli.page_text import print_summary
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from design.requests.historical import HistoricalDesigned
 from hil.cli import cli
 from hil.cli.design_answers import experiment_over_history, historical_lines
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.design_questions.design_problem import tracking_target
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError

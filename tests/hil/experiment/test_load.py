@@ -11,7 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import (
     Seconds,

@@ -12,9 +12,9 @@ import numpy as np
 from hil.log.records import Channel
 from hil.log.run import StructuredArray
 from hil.log.topics import Logged, channels
+from hil.log.write import Sink
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import Sink
 
 PERIOD_NS = 1_000_000
 

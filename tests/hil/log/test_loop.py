@@ -14,14 +14,14 @@ from msgspec.structs import replace
 
 import hil
 from hil.errors import HilError
+from hil.log import SLOT, Topic
 from hil.log.records import Schema
 from hil.log.topics import TOPICS, Logged, MissingTopic, channels, panels
-from hil.log.topics.topic import SLOT, Topic
 from tests.hil.log.recording import Signal
 
 ROOT = Path(__file__).parents[3]
 POWER = """
-from hil.log.topics.topic import SLOT, Curve, Topic, f64
+from hil.log import SLOT, Curve, Topic, f64
 
 TOPICS = (
     Topic(

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from design.monte_carlo import Workers
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.experiment.tables import Report
 from hil.log.read.run import read_run
+from hil.measure import Measure, Quantity, measured, measures_of, quantities_of
 from hil.measure import view as viewing
 from hil.measure.check import check_measure
 from hil.measure.haptics import Haptics
-from hil.measure.measure import Measure, Quantity, measured, measures_of, quantities_of
 from hil.measure.signals import Signals, signals_of
 from hil.measure.tracking import Tracking
 from hil.measure.view import RunView, view_of
@@ -131,7 +131,7 @@ def test_a_page_parses_its_experiment_once(tmp_path: Path, monkeypatch: pytest.M
 
 
 OWN = """
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 
 class Whole:
     title, note, topics = "Mine", "", ("/actuator/applied",)

@@ -11,7 +11,7 @@ import hil
 
 MODULE = """
 from contextlib import suppress
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 
 
 class Erasing:

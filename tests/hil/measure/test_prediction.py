@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as struct_replace
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import PredictedSum, drive_of, left_out, predict
 from hil.rig.loop_chains import watchdog_chance

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run

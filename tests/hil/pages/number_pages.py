@@ -16,14 +16,14 @@ from hil.design_questions.design_problem import Compromise
 from hil.design_questions.loop_on_bus import Judged, Place
 from hil.design_questions.trigger_gains import Candidate
 from hil.experiment import load_experiment
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.pages.analyses import law_page, stiffness_page
 from hil.pages.designs import bus_page, can_priority_page, norm_trade_off_page, trigger_page
 from hil.pages.many_runs import compare_page, parameter_page
+from hil.sweeps import Sweep
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import Points, grid
-from hil.sweeps.sweep import Sweep
 from hil.sweeps.trigger_cost import CUT, OpenPoint, TriggerPoint, front, undecided
 from tests.hil.pages.whole_pages import axis_lines, lines
 from transport.law_fit import Candidate as TriedLaw

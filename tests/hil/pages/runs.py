@@ -14,13 +14,13 @@ from typing import Any, Final
 import numpy as np
 from msgspec.structs import replace
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink
 from hil.log.write.provenance import Provenance
-from hil.log.write.sinks import MemorySink
 from hil.measure.view import RunView, view_of
 from hil.pages.live.about import Window, about, picture
 from hil.pages.live.desk import Desk, Wish

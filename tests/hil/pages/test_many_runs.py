@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.pages.many_runs import _shares, compare_page, parameter_page
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep

@@ -15,7 +15,7 @@ import pytest
 
 import hil
 from hil.cli import main
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import shipped
 from hil.log.read.run import read_run
 from hil.measure.view import view_of

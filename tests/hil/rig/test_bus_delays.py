@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import APPLIED, ROWS
 from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages

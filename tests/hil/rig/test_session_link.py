@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.session_link import SessionLink
-from hil.session.run import CARRIED, _assuming
+from hil.session import CARRIED, _assuming
 from transport.installed import Folder, Point, points
 from transport.links.traits import LinkTraits
 

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read.run import Run

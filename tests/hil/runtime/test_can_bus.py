@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hil.cli.page_text import print_summary
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.run import records_sha256

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from hil.api.experiment_source import load_experiment as made
+from hil.compose import compose
 from hil.compose.judged import RESTARTED
-from hil.compose.loop import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
 from hil.experiment.schema import experiment_schema
 from hil.log.read.run import read_run
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.measure.view import view_of
 from hil.pages.sections.theory import section as theory_section
 from hil.rig.loop import Loop

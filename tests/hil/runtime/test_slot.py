@@ -9,12 +9,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.run import Run
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink
 from hil.log.write.provenance import loop_form
-from hil.log.write.sinks import MemorySink
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.nodes.controller_node import ControlNode

@@ -15,7 +15,7 @@ from design.processes.delay_chain import DelayChain
 from design.tracking import row_sojourns_of, with_every_row
 from design.tracking.design_file import load_design
 from hil.api.questions import design
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, shipped
 from hil.rig.delay_chains import delay_chain

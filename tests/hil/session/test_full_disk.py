@@ -61,7 +61,7 @@ class Frames:
     title, note, topics = "Frames", "", ("/link/sensor",)
 
     def quantities(self, signals):
-        from hil.measure.measure import Quantity
+        from hil.measure import Quantity
 
         return (Quantity(name="frames", title="frames of sensors", per_output=False),)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read.run import read_run
@@ -27,8 +27,8 @@ from hil.session.finished import controller_counters, link_counters
 from hil.session.replay import compare as replay_compare
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
+from hil.sweeps import statistics
 from hil.sweeps.seeds import here, run_sweep
-from hil.sweeps.sweep import statistics
 from tests.warm_hil import hil_command
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
@@ -236,7 +236,7 @@ def test_adding_a_disturbance_does_not_shift_the_delays() -> None:
 
 PROCESSES = (
     "import sys, pickle; import hil.runtime.real.rig_process, hil.runtime.real.controller_process;"
-    "from hil.experiment import load_experiment; from hil.compose.loop import compose;"
+    "from hil.experiment import load_experiment; from hil.compose import compose;"
     "heavy = {'control', 'cvxpy', 'cantools', 'matplotlib', 'scipy.signal', 'scipy.stats'} & set(sys.modules);"
     "assert not heavy, heavy;"
     "loop = compose(load_experiment('dc-motor-hinf')); loop.start_controller();"

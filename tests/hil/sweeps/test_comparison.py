@@ -9,10 +9,10 @@ import pytest
 from scipy.stats import binom
 
 import hil
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.pages.many_runs import compare_page
+from hil.sweeps import statistics
 from hil.sweeps.shown import CRUSHED, DECADES, Axis, axis_for
-from hil.sweeps.sweep import statistics
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import hil
 from design.controllers.sensor_nodes import window_of
 from design.historical_data.gapped_history import window_mask
 from design.historical_data.sensor_schedule import mask_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.sweeps import lockstep, seeds

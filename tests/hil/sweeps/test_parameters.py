@@ -15,9 +15,9 @@ import hil
 from design.monte_carlo import Workers
 from hil.cli import main
 from hil.cli.sweep import command
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
-from hil.measure.measure import Quantity
+from hil.measure import Quantity
 from hil.sweeps import parameters
 from hil.sweeps.parameters import load_points, sweep_parameters
 from hil.sweeps.points import grid, latin_hypercube

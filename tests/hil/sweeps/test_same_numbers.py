@@ -11,7 +11,7 @@ import pytest
 import hil
 from design.controllers import LoopModel, RunningController
 from hil.api.experiment_source import load_experiment
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.sweeps.lockstep import supports_batch
 from hil.sweeps.seeds import foreign_parts

@@ -21,8 +21,8 @@ from design.monte_carlo.confidence import StopRule
 from hil.cli.sweep import command, stop_rule
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
+from hil.sweeps import SweepStore
 from hil.sweeps.seeds import _parts, columns_of, here, run_sweep
-from hil.sweeps.sweep import SweepStore
 from tests.file_limit import files_up_to
 from tests.waiting import until
 

@@ -14,7 +14,7 @@ from design.historical_data.block_diagonal import BlockDiagonalProof, largest_ei
 from design.historical_data.guaranteed_cost import cost, start_at, stationary_cost
 from design.historical_data.least_cost import OrderCost, PeakMatch, cyclic_orders
 from design.historical_data.sensor_schedule import mask_of, round_robin
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from hil.thesis import Statement

@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from msgspec.structs import replace
 
 from hil.cli.log_files import export as command
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read import can_log as module

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 import hil
 from hil.bench.probe import Trip, write_probe_log
 from hil.errors import HilError
+from hil.log.recordings import packet_records
 from hil.log.recordings import read as recordings_read
 from hil.log.recordings.read import _emulated, read_recording, shipped_recordings
-from hil.log.recordings.recording import packet_records
 from tests.waiting import LIMIT_S
 from transport.draws import DELIVERED, SUPERSEDED
 from transport.law_fit import fit_law

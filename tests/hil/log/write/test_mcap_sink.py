@@ -14,17 +14,16 @@ import zstandard
 from mcap.reader import make_reader
 
 import hil
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.events import decode_event
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
-from hil.log.write import pipe_sink
+from hil.log.write import MemorySink, TeeSink, pipe_sink, record_to, records_to
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Compressor
 from hil.log.write.provenance import Provenance, commit, loop_form
-from hil.log.write.sinks import MemorySink, TeeSink, record_to, records_to
 from hil.runtime.virtual import run_virtual
 from tests.bench.plain_log import PlainSink
 from tests.file_limit import files_up_to

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 
 from hil.log.read.run import Run, read_run
 from hil.log.records import Channel
+from hil.log.write import MemorySink, PayloadWriter, record_to, records_to
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.pipe_sink import BLOCK_ID, FIRST_BLOCK_ID, HEAD, PipeSink
 from hil.log.write.pump import PumpReport, pump
-from hil.log.write.sinks import MemorySink, PayloadWriter, record_to, records_to
 from tests.hil.log.recording import TABLE, assert_same_arrays, provenance, record
 from tests.waiting import LIMIT_S
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write import pump as pumping

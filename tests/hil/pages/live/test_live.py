@@ -21,7 +21,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.log.read.run import read_run

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hil.api.experiment_source import load_experiment
+from hil.compose import compose
 from hil.compose.changed import changed
-from hil.compose.loop import compose
 from hil.experiment import Experiment
 from hil.log.topics import channels_of
 from hil.pages.live.about import about, controllers, controllers_of

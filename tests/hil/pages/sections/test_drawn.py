@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 import hil
+import hil.compose as composing
+import hil.measure as measure
 from hil.cli import main
-from hil.compose import loop as composing
 from hil.errors import HilError
 from hil.files import PAGE
-from hil.measure import measure, network_paths
+from hil.measure import network_paths
 from hil.measure.view import RunView, view_of
 from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Text, paper
 from hil.pages.html.page import Page
@@ -30,7 +31,7 @@ from transport.laws.age import ConstantAge
 
 MINE = """
     import numpy as np
-    from hil.measure.measure import Quantity
+    from hil.measure import Quantity
     from hil.pages import Figure, Section, Series, Table
 
     class Effort:

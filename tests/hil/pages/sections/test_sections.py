@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.topics import BUS, SC

@@ -9,7 +9,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.pages.html.figures import Scene, Shape

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run, read_run
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink, Sink
 from hil.log.write.mcap_sink import McapSink
-from hil.log.write.sinks import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.nodes.controller_node import ControlNode

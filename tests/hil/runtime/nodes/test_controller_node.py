@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO, NEAR, SILENCE_NS, ControlNode, Questions, Refusals

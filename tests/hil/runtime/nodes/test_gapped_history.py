@@ -16,7 +16,7 @@ from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -9,7 +9,7 @@ from design.historical_data import DelayedPlant
 from design.historical_data.guaranteed_cost import close_received
 from design.jump_linear.second_moment import forward
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.cost import Cost

@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.clock import Kernel, VirtualClock
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index

@@ -17,7 +17,7 @@ from design.historical_data.cost_bounds import CostMoments, cost_moments
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
 from hil.api.experiment_source import load_experiment as experiment_of
 from hil.certify.historical_loop import delayed_plant_of
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.runtime.real.child import PYTHON, Child, is_stopped, python_module
 from hil.runtime.real.ending import StopSignals

@@ -13,11 +13,11 @@ from typing import Any
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.read.run import Run
 from hil.log.topics import channels_of
-from hil.log.write.sinks import MemorySink
+from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig

@@ -10,13 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from hil.experiment.tables import Affinity
-from hil.runtime.real.machine import leave_to_loop
+from hil.runtime.real import leave_to_loop
 from transport.links.traits import traits_of
 
 LATENCY = "/dev/cpu_dma_latency"
 PROGRAM = """
 import os
-from hil.runtime.real.machine import go_real_time
+from hil.runtime.real import go_real_time
 print(go_real_time(1, None, awake=True))
 print(*(os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if os.path.lexists(f"/proc/self/fd/{fd}")))
 """
@@ -48,7 +48,7 @@ def test_what_takes_long_is_done_before_real_time_and_after_it() -> None:
     """Locked memory, a collection of garbage, the end of Python: in real time they kept the loops of other sessions waiting."""
     program = """
 import gc, os, threading
-from hil.runtime.real import machine
+import hil.runtime.real as machine
 policy = lambda: os.sched_getscheduler(0)
 policies = lambda: {os.sched_getscheduler(int(thread)) for thread in os.listdir("/proc/self/task")}
 seen, collect = [], gc.collect

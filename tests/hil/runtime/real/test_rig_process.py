@@ -10,7 +10,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.pipe_sink import PipeSink

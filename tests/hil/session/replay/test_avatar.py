@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate

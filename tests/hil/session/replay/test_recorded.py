@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from hil.compose.loop import compose
+from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.run import Run
