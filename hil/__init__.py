@@ -36,22 +36,49 @@ from __future__ import annotations
 
 import sys
 
-with open(f"{__path__[0]}/__init__.pyi", encoding="utf-8") as _face:
+TYPE_CHECKING = False  # the import of typing takes time
+if TYPE_CHECKING:
+    from hil.api.assertions import assert_law as assert_law
+    from hil.api.assertions import assert_probability as assert_probability
+    from hil.api.experiment_source import load_experiment as load_experiment
+    from hil.api.face import compare as compare
+    from hil.api.face import report as report
+    from hil.api.face import run as run
+    from hil.api.face import simulate as simulate
+    from hil.api.face import sweep as sweep
+    from hil.api.face import verify as verify
+    from hil.api.questions import DesignResult as DesignResult
+    from hil.api.questions import design as design
+    from hil.api.questions import laws as laws
+    from hil.errors import ExperimentError as ExperimentError
+    from hil.errors import HilError as HilError
+    from hil.experiment import Experiment as Experiment
+    from hil.log.read.run import read_run as read_run
+    from hil.log.run import Run as Run
+    from hil.session import Session as Session
+    from hil.sweeps import Sweep as Sweep
+    from hil.sweeps.comparison import Comparison as Comparison
+    from hil.sweeps.parameters import ParameterSweep as ParameterSweep
+    from hil.thesis import reproduce as reproduce
+
+with open(f"{__path__[0]}/__init__.py", encoding="utf-8") as _face:
     _HOMES = {words[3]: words[1] for words in map(str.split, _face) if words[0:1] + words[4:5] == ["from", "as"]}
-"""Module of each public name, as `__init__.pyi` has them."""
+"""Module of each public name, as the imports for type checkers have them."""
 
 __all__ = sorted(_HOMES)  # noqa: PLE0605
 
 
-def __getattr__(name: str) -> object:
-    if name not in _HOMES:
-        longer = next((each for each in __all__ if each.startswith(f"{name}_")), None)  # a near one Python finds itself
-        near = f"; did you mean {longer!r}?" if longer else ""
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}", name=name, obj=sys.modules[__name__])
-    from importlib import import_module
+if not TYPE_CHECKING:
 
-    import_module("hil.plugins.user_modules").refuse_shadowed_packages()
-    return getattr(import_module(_HOMES[name]), name)
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            longer = next((each for each in __all__ if each.startswith(f"{name}_")), None)  # a near one Python finds itself
+            near = f"; did you mean {longer!r}?" if longer else ""
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}", name=name, obj=sys.modules[__name__])
+        from importlib import import_module
+
+        import_module("hil.plugins.user_modules").refuse_shadowed_packages()
+        return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
