@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from hil.errors import ExperimentError as ExperimentError
     from hil.errors import HilError as HilError
     from hil.experiment import Experiment as Experiment
-    from hil.log.read.run import read_run as read_run
+    from hil.log.read import read_run as read_run
     from hil.log.run import Run as Run
     from hil.session import Session as Session
     from hil.sweeps import Sweep as Sweep

@@ -20,15 +20,15 @@ if TYPE_CHECKING:
     from plants.fmu import FMU as FMU
     from plants.fmu_run import FMURun as FMURun
     from plants.omni import Omni as Omni
+    from plants.parts import DiscreteStateSpace as DiscreteStateSpace
+    from plants.parts import Signal as Signal
+    from plants.parts import StateSpace as StateSpace
     from plants.parts.actuators import Driver as Driver
     from plants.parts.actuators import Encoder as Encoder
     from plants.parts.actuators import Friction as Friction
     from plants.parts.check import check_plant as check_plant
     from plants.parts.delayed_run import DelayedVTOLRun as DelayedVTOLRun
     from plants.parts.flow import JumpProcess as JumpProcess
-    from plants.parts.linear import DiscreteStateSpace as DiscreteStateSpace
-    from plants.parts.linear import Signal as Signal
-    from plants.parts.linear import StateSpace as StateSpace
     from plants.parts.linear_run import LinearRun as LinearRun
     from plants.parts.motor_run import DCMotorRun as DCMotorRun
     from plants.parts.protocols import BeyondModel as BeyondModel

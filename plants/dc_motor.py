@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from plants.errors import PlantError, require_finite, require_not_negative, require_positive, require_time_span
+from plants.parts import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.actuators import Driver, Encoder, Friction
-from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.motor_run import DCMotorRun, MotorRuns
 from plants.parts.protocols import Departure, PlantRun
 

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import FieldError, require_not_negative, require_rows, require_vector, require_whole_nanoseconds
+from plants.parts import NS_PER_S, DiscreteStateSpace, Matrix, Signal
 from plants.parts.exponential import Rows, dot
-from plants.parts.linear import NS_PER_S, DiscreteStateSpace, Matrix, Signal
 from plants.parts.linear_run import NoisyRun
 
 A_5_4: Final[Rows] = (

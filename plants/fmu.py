@@ -14,8 +14,8 @@ import numpy as np
 
 from plants.errors import FieldError, PlantError, require_rows
 from plants.fmu_run import FMURun
+from plants.parts import Signal, StateSpace
 from plants.parts.exponential import Rows
-from plants.parts.linear import Signal, StateSpace
 
 MOST_BYTES: Final = 500_000_000
 LEAST_BYTES: Final = 1 << 24

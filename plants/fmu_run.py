@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Final
 from plants import fmu_host
 from plants.errors import PlantError
 from plants.fmu_host import DONE, ENDED, FAILED, STEP
-from plants.parts.linear import NS_PER_S
+from plants.parts import NS_PER_S
 
 if TYPE_CHECKING:
     from plants.fmu import Unit

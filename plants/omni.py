@@ -8,9 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from plants.errors import FieldError, PlantError, require_finite, require_not_negative, require_positive
+from plants.parts import Signal, StateSpace
 from plants.parts.hand import Hand
 from plants.parts.held_run import HeldRun
-from plants.parts.linear import Signal, StateSpace
 from plants.parts.linear_run import LinearRun, NoisyRun
 from plants.parts.protocols import PassiveElement, PlantRun
 

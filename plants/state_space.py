@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import FieldError, PlantError, require_not_negative, require_positive, require_rows, require_whole_nanoseconds
+from plants.parts import DiscreteStateSpace, Signal, StateSpace, python_control
 from plants.parts.exponential import Rows
-from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace, python_control
 from plants.parts.linear_run import DrivenRun, LinearRun, LinearRuns, NoisyRun
 from plants.parts.protocols import Departure, Plant, PlantRun
 

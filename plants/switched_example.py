@@ -9,9 +9,9 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from plants.errors import FieldError, require_choice, require_not_negative, require_vector, require_whole_nanoseconds
+from plants.parts import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.exponential import Rows
 from plants.parts.flow import Flow, JumpProcess, Source, pass_time
-from plants.parts.linear import NEVER_NS, NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_clip, check_mode
 
 _A: tuple[Rows, Rows] = (((1.1555, -0.4006), (-0.4470, -0.7930)), ((-0.0274, 0.0249), (-0.3835, 0.3026)))

@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from plants.errors import FieldError, require_vector
+from plants.parts import Signal, StateSpace
 from plants.parts.exponential import Rows
-from plants.parts.linear import Signal, StateSpace
 from plants.parts.linear_run import LinearRun, LinearRuns
 
 VTOL_STATES = (

@@ -15,8 +15,8 @@ from plants.errors import (
     require_vector,
     require_whole_nanoseconds,
 )
+from plants.parts import Signal, StateSpace
 from plants.parts.delayed_run import DelayedVTOLRun
-from plants.parts.linear import Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.vtol import AIRSPEEDS_KN, VTOL_INPUTS, VTOL_STATES, vtol_matrices
 

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 
 from plants.errors import FieldError, require_finite, require_not_negative, require_vector, require_whole_nanoseconds
+from plants.parts import NS_PER_S, Signal, StateSpace
 from plants.parts.exponential import Rows
 from plants.parts.flow import Flow, HeldNoise, JumpProcess, Source, pass_time
-from plants.parts.linear import NS_PER_S, Signal, StateSpace
 from plants.parts.semi_markov import JumpModel, JumpRates, TransitionRates, check_mode
 from plants.vtol import VTOL_INPUTS, VTOL_STATES, vtol_matrices
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from hil.cli.new_external import Language, LinkKind, external_controller, program_files
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop

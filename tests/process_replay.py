@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.session.replay.over_link import AnswerComparison, ask_process
 from tests.forked_program import forked
 

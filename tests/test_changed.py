@@ -15,7 +15,7 @@ from tests.changed import before, changed, chosen_for
     [
         ("design/tracking/bfgs.py", {"tests/design/tracking"}, {"tests/design/lmi"}),
         ("hil/runtime/real/ending.py", {"tests/hil/runtime/real", "hil/runtime/real/ending.py"}, {"tests/hil/cli"}),
-        ("hil/log/topics/loop.py", {"tests/hil/log"}, {"tests/hil", "tests"}),
+        ("hil/log/topics/__init__.py", {"tests/hil/log"}, {"tests/hil", "tests"}),
         ("hil/session/__init__.py", {"tests/hil/session", "tests/realtime/test_sessions.py"}, {"tests/hil", "tests/plants"}),
         ("tests/waiting.py", {"tests/hil/cli/test_run.py"}, {"tests/hil/cli"}),
         ("tests/links/conftest.py", {"tests/links"}, {"tests"}),

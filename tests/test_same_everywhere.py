@@ -17,7 +17,7 @@ import pytest
 import hil
 from hil.cli.doctor import vector_units
 from hil.experiment import load_experiment, shipped
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.run import records_sha256
 from tests.other_processors import stand_ins, together
 from tests.records_sha256 import FILE, found

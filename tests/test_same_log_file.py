@@ -13,7 +13,7 @@ import pytest
 
 import hil
 from design.verdict import FROM_A_SOLVER, Verdict
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.other_processors import together
 
 NAMES = ("dc-motor-ours-hinf", "dc-motor-smith", "multisensor-published", "vtol-hinf", "vtol-fault")

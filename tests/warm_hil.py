@@ -27,7 +27,7 @@ from tests.waiting import LIMIT_S
 ROOT = Path(__file__).parents[1]
 MODULES = (
     "can", "design.controllers", "design.networked_loop.certify", "hil.cli.log_files", "hil.cli.run", "hil.cli.page_text",
-    "hil.compose", "hil.compose.stored_gains", "hil.log.read.run", "hil.log.write.mcap_sink",
+    "hil.compose", "hil.compose.stored_gains", "hil.log.read", "hil.log.write.mcap_sink",
     "hil.measure.tracking", "hil.session.replay.replay", "hil.runtime.real.supervisor", "hil.session", "numpy.random",
     "plants.dc_motor", "hil.api.pytest_plugin", "hil.api.assertions", "rich.progress",
 )  # fmt: skip

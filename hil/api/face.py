@@ -16,7 +16,7 @@ from hil.compose import compose
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
 from hil.files import check_output, check_page, write_output
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of

@@ -15,7 +15,7 @@ from design.controllers import check_row_sojourns
 from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
 from hil.api.experiment_source import Source, checked_arguments, checked_experiment
-from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of, tracking_target, verdict_on
+from hil.design_questions import TrackingTarget, problem_for, target_of, tracking_target, verdict_on
 from hil.errors import HilError
 from hil.experiment.tables import Experiment
 from hil.files import check_output, write_output

@@ -23,7 +23,7 @@ from hil.bench import running
 from hil.errors import HilError
 from hil.log import Logged
 from hil.log.records import Channel, Schema
-from hil.log.topics.loop import PROBE
+from hil.log.topics import PROBE
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.runtime.clock import RealClock, monotonic_ns, wall_clock

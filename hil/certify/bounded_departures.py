@@ -105,7 +105,7 @@ def _moved(plant: Plant, model: LoopModel, inputs: Array) -> Array:
         return np.zeros((len(model.A), 0))
     from scipy.linalg import expm
 
-    from plants.parts.linear import StateSpace
+    from plants.parts import StateSpace
 
     moves = plant.motion() if isinstance(plant, MovesOtherwise) else plant.model()
     if not isinstance(moves, StateSpace):  # in slots an input changes with the slot

@@ -108,7 +108,7 @@ def _of_traffic(
 ) -> BusAnalysis:  # fmt: skip
     from hil.design_questions.bus_analysis import analyse_traffic
     from hil.rig.named_files import read_traffic
-    from hil.runtime.streams import rng_for
+    from hil.runtime.nodes import rng_for
     from transport.can_bus_model import BitRates
     from transport.errors import FieldError
     from transport.links.can_open import rate

@@ -16,7 +16,7 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
-    from hil.design_questions.design_problem import TrackingTarget
+    from hil.design_questions import TrackingTarget
 
 NUMBER = Number()
 
@@ -108,8 +108,7 @@ def command(
     from design.requests.tracking import solve_tracking
     from design.tracking.design_file import design_text, to_document
     from hil.cli import design_answers as answers
-    from hil.cli import design_pages as many
-    from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
+    from hil.design_questions import problem_for, tracking_target, verdict_on
     from hil.design_questions.plant_uncertainty import interval, judge_uncertain, robust_design
     from hil.files import check_output, check_page, write_output
     from hil.log.write.provenance import package_versions
@@ -118,14 +117,14 @@ def command(
         check_page(path, force=force)  # now, and not after the work
     if can_id:
         _refuse_others({"subject", "can_id", "path", "force", "as_json"}, "with --can-id, which runs the controller as it is")
-        many.show_can_id(subject, path)
+        answers.show_can_id(subject, path)
         return
     if input_weight is not None and not (np.isfinite(input_weight) and input_weight >= 0):
         raise HilError(f"--input-weight: {input_weight:g}, expected a number >= 0")
     if trigger:
         mean = {"subject", "trigger", "gain_bound", "input_weight", "starts", "seed", "path", "force", "as_json"}
         _refuse_others(mean, "with --trigger, whose gains are H2 gains that use no ages: a silent node sends none")
-        many.show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path)
+        answers.show_trigger(subject, input_weight, {"gain_bound": gain_bound, "starts": starts, "seed": seed}, path)
         return
     experiment = answers.experiment_over_history(subject)
     if experiment is not None:
@@ -135,7 +134,7 @@ def command(
     if orders or spread:
         raise HilError(f"--{'orders' if orders else 'spread'}: belongs to an experiment with gains over historical data")
     if trade_off:
-        _refuse_others(set(many.SHAPES), "with --trade-off, which solves designs of all three objectives")
+        _refuse_others(set(answers.SHAPES), "with --trade-off, which solves designs of all three objectives")
     elif path is not None:
         check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
     _check_row_sojourns(row_sojourns, information)
@@ -145,7 +144,7 @@ def command(
         "starts": starts, "seed": seed, "R": None if input_weight is None else np.full(target.B.shape[1], input_weight),
     }  # fmt: skip
     if trade_off:
-        many.show_trade_off(target, shape, path)
+        answers.show_trade_off(target, shape, path)
         return
     ways = None
     if network is not None:

@@ -5,33 +5,32 @@ In lines: over historical data, without a network, over a measured one. By many 
 """
 
 from __future__ import annotations
+
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+
 import click
+from msgspec.structs import replace
+
 from design.errors import FieldError
 from design.requests.tracking import LocalDesigned
 from hil.certify.send_all_loop import judge_linear_law
+from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, print_facts
 from hil.compose import compose
-from hil.design_questions.design_problem import TrackingTarget, digest_of_law, model_at, motion_at, on_plant
+from hil.design_questions import TrackingTarget, compromises, digest_of_law, model_at, motion_at, on_plant
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.experiment.tables import Timing
-from hil.plugins.registry import names
-import sys
-from typing import TYPE_CHECKING, Any
-from msgspec.structs import replace
-from hil.cli.page_text import show_page
-from hil.cli.terminal import Working
-from hil.design_questions.design_problem import TrackingTarget, compromises
-from hil.experiment import load_experiment
 from hil.pages.designs import can_priority_page, norm_trade_off_page, trigger_page
+from hil.plugins.registry import names
 
 if TYPE_CHECKING:
     from design.controllers.sensor_nodes import Uses
     from design.tracking.synthesis import Design
-    from hil.design_questions.measured_network import Measured
     from hil.design_questions.loop_on_bus import Judged, Place
+    from hil.design_questions.measured_network import Measured
     from hil.sweeps.trigger_cost import TriggerPoint
 
 

@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.cli.terminal import visible
+from hil.log import Logged
 from hil.log.events import decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC
-from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, Logged, channels
+from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, channels
 from hil.measure.signals import PURE, tracked_among
 from hil.measure.summary import percentiles
 from hil.pages.html import text_of
-from plants.parts.linear import Signal
+from plants.parts import Signal
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

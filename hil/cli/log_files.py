@@ -84,8 +84,8 @@ def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> No
     bytes are 00; --topic /link/sensor and --topic /link/control give those of the link.
     """
     from hil.files import check_output
+    from hil.log.read import read_run
     from hil.log.read.export import export
-    from hil.log.read.run import read_run
 
     check_output(output, fresh=not force, remedy="choose another -o or add --force")
     with Working(f"export of {file}"):
@@ -107,7 +107,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.compose import compose
     from hil.experiment import load_experiment
     from hil.files import check_output, write_output
-    from hil.log.read.run import read_run
+    from hil.log.read import read_run
     from hil.log.topics import channels_of, panels
     from hil.pages.viewers import foxglove, plotjuggler
 
@@ -171,7 +171,7 @@ def replay(
     the holder of --key signed; 2 bad input.
     """
     from hil.files import check_output
-    from hil.log.read.run import read_run
+    from hil.log.read import read_run
 
     ways = {"--verify": do_verify, "--controller": controller is not None, "--onto": onto is not None,
             "--process": process is not None}  # fmt: skip
@@ -218,7 +218,7 @@ def _signed(file: Path, key: Path) -> Run:
     """Return the log, read from the very file whose signature was checked."""
     from hil.files import open_regular
     from hil.files.signature import BadSignature, check_signature
-    from hil.log.read.run import read_run
+    from hil.log.read import read_run
 
     with open_regular(file, "a log") as log:
         try:

@@ -251,7 +251,7 @@ def live(
             click.launch(url)
 
     if experiments[0].endswith(".mcap"):
-        from hil.log.read.run import read_run
+        from hil.log.read import read_run
 
         if len(experiments) > 1 or script is not None or foxglove is not None:
             remedy = "hil live EXPERIMENT --script LOG.mcap runs it again; Foxglove opens a log itself"

@@ -4,11 +4,14 @@ Here are the problems: a plant or an experiment by name, the network of Section 
 """
 
 from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
+
 from design.controllers import LinearLaw, LoopModel
 from design.errors import Infeasible
 from design.processes.delay_chain import DelayChain

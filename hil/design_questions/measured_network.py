@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
-from hil.design_questions.design_problem import TrackingTarget, digest_of_design, linear_verdict, on_plant
+from hil.design_questions import TrackingTarget, digest_of_design, linear_verdict, on_plant
 from hil.errors import HilError
 from hil.experiment import parse_table
 from hil.rig.delay_chains import delay_chain

@@ -29,7 +29,7 @@ from design.tracking.robust_synthesis import robust
 from design.tracking.synthesis import Design, Progress
 from design.verdict import State, Verdict, digest
 from design.whole_process import one_blas_thread
-from hil.design_questions.design_problem import TrackingTarget, digest_of_design, on_plant
+from hil.design_questions import TrackingTarget, digest_of_design, on_plant
 from hil.errors import HilError
 from plants.errors import PlantError
 from plants.parts.protocols import MovesOtherwise, Plant

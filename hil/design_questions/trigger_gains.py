@@ -31,7 +31,7 @@ from design.requests.tracking import solve_tracking
 from design.tracking.robust_synthesis import GUARANTEE, BudgetSpent, EquationBudget, robust
 from design.tracking.synthesis import Design, Progress
 from design.whole_process import one_blas_thread
-from hil.design_questions.design_problem import TrackingTarget, problem_for, target_of
+from hil.design_questions import TrackingTarget, problem_for, target_of
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from plants.parts.protocols import JumpPlant

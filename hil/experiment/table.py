@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from hil.errors import HilError
-from plants.parts.linear import Signal
+from plants.parts import Signal
 from transport.durations import in_seconds
 
 LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits

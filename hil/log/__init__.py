@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from hil.errors import HilError
 from hil.log.records import Field, field_name
-from plants.parts.linear import Signal
+from plants.parts import Signal
 
 
 class Logged(Struct, frozen=True, kw_only=True):

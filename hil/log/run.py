@@ -1,7 +1,7 @@
 """A finished run in memory: one numpy array per topic, the events, and where it all came from.
 
 The bytes of many records become one structured array without being touched one by one. What reads a run from a file is
-`hil.log.read.run`: a run in virtual time keeps its columns, and needs none of it.
+`hil.log.read`: a run in virtual time keeps its columns, and needs none of it.
 """
 
 from __future__ import annotations

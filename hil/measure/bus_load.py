@@ -10,8 +10,7 @@ import numpy.typing as npt
 from hil.errors import HilError
 from hil.experiment.rig_tables import BIT_ERRORS
 from hil.log.append_column import pieces
-from hil.log.topics import BUS
-from hil.log.topics.loop import EXTENDED
+from hil.log.topics import BUS, EXTENDED
 from hil.measure.view import RunView
 from hil.rig.can_bus import CONTROLLER, analysed, bus_nodes, can_bus_of, own_packets, rates_of
 from transport.can_analysis import bus_load, response_times

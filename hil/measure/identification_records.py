@@ -14,7 +14,7 @@ import numpy.typing as npt
 from design.identification.jump_rates import ModeRecord
 from hil.errors import HilError
 from hil.files.arrays import read_columns
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.run import Run
 from hil.log.topics import STATE
 from hil.measure.view import APPLIED, MEASUREMENT, view_of

@@ -17,7 +17,7 @@ from hil.log import topics
 from hil.log.append_column import pieces, release, whole
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run
-from hil.log.topics.loop import inputs_among
+from hil.log.topics import inputs_among
 from hil.measure.signals import Followed, Signals, bare, tracked_among
 from hil.rig import RigSpec
 from hil.rig.normal_form import rig_of

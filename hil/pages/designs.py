@@ -16,8 +16,8 @@ from hil.pages.html.page import Page
 
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import Interval
+    from hil.design_questions import Compromise
     from hil.design_questions.bus_analysis import BusAnalysis
-    from hil.design_questions.design_problem import Compromise
     from hil.design_questions.loop_on_bus import Judged
     from hil.sweeps.trigger_cost import OpenPoint, TriggerPoint
 

@@ -231,7 +231,7 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     Raises:
         HilError: there is no log, there are too many, or the page cannot be written.
     """
-    from hil.log.read.run import read_run  # of a run in memory there is nothing to read
+    from hil.log.read import read_run  # of a run in memory there is nothing to read
 
     logs = sorted(path for path in folder.glob("*.mcap") if path.is_file())
     if not logs:

@@ -17,7 +17,7 @@ from hil.experiment.tables import Links
 from hil.rig.receiver import Receiver
 from hil.rig.schedules import FaultSchedule
 from hil.rig.sensors import Sensor, SharedMedium
-from plants.parts.linear import Signal
+from plants.parts import Signal
 from plants.parts.protocols import JumpPlant, MovesOtherwise, Plant
 from transport.laws import NetworkLaw, prepare
 from transport.links.traits import CanFraming

@@ -200,7 +200,7 @@ def kept_run(sink: McapSink, provenance: Provenance) -> Run:
 
 
 def read_back(path: Path, *, whole: bool = True, descriptor: int | None = None) -> Run:
-    from hil.log.read.run import read_run  # a run in virtual time keeps its columns, and reads no log
+    from hil.log.read import read_run  # a run in virtual time keeps its columns, and reads no log
 
     return read_run(path, whole=whole, descriptor=descriptor)
 

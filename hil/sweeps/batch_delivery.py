@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from hil.experiment import Experiment
 from hil.measure.batch_protocols import BatchAges, NewestOfMany
 from hil.rig.loop import Loop
+from hil.runtime.nodes import rng_for
 from hil.runtime.nodes.network import clock_of, sensor_medium_of
-from hil.runtime.streams import rng_for
 from transport.draws import DELIVERED, DISORDERED, LOST, SUPERSEDED
 from transport.laws import AgeLaw, GapLaw, NetworkLaw
 

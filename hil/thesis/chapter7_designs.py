@@ -15,7 +15,7 @@ from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.uncertainty import robust_h2, uncertainty_margin
 from design.requests.tracking import solve_tracking
 from design.tracking.synthesis import Design, TrackingProblem, solve
-from hil.design_questions.design_problem import problem_for, tracking_target
+from hil.design_questions import problem_for, tracking_target
 from hil.design_questions.plant_uncertainty import PlantSet, interval, judge_uncertain, plants_between, robust_design
 from hil.pages.html.figures import BarGroup, Bars, Figure, Series
 from hil.thesis.chapter import Plot, ReportProgress

@@ -16,7 +16,7 @@ from design.monte_carlo.markov_batch import simulate_mjls
 from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
-from hil.design_questions.design_problem import LAMBDA, PI, PRINTED_VTOL
+from hil.design_questions import LAMBDA, PI, PRINTED_VTOL
 from hil.thesis.chapter import ReportProgress
 from hil.thesis.statements import ERRORS, Statement, above, below, equal, exactly, within
 from plants import VTOL, DCMotor

@@ -4,12 +4,15 @@ Here are a plant's signals and linear time-invariant models, in continuous and i
 """
 
 from __future__ import annotations
+
 import math
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from plants.errors import FieldError, PlantError
 from plants.parts.exponential import zero_order_hold
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plants.errors import PlantError
+from plants.parts import DiscreteStateSpace, Signal, StateSpace
 from plants.parts.exponential import Rows
-from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
 from plants.parts.protocols import (
     BeyondModel,
     Departure,

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from plants.parts import NS_PER_S
 from plants.parts.draws import TURN, sine
 from plants.parts.exponential import Rows, dot, drift, zero_order_hold
 from plants.parts.flow import HeldNoise, JumpProcess, Source, pass_time
-from plants.parts.linear import NS_PER_S
 
 if TYPE_CHECKING:
     from plants.vtol_delayed import DelayedVTOL

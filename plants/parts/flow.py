@@ -11,9 +11,9 @@ from typing import Final, Protocol
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts import NEVER_NS, NS_PER_S
 from plants.parts.draws import Normals, exponential
 from plants.parts.exponential import Rows, dot, drift, zero_order_hold
-from plants.parts.linear import NEVER_NS, NS_PER_S
 from plants.parts.semi_markov import TransitionRates
 
 _CACHED_STEPS = 64  # a rig uses one or two lengths; the bound only stops a caller that uses a new one every time

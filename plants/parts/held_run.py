@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts import NEVER_NS, NS_PER_S
 from plants.parts.actuators import Encoder, Friction
 from plants.parts.draws import TURN, Normals, sine
 from plants.parts.exponential import exp
 from plants.parts.flow import Flow, Source, pass_time
 from plants.parts.hand import Hand, Push, Slide, Way
-from plants.parts.linear import NEVER_NS, NS_PER_S
 from plants.parts.rubbing_axis import RubbingAxis
 
 if TYPE_CHECKING:

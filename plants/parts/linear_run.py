@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts import NS_PER_S, Matrix, StateSpace
 from plants.parts.draws import Normals
 from plants.parts.flow import Flow
-from plants.parts.linear import NS_PER_S, Matrix, StateSpace
 
 if TYPE_CHECKING:
     from plants.parts.protocols import PlantRun

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from plants.errors import PlantError
+from plants.parts import NS_PER_S, Matrix
 from plants.parts.actuators import Driver
 from plants.parts.exponential import zero_order_hold
-from plants.parts.linear import NS_PER_S, Matrix
 from plants.parts.rubbing_axis import RubbingAxes, RubbingAxis
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, Self, runtime_c
 import numpy as np
 from numpy.typing import NDArray
 
-from plants.parts.linear import DiscreteStateSpace, Signal, StateSpace
+from plants.parts import DiscreteStateSpace, Signal, StateSpace
 
 if TYPE_CHECKING:
     from plants.parts.semi_markov import JumpModel, JumpRates

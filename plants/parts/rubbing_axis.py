@@ -13,9 +13,9 @@ from typing import Final
 
 import numpy as np
 
+from plants.parts import NS_PER_S, Matrix
 from plants.parts.actuators import Friction
 from plants.parts.exponential import log1p, log1p_many, phi, phi_many
-from plants.parts.linear import NS_PER_S, Matrix
 
 FEW: Final = 24
 """Axes up to which one after the other is faster than all at once."""

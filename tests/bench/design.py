@@ -56,7 +56,7 @@ def bench_design(
         programmes: budget of the iterated route, in semidefinite programmes; 0 leaves it out.
     """
     from design.tracking.synthesis import solve
-    from hil.design_questions.design_problem import problem_for, tracking_target
+    from hil.design_questions import problem_for, tracking_target
 
     rows = []
     for goal in goals:

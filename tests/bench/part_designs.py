@@ -77,7 +77,7 @@ def _hinf(tell: Tell, quick: bool, figure: Figure, most: int) -> Iterator[Found]
 
 def _vtol(tell: Tell, quick: bool) -> Iterator[Found]:
     from design.tracking.synthesis import solve
-    from hil.design_questions.design_problem import problem_for, tracking_target
+    from hil.design_questions import problem_for, tracking_target
 
     target = tracking_target("dc-motor" if quick else "vtol")
     hinf, h2 = (

@@ -18,7 +18,7 @@ from hil.api.experiment_source import load_experiment
 from hil.api.pytest_plugin import explained
 from hil.certify.conformance import one_step
 from hil.compose import compose
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.pages.run_page import verdicts
 from hil.rig.loop import Loop, OneStep, Watched
 from hil.runtime.nodes.plant_watch import BLOCK, PlantWatch, left_over

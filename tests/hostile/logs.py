@@ -16,9 +16,9 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from hil.experiment import Experiment, load_experiment
 from hil.log.events import encode_event
+from hil.log.read import read_run
 from hil.log.read.export import export
 from hil.log.read.recover import recover
-from hil.log.read.run import read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.measure.view import view_of
 from hil.pages.run_page import render_report

@@ -19,7 +19,7 @@ import pytest
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
-from hil.log.read.run import Run, read_run
+from hil.log.read import Run, read_run
 from hil.log.records import STATUS
 from tests.hostile.flooder import KINDS
 from tests.hostile.tally import Note

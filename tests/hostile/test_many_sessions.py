@@ -16,8 +16,8 @@ import pytest
 
 import hil
 from hil.errors import HilError
+from hil.log.read import read_run
 from hil.log.read.recover import recover
-from hil.log.read.run import read_run
 from tests.hostile.faults import ENDED, GONE, Aim, children, fault
 from tests.hostile.tally import Note
 from tests.waiting import gone

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.waiting import gone, until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.hostile]

@@ -19,7 +19,7 @@ import zenoh
 
 from hil.experiment import shipped
 from hil.files.keys import make_keys
-from hil.log.read.run import Run, read_run
+from hil.log.read import Run, read_run
 from tests.links.test_zenoh_access import tls_entries, zenoh_intruder
 from tests.ports import free_port
 from tests.warm_hil import hil_command

@@ -16,14 +16,13 @@ import pytest
 
 from tests.waiting import LIMIT_S, ended, until
 from transport.can_bus_model import BitRates, CanFrame
-from transport.links.bus_file import HELD_S, BusFile
 from transport.links.can_bus import bus_directory
-from transport.links.shared_bus import Ended, SharedBus
+from transport.links.shared_bus import HELD_S, BusFile, Ended, SharedBus
 
 HOLDER = """
 import sys
 from pathlib import Path
-from transport.links.bus_file import BusFile
+from transport.links.shared_bus import BusFile
 
 def change(text):
     print("held", text.decode(), flush=True)
@@ -143,7 +142,7 @@ def test_a_frame_is_queued_once_where_others_went_on_meanwhile(tmp_path: Path, m
 
 PROGRAM = """
 import can, sys
-from transport.links.bus_file import BusFile
+from transport.links.shared_bus import BusFile
 bus = can.Bus("t", interface="hil", timed=1, bitrate="500k")
 bus.frames.timed._bus._file.change(lambda text: (print("held", flush=True), sys.stdin.read())[0] or text)
 """

@@ -16,10 +16,10 @@ from hil.compose import compose
 from hil.compose.changed import changed
 from hil.errors import ExperimentError
 from hil.experiment import Experiment, load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.topics import channels_of
+from hil.pages.live import Side
 from hil.pages.live.script import Scripted
-from hil.pages.live.side import Side
 from hil.pages.live.watch import RequestedRun as Watched
 from hil.runtime.changes import Change
 from hil.session import Session, run_session

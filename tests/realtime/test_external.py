@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from hil import report
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 

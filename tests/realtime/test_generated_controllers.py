@@ -13,7 +13,7 @@ from hil.cli.new_external import Language
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from tests.foreign_session import drive

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.warm_hil import hil_command
 
 pytestmark = pytest.mark.realtime

@@ -12,7 +12,7 @@ import pytest
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.session import run_session
 from hil.session.replay.over_link import ask_process
 from tests.process_replay import DATA, PROGRAMS, answering, asked

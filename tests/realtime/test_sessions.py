@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from hil.compose import compose
 from hil.errors import Terminated
 from hil.experiment import experiment_from_resolved, load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.topics import FRAME_TOPICS
 from hil.runtime.virtual import simulate
 from hil.session import run_session

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 
 RUNNER = [sys.executable, "-m", "hil", "vcan"]
 

@@ -17,7 +17,7 @@ import pytest
 
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.runtime.virtual import simulate
 from hil.session import Session, run_session
 from hil.session.replay.replay import verify

@@ -16,26 +16,23 @@ leaves the one before it.
 """
 
 from __future__ import annotations
+
+import fcntl
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from time import monotonic_ns
+from struct import Struct
+from time import monotonic, monotonic_ns, sleep
 from typing import Final, NamedTuple, TypeVar
+
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.disturbances import BusFault
 from transport.can_bus_model.node import CanNode, State, Waiting
-from transport.links import TransportError
-from transport.links.held_bus import Ended, HeldBus, StateChange
-import fcntl
-from collections.abc import Callable
-from struct import Struct
-from time import monotonic, sleep
-from typing import Final
 from transport.links import Closing, TransportError
+from transport.links.held_bus import Ended, HeldBus, StateChange
 from transport.links.private_directory import BUS_FILE
-
 
 HELD_S: Final = 0.25
 """So long a process may hold the bus before the others go on without it, s."""

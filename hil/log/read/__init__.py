@@ -4,22 +4,26 @@ Whether it holds what hil's own recorder writes is checked once, here: behind th
 """
 
 from __future__ import annotations
+
 import json
 import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
+
 from mcap.opcode import Opcode
 from mcap.records import Channel
+
 from hil.errors import HilError
+from hil.log import Logged
 from hil.log.events import decode_events
 from hil.log.read.mcap_file import Columns, Content, open_mcap, start_instant
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
 from hil.log.run import Arrays
 from hil.log.run import Run as Run
-from hil.log.topics import MEASUREMENT, REFERENCE, TOPICS, Logged
+from hil.log.topics import MEASUREMENT, REFERENCE, TOPICS
 from hil.log.write.provenance import FORMAT
 
 

@@ -19,10 +19,9 @@ import numpy.typing as npt
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved
 from hil.log.append_column import AppendColumn, pieces
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.records import TIME_FIELD
-from hil.log.topics import BUS, CONTROL, FRAME_TOPICS, SENSOR, TIMING
-from hil.log.topics.loop import EXTENDED, FD, REMOTE, SWITCH
+from hil.log.topics import BUS, CONTROL, EXTENDED, FD, FRAME_TOPICS, REMOTE, SENSOR, SWITCH, TIMING
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import no_link
 

@@ -33,8 +33,8 @@ from numpy.lib import format as npy
 from hil.errors import HilError, nearest
 from hil.files import written_whole
 from hil.log.append_column import pieces
+from hil.log.read import Run
 from hil.log.read.can_log import beyond_classic, can_messages, can_topics
-from hil.log.read.run import Run
 from hil.log.records import EVENTS_TOPIC, TIME_FIELD
 from hil.log.run import StructuredArray
 

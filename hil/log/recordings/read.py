@@ -11,12 +11,11 @@ import numpy as np
 
 from hil.errors import HilError
 from hil.files.can_logs import can_frames
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.recordings import BACK, THERE, Recording, Way
 from hil.log.recordings.packet_files import LATEST_S, read_captured_frames, read_latencies, read_ping_capture
 from hil.log.run import Run, StructuredArray
-from hil.log.topics import CA, SC
-from hil.log.topics.loop import PROBE
+from hil.log.topics import CA, PROBE, SC
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
 
 CAN_ENDINGS = (".log", ".asc", ".blf")

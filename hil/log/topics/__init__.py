@@ -11,20 +11,19 @@ the round trips of `hil probe`.
 """
 
 from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from itertools import chain
 from pkgutil import iter_modules
 from re import findall
 from typing import TYPE_CHECKING, Final
-from hil.errors import HilError, nearest
-from hil.log import Curve, Logged, MissingTopic, Topic
-from hil.log.records import Channel, Schema
-from hil.log.topics import loop
-from collections.abc import Sequence
+
 from msgspec.structs import replace
-from hil.log import PACKET_SLOT, SLOT, Curve, Logged, Topic, f64, floats, i32, i64, u8
-from hil.log.records import STATUS, Field
+
+from hil.errors import HilError, nearest
+from hil.log import PACKET_SLOT, SLOT, Curve, Logged, MissingTopic, Topic, f64, floats, i32, i64, u8
+from hil.log.records import STATUS, Channel, Field, Schema
 
 if TYPE_CHECKING:
     from hil.rig.loop import Loop
@@ -182,20 +181,12 @@ PROBE = Topic(
         i64("received_ns", "ns", "control frame in, 0 if none came"), SLOT,
     ),
 )  # fmt: skip
-TOPICS = (STATE, MEASUREMENT, REFERENCE, APPLIED, ROWS, SC, CA, SENSOR, CONTROL, TIMING, PASSIVITY, BUS, PROBE)
-
-
-__all__ = [
-    "APPLIED", "BUS", "CA", "CONTROL", "FRAME_TOPICS", "MEASUREMENT", "NUMBER_TOPICS", "PASSIVITY", "REFERENCE", "ROWS", "SC",
-    "SENSOR", "STATE", "TIMING", "TOPICS", "Curve", "Logged", "MissingTopic", "Topic", "channels", "channels_of", "in_log_of",
-    "missing", "panels",
-]  # fmt: skip
+_OF_A_RUN = (STATE, MEASUREMENT, REFERENCE, APPLIED, ROWS, SC, CA, SENSOR, CONTROL, TIMING, PASSIVITY, BUS, PROBE)
 
 
 def _registered() -> dict[str, Topic]:
-    names = [module.name for module in iter_modules(__path__, f"{__name__}.")]
-    others = [import_module(name).TOPICS for name in names if name not in (f"{__name__}.loop", f"{__name__}.topic")]
-    return {topic.name: topic for topic in chain(loop.TOPICS, *others)}
+    others = [import_module(module.name).TOPICS for module in iter_modules(__path__, f"{__name__}.")]
+    return {topic.name: topic for topic in chain(_OF_A_RUN, *others)}
 
 
 TOPICS: Final = _registered()

@@ -4,14 +4,17 @@ Here is the run: its newest records, its events, and the changes that wait for t
 """
 
 from __future__ import annotations
+
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, Final
+
 import numpy as np
 from numpy.typing import NDArray
+
 from hil.log.events import CHANGE, decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
@@ -22,7 +25,6 @@ from hil.runtime.changes import END, LATE, Change, Changes
 from hil.runtime.clock import PacedClock
 from hil.session.replay.recorded import ChangeRequest, changes_of
 from transport.draws import REASONS
-
 
 EVENTS: Final = 300
 """Events that the page shows at most."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from design.controllers.rendered_wall import WallController
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
-from hil.pages.live.side import Records, Side, Trace
+from hil.pages.live import Records, Side, Trace
 from hil.rig.loop import Loop
 from plants.parts.protocols import GoesOn, Plant
 from transport.laws import ChainLaw, NetworkLaw

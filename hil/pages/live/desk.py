@@ -18,7 +18,7 @@ import msgspec
 from design.monte_carlo import safe_path
 from hil.compose.changed import changed, is_schedule, refuse_in_real_time
 from hil.errors import HilError
-from hil.pages.live.side import Side
+from hil.pages.live import Side
 from hil.plugins.user_plugins import words
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change

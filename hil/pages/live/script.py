@@ -39,7 +39,7 @@ def read_script(path: Path) -> list[ChangeRequest]:
         HilError: a line is no change, with its number, the slots are out of order, or there are too many.
     """
     if path.suffix == ".mcap":
-        from hil.log.read.run import read_run
+        from hil.log.read import read_run
 
         return changes_of(read_run(path))
     found: list[ChangeRequest] = []

@@ -12,10 +12,10 @@ from typing import Any
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import Experiment
+from hil.pages.live import Side
 from hil.pages.live.about import about
 from hil.pages.live.desk import Desk
 from hil.pages.live.server import LivePage
-from hil.pages.live.side import Side
 from hil.pages.viewers import Beside
 from hil.runtime.clock import PacedClock, pause
 from hil.runtime.real.ending import StopSignals

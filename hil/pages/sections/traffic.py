@@ -12,8 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.log.append_column import pieces
-from hil.log.topics import BUS, SC
-from hil.log.topics.loop import EXTENDED
+from hil.log.topics import BUS, EXTENDED, SC
 from hil.measure.bus_load import BusLoad, MessageOnBus, bus_of
 from hil.measure.network_paths import loads
 from hil.measure.view import RunView

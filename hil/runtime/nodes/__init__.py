@@ -4,8 +4,10 @@ Each part draws from a random stream of its own name, so that adding a component
 """
 
 from __future__ import annotations
+
 import hashlib
 from functools import lru_cache
+
 import numpy as np
 
 

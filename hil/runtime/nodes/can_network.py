@@ -12,7 +12,7 @@ from hil.rig.loop import Loop
 from hil.rig.named_files import due_of
 from hil.rig.schedules import bus_faults
 from hil.rig.sensors import SharedMedium
-from hil.runtime.streams import rng_for
+from hil.runtime.nodes import rng_for
 from transport.can_bus_model import CanFrame, Due, Traffic
 from transport.can_bus_model.bus import CanBus, Transmission
 from transport.can_bus_model.disturbances import BitErrors, PlannedErrors

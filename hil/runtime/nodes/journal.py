@@ -9,8 +9,24 @@ from typing import TYPE_CHECKING, Any
 
 from hil.log import SlotRecord
 from hil.log.records import Channel
-from hil.log.topics import APPLIED, BUS, CA, CONTROL, MEASUREMENT, PASSIVITY, REFERENCE, ROWS, SC, SENSOR, STATE, TOPICS
-from hil.log.topics.loop import EXTENDED, FD, REMOTE, SWITCH
+from hil.log.topics import (
+    APPLIED,
+    BUS,
+    CA,
+    CONTROL,
+    EXTENDED,
+    FD,
+    MEASUREMENT,
+    PASSIVITY,
+    REFERENCE,
+    REMOTE,
+    ROWS,
+    SC,
+    SENSOR,
+    STATE,
+    SWITCH,
+    TOPICS,
+)
 from hil.log.write import Sink, record_to, records_to
 from hil.runtime.nodes.actuator_node import Applied
 from hil.runtime.nodes.safety import Injected

@@ -9,8 +9,8 @@ from hil.experiment.rig_tables import RESTART, Fault
 from hil.rig.loop import Loop
 from hil.rig.schedules import fault_text
 from hil.rig.sensors import Sensor, SharedMedium
+from hil.runtime.nodes import begun, rng_for
 from hil.runtime.nodes.journal import Journal
-from hil.runtime.streams import begun, rng_for
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.laws import NetworkLaw
 from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium

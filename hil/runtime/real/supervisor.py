@@ -4,6 +4,7 @@ Whether the rig process still lives is judged by its records.
 """
 
 from __future__ import annotations
+
 import ctypes
 import os
 import pickle
@@ -15,8 +16,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import IO, Final
+
 from msgspec import DecodeError
 from msgspec.json import decode
+
 from hil.errors import HilError, Terminated
 from hil.experiment.rig_tables import RESTART
 from hil.log.topics import channels_of
@@ -32,8 +35,6 @@ from hil.runtime.real.child import Child, end_all, is_stopped
 from hil.runtime.real.controller_process import ControllerReport
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, StopSignals
 from transport.links.private_directory import bus_directory, clear_dead_channels
-from typing import Final
-
 
 SHORTEST_S: Final = 1.0
 PERIODS: Final = 50

@@ -4,14 +4,16 @@ Here the first difference between the records of a log and those of a second run
 """
 
 from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
+
 import numpy as np
+
 from hil.log.records import Channel
 from hil.log.run import Run, StructuredArray, assemble
 from hil.log.write import MemorySink
 from transport.packets import decode
-
 
 BATCH: Final = 2048
 """Slots whose records are compared together."""

@@ -27,7 +27,7 @@ from hil.rig.session_link import link_of
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.nodes.wire import Wire, before
 from hil.runtime.real.exchange import Handshake
-from hil.session.replay.compare import BATCH, near_values
+from hil.session.replay import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
 from hil.session.replay.replay import experiment_of
 from transport.links import Link

@@ -20,7 +20,7 @@ from hil.log.topics import CONTROL, SENSOR, TIMING
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
 from hil.runtime.nodes.wire import Wire, before
-from hil.session.replay.compare import BATCH, in_time
+from hil.session.replay import BATCH, in_time
 from transport.links.authentication import cmac, read_key
 from transport.packets import SensorPacket, decode
 from transport.wire import tag_of

@@ -28,7 +28,7 @@ from hil.runtime.nodes.actuator_node import OK, row_index
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
-from hil.session.replay.compare import BATCH, Comparison, near_frames
+from hil.session.replay import BATCH, Comparison, near_frames
 from hil.session.replay.recorded import RecordedAnswers, Woken, changes_of, composed, frames, recorded_wire, refuse_changed
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control
 

@@ -18,7 +18,7 @@ from design.errors import DesignError
 from design.monte_carlo.confidence import mean_interval
 from design.networked_loop.certify import lower_bounds
 from hil.compose import compose
-from hil.design_questions.design_problem import tracking_target
+from hil.design_questions import tracking_target
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import run_seeds

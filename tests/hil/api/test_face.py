@@ -52,7 +52,7 @@ def test_the_help_of_the_command_line_imports_nothing_heavy() -> None:
 UNUSED = {
     "scipy", "rich", "can", "zenoh", "control", "cvxpy", "pandas", "numpy.ma", "mcap.writer", "cryptography", "loky", "pydantic",
     "plants.vtol", "plants.omni", "plants.fmu", "plants.state_space", "plants.semi_markov", "design.controllers.smith",
-    "design.controllers.historical", "design.controllers.wall", "design.controllers.virtual_wall", "hil.log.read.run",
+    "design.controllers.historical", "design.controllers.wall", "design.controllers.virtual_wall", "hil.log.read",
     "hil.api.face", "transport.laws.packet", "transport.links.authentication", "design.tracking.synthesis",
 }  # fmt: skip
 

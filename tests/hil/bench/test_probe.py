@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hil.bench.probe import monotonic_ns, own_boot, probe, write_probe_log
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
 from tests.hil.cli.conftest import Hil, cli

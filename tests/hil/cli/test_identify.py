@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from design.identification.jump_rates import JumpRate
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.design.identification.test_dry_friction import CHIRP, braked
 from tests.hil.cli.conftest import Hil, run_main
 

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.bench.probe import Trip, write_probe_log
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.records import EVENTS_TOPIC
 from tests.hil.cli.conftest import Hil
 

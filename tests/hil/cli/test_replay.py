@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.session.replay.over_link import onto
 from tests.hil.cli.conftest import Hil
 

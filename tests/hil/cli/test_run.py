@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.hil.cli.conftest import Hil
 from tests.waiting import LIMIT_S, until
 

@@ -15,7 +15,7 @@ import pytest
 import hil
 from hil.cli.run import let_go
 from hil.experiment import shipped
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from tests.hil.cli.conftest import Hil
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from design.controllers import LoopModel, Rows, Selection
-from plants.parts.linear import Signal, StateSpace
+from plants.parts import Signal, StateSpace
 
 Vector = list[float]
 A = np.array([[-1.0, 0.4], [-0.3, -2.0]])

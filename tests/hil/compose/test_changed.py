@@ -13,7 +13,7 @@ from hil.compose import compose
 from hil.compose.changed import changed, is_schedule
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.topics import APPLIED, CA, REFERENCE, SC, STATE, channels_of
 from hil.log.write import MemorySink
 from hil.pages.live.script import Scripted, read_script, script_of

@@ -13,7 +13,7 @@ from design.controllers import Known, MultiSampleController, Sample, SendAll
 from design.networked_loop.prediction import predict_tracking
 from hil.cli.page_text import print_summary
 from hil.compose import compose
-from hil.design_questions.design_problem import tracking_target
+from hil.design_questions import tracking_target
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.rig.delay_chains import gains_over

@@ -12,9 +12,9 @@ import pytest
 from click.testing import CliRunner
 from scipy.linalg import expm
 
+import hil.design_questions as design_problem
 from hil.cli.design import command
-from hil.design_questions import design_problem
-from hil.design_questions.design_problem import PRINTED_VTOL, compromises, problem_for, tracking_target
+from hil.design_questions import PRINTED_VTOL, compromises, problem_for, tracking_target
 from hil.errors import HilError
 from plants import VTOL
 

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from design.requests.tracking import solve_tracking
-from hil.design_questions.design_problem import problem_for, tracking_target
+from hil.design_questions import problem_for, tracking_target
 from hil.design_questions.measured_network import measured, over_network, region_verdict
 from hil.experiment import load_experiment
 from tests.hil.cli.conftest import Hil

@@ -13,7 +13,7 @@ from design.requests.tracking import LocalDesigned, solve_tracking
 from hil.cli.design import command
 from hil.cli.design_answers import design_local
 from hil.compose import compose
-from hil.design_questions.design_problem import problem_for, tracking_target, verdict_on
+from hil.design_questions import problem_for, tracking_target, verdict_on
 from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
 from hil.errors import HilError
 from hil.experiment import load_experiment

@@ -14,8 +14,7 @@ from design.networked_loop import uncertainty
 from design.tracking.synthesis import certified
 from hil.cli.design import command
 from hil.compose import compose
-from hil.design_questions import trigger_gains
-from hil.design_questions.design_problem import problem_for
+from hil.design_questions import problem_for, trigger_gains
 from hil.design_questions.trigger_gains import (
     Candidate,
     candidates,

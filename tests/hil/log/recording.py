@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hil.log import Logged
 from hil.log.records import Channel
 from hil.log.run import StructuredArray
-from hil.log.topics import Logged, channels
+from hil.log.topics import channels
 from hil.log.write import Sink
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance

@@ -13,8 +13,8 @@ from mcap.reader import make_reader
 
 from hil.log import append_column
 from hil.log.append_column import IN_MEMORY, ROWS, AppendColumn, pieces, release, whole
+from hil.log.read import read_run
 from hil.log.read.mcap_file import Columns
-from hil.log.read.run import read_run
 from hil.log.records import Field, Schema
 from hil.log.write import mcap_sink, mcap_writer
 from hil.log.write.mcap_sink import McapSink

@@ -14,9 +14,9 @@ from msgspec.structs import replace
 
 import hil
 from hil.errors import HilError
-from hil.log import SLOT, Topic
+from hil.log import SLOT, Logged, MissingTopic, Topic
 from hil.log.records import Schema
-from hil.log.topics import TOPICS, Logged, MissingTopic, channels, panels
+from hil.log.topics import TOPICS, channels, panels
 from tests.hil.log.recording import Signal
 
 ROOT = Path(__file__).parents[3]
@@ -37,7 +37,7 @@ import json, sys
 from pathlib import Path
 import hil
 from hil.log.read.export import export
-from hil.log.topics import MissingTopic
+from hil.log import MissingTopic
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.viewers import foxglove

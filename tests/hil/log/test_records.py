@@ -15,9 +15,10 @@ from mcap.records import Schema as McapSchema
 from mcap_ros2.decoder import DecoderFactory
 
 from hil.errors import HilError
+from hil.log import Logged
 from hil.log.records import Channel, Field, Schema, field_name
 from hil.log.run import assemble
-from hil.log.topics import Logged, channels
+from hil.log.topics import channels
 from tests.hil.log.recording import Signal
 
 TABLE = channels(Logged(

@@ -12,7 +12,7 @@ import pytest
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.files import arrays
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.run import Run, StructuredArray
 from hil.measure import identification_records
 from hil.measure.identification_records import AxisRecord, read_axis_record, read_mode_record, read_signal_table

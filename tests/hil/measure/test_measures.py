@@ -16,7 +16,7 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.experiment.tables import Report
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.measure import Measure, Quantity, measured, measures_of, quantities_of
 from hil.measure import view as viewing
 from hil.measure.check import check_measure

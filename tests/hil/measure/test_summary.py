@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.measure.network_paths import network_metrics, network_paths
 from hil.measure.summary import run_timing, summarise, timing_metrics
 from hil.measure.view import view_of

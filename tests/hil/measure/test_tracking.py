@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.log.append_column import ROWS
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.records import Field, Schema
 from hil.log.topics import STATE
 from hil.measure import signals

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Sheet
 
 from design.monte_carlo.confidence import Interval
 from design.passivity.stiffness_map import StiffnessCell
+from hil.design_questions import Compromise
 from hil.design_questions.bus_analysis import AnalysedMessage, BusAnalysis
-from hil.design_questions.design_problem import Compromise
 from hil.design_questions.loop_on_bus import Judged, Place
 from hil.design_questions.trigger_gains import Candidate
 from hil.experiment import load_experiment

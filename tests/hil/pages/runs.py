@@ -17,14 +17,14 @@ from msgspec.structs import replace
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.log.write.provenance import Provenance
 from hil.measure.view import RunView, view_of
+from hil.pages.live import Side
 from hil.pages.live.about import Window, about, picture
 from hil.pages.live.desk import Desk, Wish
-from hil.pages.live.side import Side
 from hil.pages.run_page import LoggedRun, logged_run, render_report, runs_page
 from hil.pages.viewers import foxglove, plotjuggler
 from hil.runtime.clock import PacedClock

@@ -12,7 +12,7 @@ import pytest
 import hil
 from hil.cli import main
 from hil.experiment import Experiment, load_experiment
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.pages.html.figures import Badge, Table

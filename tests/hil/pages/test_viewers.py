@@ -13,9 +13,9 @@ import pytest
 
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.records import CDR_HEADER
-from hil.pages.live.side import Side
+from hil.pages.live import Side
 from hil.pages.viewers import Beside, Foxglove
 from hil.runtime.clock import PacedClock
 from hil.session import run_session

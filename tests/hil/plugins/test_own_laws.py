@@ -12,7 +12,7 @@ import pytest
 
 import hil
 from hil.experiment import shipped
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.plugins.checks import check_law
 from transport.draws import SENT, Draw
 

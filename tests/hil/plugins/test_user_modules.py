@@ -17,7 +17,7 @@ import hil
 from hil.cli import main
 from hil.compose import compose
 from hil.experiment import shipped
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.measure.view import view_of
 from hil.plugins.user_modules import load_own, written_in
 from hil.runtime.virtual import simulate

@@ -14,7 +14,7 @@ from hil.compose.judged import RESTARTED
 from hil.errors import ExperimentError, HilError
 from hil.experiment import load_experiment, parse_experiment, shipped
 from hil.experiment.schema import experiment_schema
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.measure.view import view_of

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+import hil.session.replay as replay_compare
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.run import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.finished import controller_counters, link_counters
-from hil.session.replay import compare as replay_compare
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
 from hil.sweeps import statistics
@@ -326,7 +326,7 @@ def test_a_run_in_virtual_time_reads_nothing_back(tmp_path: Path, monkeypatch: p
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("the log was read back")
 
-    monkeypatch.setattr("hil.log.read.run.read_run", refuse)
+    monkeypatch.setattr("hil.log.read.read_run", refuse)
     session = run_session(load_experiment("dc-motor-hinf", ["duration=2"]), path=tmp_path / "run.mcap")
     assert session.summary["slots"] == 40
     with pytest.raises(AssertionError, match="read back"):

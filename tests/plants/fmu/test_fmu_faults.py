@@ -18,7 +18,7 @@ import pytest
 
 import hil
 from hil.experiment import shipped
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from plants import FMU
 from plants.fmu_host import PREFIX, remove_left_behind
 from tests.plants.fmu.test_fmu import CART, LINEAR, REAL, RUN, SOURCE, VERSION_2

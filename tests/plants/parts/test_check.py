@@ -14,7 +14,7 @@ import pytest
 
 import plants
 from plants import DCMotor, DelayedStates, DelayedVTOL, FaultyVTOL, Omni, PlantError, SwitchedExample, check_plant
-from plants.parts.linear import Signal
+from plants.parts import Signal
 from plants.parts.linear_run import LinearRun
 
 OURS = {

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plants.errors import PlantError
+from plants.parts import DiscreteStateSpace, StateSpace
 from plants.parts.flow import Flow
-from plants.parts.linear import DiscreteStateSpace, StateSpace
 from plants.parts.linear_run import LinearRun
 
 OSCILLATOR = StateSpace(A=[[0.0, 1.0], [-4.0, -0.4]], B=[[0.0, 1.0], [1.0, 0.5]], C=[[1.0, 0.0], [0.5, -1.0]])

@@ -22,9 +22,9 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.read import can_log as module
+from hil.log.read import read_run
 from hil.log.read.can_log import measured_frames
 from hil.log.read.export import export
-from hil.log.read.run import read_run
 from hil.log.run import Arrays, Run
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of

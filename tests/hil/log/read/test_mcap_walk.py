@@ -16,7 +16,7 @@ from mcap.opcode import Opcode
 
 from hil.errors import HilError
 from hil.log.events import encode_event
-from hil.log.read import mcap_walk
+from hil.log.read import mcap_walk, read_run
 from hil.log.read.mcap_walk import (
     LARGEST_RECORD,
     MAGIC,
@@ -33,7 +33,6 @@ from hil.log.read.mcap_walk import (
     walk,
 )
 from hil.log.read.recover import recover
-from hil.log.read.run import read_run
 from tests.hil.log.recording import record_chunks
 
 

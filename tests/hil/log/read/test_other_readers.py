@@ -16,8 +16,8 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from hil.experiment import load_experiment
+from hil.log.read import Run, read_run
 from hil.log.read.recover import recover
-from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.pipe_sink import PipeSink
 from hil.log.write.pump import pump

@@ -18,9 +18,9 @@ from mcap.writer import Writer
 
 from hil.cli.log_files import recover as command
 from hil.errors import HilError
+from hil.log.read import Run, read_run
 from hil.log.read.mcap_walk import MAGIC, walk
 from hil.log.read.recover import recover
-from hil.log.read.run import Run, read_run
 from hil.log.write.mcap_writer import McapWriter
 from tests.file_limit import files_up_to
 from tests.hil.log.recording import assert_same_arrays, provenance, record_chunks

@@ -18,7 +18,7 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.events import decode_event
-from hil.log.read.run import Run, read_run
+from hil.log.read import Run, read_run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, TeeSink, pipe_sink, record_to, records_to
 from hil.log.write.mcap_sink import McapSink

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.log.read.run import Run, read_run
+from hil.log.read import Run, read_run
 from hil.log.records import Channel
 from hil.log.write import MemorySink, PayloadWriter, record_to, records_to
 from hil.log.write.mcap_sink import McapSink

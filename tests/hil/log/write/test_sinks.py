@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hil.errors import HilError
 from hil.log.events import decode_event, encode_event, plain
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.write import MemorySink, TeeSink, harmless
 from tests.hil.log.recording import TABLE, assert_same_arrays, record
 

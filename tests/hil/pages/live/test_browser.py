@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.session.replay.recorded import changes_of
 from hil.session.replay.replay import verify
 from tests.hil.pages import chromium

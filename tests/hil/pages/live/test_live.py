@@ -24,14 +24,13 @@ import pytest
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
-from hil.log.read.run import read_run
+from hil.log.read import read_run
 from hil.log.records import Field, Schema
-from hil.pages.live import server
+from hil.pages.live import Side, Tail, server
 from hil.pages.live.about import Window, picture, thinned
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import Scripted, read_script
 from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS, LivePage
-from hil.pages.live.side import Side, Tail
 from hil.pages.live.watch import RequestedRun, _run, show_log, watch
 from hil.session import Session, run_session
 from hil.session.replay.recorded import changes_of

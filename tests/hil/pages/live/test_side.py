@@ -9,9 +9,9 @@ from hil.compose import compose
 from hil.compose.changed import changed
 from hil.experiment import Experiment
 from hil.log.topics import channels_of
+from hil.pages.live import Side
 from hil.pages.live.about import about, controllers, controllers_of
 from hil.pages.live.desk import Desk
-from hil.pages.live.side import Side
 from hil.rig.loop import Loop
 from hil.runtime.changes import Change
 from hil.runtime.clock import PacedClock

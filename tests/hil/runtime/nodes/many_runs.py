@@ -13,7 +13,7 @@ from design.controllers import HistoryGains
 from design.historical_data import Array, LiftedLoop
 from design.jump_linear.second_moment import forward
 from hil.rig.loop import Loop
-from hil.runtime.streams import rng_for
+from hil.runtime.nodes import rng_for
 from plants.delayed_states import DelayedStates
 
 

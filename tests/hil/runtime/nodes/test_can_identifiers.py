@@ -9,7 +9,7 @@ import pytest
 
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.log.read.run import Run, read_run
+from hil.log.read import Run, read_run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, Sink
 from hil.log.write.mcap_sink import McapSink

@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
-from hil.runtime.streams import rng_for
+from hil.runtime.nodes import rng_for
 from hil.runtime.virtual import simulate
 from plants.parts.draws import Normals
 

@@ -12,7 +12,7 @@ import pytest
 
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.log.read.run import Run
+from hil.log.read import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop

@@ -14,8 +14,7 @@ from msgspec.json import encode
 from hil.runtime.real import supervisor
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
 from hil.runtime.real.controller_process import ControllerReport
-from hil.runtime.real.heartbeat import START_S, HeartbeatTimeout
-from hil.runtime.real.supervisor import _read_report
+from hil.runtime.real.supervisor import START_S, HeartbeatTimeout, _read_report
 
 STEP_S = 0.02
 

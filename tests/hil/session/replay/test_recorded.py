@@ -19,9 +19,8 @@ from hil.log.topics import CONTROL, SENSOR
 from hil.runtime.clock import VirtualClock
 from hil.runtime.nodes.wire import Wire, session_wire
 from hil.runtime.virtual import simulate_as_logged
-from hil.session.replay import over_link
+from hil.session.replay import near_values, over_link
 from hil.session.replay import recorded as replay_recorded
-from hil.session.replay.compare import near_values
 from hil.session.replay.over_link import ask_process
 from hil.session.replay.recorded import RecordedAnswers, Tags, changes_of, recorded_wire, verify_tags
 from hil.session.replay.replay import experiment_of, verify, what_if
