@@ -49,7 +49,7 @@ def asked_for(place: Place, reach: Reach, root: Path = ROOT) -> list[str]:
     that reach the block come the others of their files, which may share what the first one made. A block that no test reaches
     has none; outside of functions the tests are those that reach a function of the file or import it, and one of all modules.
     """
-    mirror, own = f"tests/{Path(place.file).parent.as_posix()}/", f"test_{Path(place.file).stem}.py"
+    mirror, own = f"tests/{Path(place.file).parent.as_posix()}/", f"test_{module_of(place.file)[-1]}.py"
     near = chosen_for([place.file], root)
     if place.block:
         reaching = {*reach.by_block.get(f"{place.file}::{place.block}", ())}
@@ -79,7 +79,7 @@ def own_tests(place: Place, root: Path = ROOT) -> list[str]:
     Nearest are those named after the file, then those that hold its names; behind them those named after what imports it.
     """
     path, names = Path(place.file), names_of(place, root)
-    module = ".".join(path.with_suffix("").parts)
+    module, own = ".".join(module_of(place.file)), f"test_{module_of(place.file)[-1]}.py"
     said = re.compile(rf"^\s*(from {re.escape(module)} |import {re.escape(module)}\b)", re.M)
     users = {f"test_{file.stem}.py" for file in (root / path.parts[0]).rglob("*.py") if said.search(file.read_text())}
     chosen = [root / each for each in chosen_for([place.file], root)]
@@ -88,9 +88,15 @@ def own_tests(place: Place, root: Path = ROOT) -> list[str]:
     files += sorted(file for file in (root / "tests").rglob("test_*.py") if file.name in users)
 
     def near(file: Path) -> tuple[bool, int, bool]:
-        return file.name != f"test_{path.stem}.py" and file != root / path, rank(file.read_text(), names), file.name not in users
+        return file.name != own and file != root / path, rank(file.read_text(), names), file.name not in users
 
     return [file.relative_to(root).as_posix() for file in sorted(dict.fromkeys(files), key=near)]
+
+
+def module_of(file: str) -> tuple[str, ...]:
+    """Return the parts of a module's name; those of its folder for an ``__init__.py``."""
+    *folder, stem = Path(file).with_suffix("").parts
+    return (*folder,) if stem == "__init__" else (*folder, stem)
 
 
 def names_of(place: Place, root: Path = ROOT) -> str:
@@ -98,7 +104,7 @@ def names_of(place: Place, root: Path = ROOT) -> str:
     inner = [name for name in place.block.partition("#")[0].split(".") if not name.startswith("__")]
     tree = ast.parse((root / place.file).read_text())
     others = [each.name for each in tree.body if isinstance(each, ast.FunctionDef | ast.ClassDef)]
-    return "\n".join(" ".join(line) for line in (inner[-1:], inner[:-1], [Path(place.file).stem, *others]) if line)
+    return "\n".join(" ".join(line) for line in (inner[-1:], inner[:-1], [module_of(place.file)[-1], *others]) if line)
 
 
 class UndecidedError(Exception):

@@ -140,7 +140,7 @@ def test_the_tests_of_a_fault_are_those_that_reach_it_nearest_first(monkeypatch:
 def test_the_tests_of_a_constant_are_those_named_after_its_file_and_those_that_reach_a_function_beside_it() -> None:
     constant, _ = places("hil/log/topics/__init__.py", "N = 3\ndef f(x):\n    return x\n")
     tests = ("tests/far.py::a", "tests/far.py::b", "tests/hil/log/test_other.py::c", "tests/hil/cli/test_run.py::d",
-             "tests/hil/log/test_loop.py::named")  # fmt: skip
+             "tests/hil/log/test_topics.py::named")  # fmt: skip
     reach = reach_of(*tests, by_block={"hil/log/topics/__init__.py::f#0": [1], "hil/log/m.py::f#0": [3]})
     assert asked_for(constant, reach) == [*(tests[n] for n in (4, 1, 2)), EVERY_MODULE]
 
