@@ -13,7 +13,7 @@ from pathlib import Path
 import hil
 from hil.experiment import load_experiment, shipped
 from hil.measure.view import view_of
-from hil.pages.html.figures import Figure, Scene, Section
+from hil.pages import Figure, Scene, Section
 from hil.pages.paper import write_figures
 from hil.pages.sections import sections_of
 

@@ -23,8 +23,8 @@ from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.rig.session_link import link_of
 from hil.runtime.clock import monotonic_ns
+from hil.runtime.nodes import KEY_BYTES, session_wire
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import KEY_BYTES, session_wire
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.slot import OnFrame, Slot
 from tests.forked_program import forked

@@ -242,7 +242,7 @@ class PublishedScheduled:
 
     def solve(self, task: DesignTask) -> Scheduled:
         """Return the gains as the controller that runs; nothing is solved."""
-        from design.as_printed import examples as p
+        import design.as_printed as p
 
         tables: dict[str, Callable[[], ScheduledGain]] = {
             "ch2": p.chapter2_gain,

@@ -33,7 +33,7 @@ def _check(option: str, value: float, low: float, high: float) -> None:
 
 
 def show_table(title: str, rows: list[dict[str, Any]]) -> None:
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
 
     cells = [[f"{v:.4g}" if isinstance(v, float) else v for v in row.values()] for row in rows]
     print_table(Table(title=title, columns=list(rows[0]) if rows else (), rows=cells))

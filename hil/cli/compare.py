@@ -81,7 +81,7 @@ def compare(
 
 
 def _show_comparison(comparison: Comparison, output: Path | None) -> None:
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
     from hil.sweeps.shown import SHORTER
 
     for name in list(comparison.values)[1:]:
@@ -202,7 +202,7 @@ def _mean(mean: float | None, low: float | None, high: float | None) -> tuple[st
 
 
 def _show(chosen: list[Problem], known: dict[str, dict[str, Any]], reached: dict[str, Reached]) -> None:
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
     from hil.sweeps.problems import OBJECTIVE
     from hil.sweeps.seeds import quantities_in
 

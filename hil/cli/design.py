@@ -223,7 +223,7 @@ def _refuse_others(common: set[str], where: str) -> None:
 
 def _show(design: Design, document: dict[str, Any]) -> None:
     from design.tracking import row_sojourns_of
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
 
     c, problem = design.certificate, design.problem
     sc, ca = problem.chains

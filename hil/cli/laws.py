@@ -117,7 +117,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
 
 
 def _print(name: str, period_s: float, title: str, law: LawAnalysis, notes: Sequence[str] = ()) -> None:
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
 
     click.echo(f"{click.style(visible(name), bold=True)}, {visible(title)}: {law.kind} law, T = {period_s * 1e3:g} ms")
     if len(law.stationary) > 1:  # one mode lasts for ever

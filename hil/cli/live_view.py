@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.cli.terminal import visible
-from hil.log import Logged
-from hil.log.events import decode_event
+from hil.log import Logged, decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC
 from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, channels
 from hil.measure.signals import PURE, tracked_among

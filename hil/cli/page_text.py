@@ -20,7 +20,7 @@ from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from hil.pages.html.figures import Cell, Table
+    from hil.pages import Cell, Table
     from hil.pages.html.page import Page
 
 
@@ -76,8 +76,8 @@ def _shown(value: Cell) -> Text:
     """Return a table's cell that shows a text as it is: escaped, and without markup."""
     from rich.text import Text
 
+    from hil.pages import Badge
     from hil.pages.html import text_of
-    from hil.pages.html.figures import Badge
 
     if isinstance(value, Badge):
         return Text(visible(value.label).translate(_TYPED), style=_STYLES.get(value.state, ""))
@@ -86,7 +86,7 @@ def _shown(value: Cell) -> Text:
 
 def print_page(page: Page) -> None:
     """Print what a page says without its figures: title, facts, verdicts, tables and paragraphs."""
-    from hil.pages.html.figures import Table, Text
+    from hil.pages import Table, Text
 
     click.secho(visible(page.title), bold=True)
     print_folded(page.subtitle.translate(_TYPED))

@@ -17,8 +17,9 @@ import click
 from hil.cli.terminal import json_option, print_json, terminal_columns, wants_json
 
 if TYPE_CHECKING:
-    from hil.thesis import Checkpoint, Reproduction, Row, Step
+    from hil.thesis import Checkpoint, Reproduction, Step
     from hil.thesis.checkpoint import KeptStages
+    from hil.thesis.judgement import Row
 
 ALL = "all"
 STATE = "reproduce.state"
@@ -42,9 +43,9 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
     command goes on from there.
     """
     from hil.files import write_output
-    from hil.thesis import chapters, compute_chapter, power, power_in_words
+    from hil.thesis import chapters, compute_chapter
     from hil.thesis.checkpoint import KeptStages
-    from hil.thesis.pages import chapter_page, index_page
+    from hil.thesis.pages import chapter_page, index_page, power, power_in_words
 
     if chapter not in (*chapters(), ALL):
         raise click.UsageError(f"{chapter!r} is not one of {', '.join((*chapters(), ALL))}")
@@ -109,7 +110,7 @@ def _pages(chapter: str, names: tuple[str, ...], output: Path, force: bool) -> d
 
 
 def _show(result: Reproduction) -> None:
-    from hil.thesis import VERDICTS
+    from hil.thesis.judgement import VERDICTS
 
     colours = dict(zip(VERDICTS, COLOURS, strict=True))
     click.secho(result.title, bold=True)
@@ -124,7 +125,7 @@ def _show(result: Reproduction) -> None:
 
 
 def _show_counts(rows: Sequence[Row]) -> None:
-    from hil.thesis import VERDICTS
+    from hil.thesis.judgement import VERDICTS
 
     counts = ", ".join(f"{sum(row.verdict == verdict for row in rows)} {verdict}" for verdict in VERDICTS)
     click.echo(_folded(f"{len(rows)} rows: {counts}") + "\n")

@@ -207,7 +207,7 @@ def _show(out: dict[str, Any], titles: dict[str, str], table: Path | None) -> No
 
 
 def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
     from hil.sweeps.shown import SHORTER, in_no_run
 
     print_folded(out["caution"] or "")

@@ -134,7 +134,7 @@ def csv_of(sweep: ParameterSweep) -> str:
 
 def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:
     from hil.measure.signals import with_unit
-    from hil.pages.html.figures import Table
+    from hil.pages import Table
 
     print(f"{visible(out['experiment'])}: {out['runs']} runs at each of {len(out['points'])} points in {out['wall_s']} s")
     for quantity in sweep.quantities:

@@ -45,7 +45,7 @@ string severity  # 1, one of {', '.join(SEVERITIES)}
 string message  # 1, one sentence for people
 string data  # 1, values that belong to it, as a JSON object; numbers that are not finite as text
 """
-"""``ros2msg`` text of ``/events``; see `hil.log.events.encode_event`."""
+"""``ros2msg`` text of ``/events``; see `hil.log.encode_event`."""
 
 _CODES: Final = {"float64": "d", "int64": "q", "int32": "i", "uint8": "B"}
 _NUMPY: Final = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "u1"}

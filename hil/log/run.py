@@ -16,8 +16,8 @@ from msgspec import Struct, field
 from msgspec.structs import force_setattr
 
 from hil.errors import HilError, unknown_name
+from hil.log import decode_events
 from hil.log.append_column import ROWS, pieces
-from hil.log.events import decode_events
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, TIME_FIELD, Schema
 from hil.log.topics import missing
 from hil.log.write import MemorySink

@@ -15,8 +15,8 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from hil.experiment.nodes import Medium
+from hil.log import CHANGE
 from hil.log.append_column import AppendColumn, pieces
-from hil.log.events import CHANGE
 from hil.log.run import Run
 from hil.log.topics import CA, SC
 from hil.measure.view import MEASUREMENT, RunView

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from msgspec.structs import asdict
 
 from hil.experiment import Experiment
-from hil.log.events import WITHDRAWN
+from hil.log import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
 from hil.measure import measured, quantities_of, run_measures

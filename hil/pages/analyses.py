@@ -12,8 +12,8 @@ from scipy import special
 from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
 from hil.log.recordings import class_text, independence_text
+from hil.pages import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html import capital
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html.page import Page
 from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of

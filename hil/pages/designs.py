@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.pages import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, State, Table, Text
 from hil.pages.html import can_id_text
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, State, Table, Text
 from hil.pages.html.page import Page
 
 if TYPE_CHECKING:

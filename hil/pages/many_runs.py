@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from design.monte_carlo.confidence import Interval
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
+from hil.pages import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html import capital
-from hil.pages.html.figures import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html.page import Page
 from hil.sweeps import statistics
 from hil.sweeps.comparison import Comparison

@@ -13,8 +13,8 @@ import numpy as np
 from hil.errors import HilError
 from hil.measure.signals import with_unit
 from hil.notebook import MM_PER_INCH, paper_style
+from hil.pages import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.html import share_text
-from hil.pages.html.figures import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 
 Plot: TypeAlias = Figure | Bars | Histogram | Matrix | Scene
 

@@ -17,8 +17,8 @@ from hil.measure import Quantity, quantities_of, run_measures
 from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView, view_of
+from hil.pages import Badge, Block, Cell, Figure, Link, Section, Series, State, Table, Tile
 from hil.pages.html import capital, text_of
-from hil.pages.html.figures import Badge, Block, Cell, Figure, Link, Section, Series, State, Table, Tile
 from hil.pages.html.page import Page
 from hil.pages.sections import sections_of
 from hil.pages.sections.time_panels import output_panels

@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Literal
 
 from msgspec import Struct
 
-from hil.log.events import CHANGE
+from hil.log import CHANGE
 from hil.log.write import Sink
 from hil.rig.loop import Loop
 from hil.runtime.nodes.controller_node import ControlNode

@@ -21,7 +21,7 @@ import msgspec
 from hil.compose import compose
 from hil.errors import DiskFull, HilError, Terminated
 from hil.experiment import Experiment
-from hil.log.events import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
+from hil.log import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.topics import channels_of
 from hil.log.write import PayloadWriter, Sink, TeeSink, harmless, published, together

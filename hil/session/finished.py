@@ -14,7 +14,7 @@ from msgspec.structs import force_setattr
 
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.log.events import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
+from hil.log import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import BUS, CA, SC, channels_of

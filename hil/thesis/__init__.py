@@ -1,26 +1,234 @@
 """The thesis's numbers beside computed ones: a module a chapter, such as ``chapter7``, that holds its `Chapter`.
 
 A statement is data: what is printed, which computed number, by which rule (``statements``); a row is a statement judged, and no
-verdict is written down (``judgement``). A chapter is a list of stages (``chapter``); ``pages`` draws the results, and
-says what the rules can tell.
+verdict is written down (``judgement``). ``pages`` draws the results, and says what the rules can tell.
+
+A chapter is a list of stages, ``CHAPTER = Chapter(title=..., stages=(Stage(...), ...))``. A stage computes numbers by name and
+says how far it is; its `Statement` s are judged by them. It gives rows and figures, and shares nothing with others but the code
+that they call: what was done could be kept.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from design.lmi import check_solvers
-from hil.errors import unknown_name
-from hil.thesis.chapter import Chapter, Checkpoint, Part, Plot, Progress, Reproduction, Stage, Step, compute
-from hil.thesis.judgement import VERDICTS, Check, Row
-from hil.thesis.pages import power, power_in_words
-from hil.thesis.statements import Statement
+from hil.errors import HilError, unknown_name
+from hil.notebook import Result, data_frame
+from hil.pages import Bars, Figure, Histogram
+from hil.pages.paper import draw
+from hil.thesis.judgement import VERDICTS, Row
+from hil.thesis.statements import Statement, judge
 
-__all__ = [
-    "VERDICTS", "Chapter", "Check", "Checkpoint", "Part", "Plot", "Progress", "Reproduction", "Row", "Stage", "Statement",
-    "Step", "chapters", "compute_chapter", "power", "power_in_words", "reproduce", "seconds_left",
-]  # fmt: skip
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure as Sheet
+
+
+SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
+"""What a table shows of a row."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plot:
+    """One figure of a chapter: its number there, and the panels that show it."""
+
+    title: str
+    panels: tuple[Figure | Bars | Histogram, ...]
+    intro: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """What a stage found."""
+
+    rows: tuple[Row, ...] = ()
+    figures: tuple[Plot, ...] = ()
+
+
+class ReportProgress(Protocol):
+    """A stage reports its progress: in words, and, where it counts its steps, as ``done`` of ``total``."""
+
+    def __call__(self, text: str, done: int = 0, total: int = 0, /) -> None:
+        """Report it; costs nothing."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """A piece of a chapter that stands alone.
+
+    Args:
+        title: what it computes, in a few words.
+        compute: takes a `ReportProgress`, returns numbers by name; under ``figures`` those that it draws.
+        seconds: how long it takes on two quiet cores, by which the remaining time is estimated; no promise.
+        statements: what is judged by the numbers.
+    """
+
+    title: str
+    compute: Callable[[ReportProgress], Mapping[str, Any]]
+    seconds: float = 1.0
+    statements: Sequence[Statement] = ()
+
+    def part(self, report_progress: ReportProgress) -> Part:
+        """Compute the numbers and judge the statements by them."""
+        values = self.compute(report_progress)
+        return Part(rows=judge(self.statements, values), figures=tuple(values.get("figures", ())))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chapter:
+    """A chapter before it is computed."""
+
+    title: str
+    stages: tuple[Stage, ...]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Step:
+    """How far a reproduction is.
+
+    Args:
+        stage: title of the stage that runs.
+        number: its number, from 1.
+        stages: how many there are.
+        text: what the stage said last, empty when it begins.
+        done: steps of the stage that are done.
+        total: steps of the stage; 0 where they are not counted.
+        seconds: nominal length of what has been computed of the chapter, s; what was kept from before does not count.
+        left: nominal length of the rest, s.
+    """
+
+    stage: str
+    number: int
+    stages: int
+    text: str = ""
+    done: int = 0
+    total: int = 0
+    seconds: float = 0.0
+    left: float = 0.0
+
+
+class Checkpoint(Protocol):
+    """Stages that were done before."""
+
+    def get(self, chapter: str, stage: str, /) -> Part | None:
+        """What a stage found, if it was done."""
+        ...
+
+    def put(self, chapter: str, stage: str, part: Part, /) -> None:
+        """Keep what a stage found."""
+        ...
+
+
+Progress = Callable[[Step], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+class Reproduction:
+    """Everything of one chapter."""
+
+    title: str
+    rows: tuple[Row, ...]
+    figures: tuple[Plot, ...] = ()
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """How many rows have which verdict."""
+        return {verdict: sum(row.verdict == verdict for row in self.rows) for verdict in VERDICTS}
+
+    def to_json(self) -> dict[str, object]:
+        """Title, rows and a count per verdict, as a dictionary that ``json.dumps`` takes."""
+        return {"title": self.title, "rows": [row.to_json() for row in self.rows], "counts": self.counts}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a row per statement: what it is of, what is printed, what is computed, its rule and its verdict.
+
+        Raises:
+            HilError: if pandas is not installed.
+        """
+        return data_frame({name: [str(getattr(row, name)) for row in self.rows] for name in SHOWN})
+
+    def plot(
+        self, path: str | Path | None = None, *, figure: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
+    ) -> Sheet:
+        """Draw a figure of the chapter, its panels one above the other; write it to a file where one is named.
+
+        Args:
+            path: ends in .svg, .pdf or .png.
+            figure: its title or the begin of it, as in ``figures``; the first by default.
+            width_mm, height_mm: of each panel as it is printed.
+
+        Raises:
+            HilError: the chapter has no such figure, or it cannot be drawn or written.
+        """
+        if not self.figures:
+            raise HilError(f"plot: {self.title} has no figures")
+        titles = [each.title for each in self.figures]
+        chosen = next((each for each in self.figures if each.title.startswith(figure or "")), None)
+        if chosen is None:
+            raise unknown_name("figure", figure, titles)
+        return Result(line="", paint=partial(_paint, chosen)).plot(path, width_mm, height_mm * len(chosen.panels))
+
+    def _repr_html_(self) -> str:
+        rows = [[str(getattr(row, name)) for name in SHOWN] for row in self.rows]
+        return Result(
+            line=repr(self)[1:-1], columns=SHOWN, rows=rows, paint=partial(_paint, self.figures[0]) if self.figures else None
+        ).html()
+
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{count} {verdict}" for verdict, count in self.counts.items())
+        return f"<Reproduction of {self.title}: {len(self.rows)} rows, {counts}>"
+
+
+def _paint(plot: Plot, sheet: Sheet) -> None:
+    axes = sheet.subplots(len(plot.panels), 1, squeeze=False)[:, 0]
+    for axis, panel in zip(axes, plot.panels, strict=True):
+        draw(panel, axis)
+        axis.set_title(panel.title, fontsize="small")
+
+
+def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoint | None = None) -> Reproduction:
+    """Run every stage in order, but those that were kept.
+
+    Args:
+        chapter: what to compute.
+        progress: called with how far it is.
+        name: of the chapter, under which its stages are kept.
+        kept: what was done before, and where the rest is put as it is done.
+    """
+    parts = {s.title: kept.get(name, s.title) if kept else None for s in chapter.stages}
+    seconds, left = 0.0, sum(s.seconds for s in chapter.stages if parts[s.title] is None)
+    for number, stage in enumerate(chapter.stages, start=1):
+        if parts[stage.title] is not None:
+            continue
+
+        def report_progress(
+            text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds,
+            left: float = left,
+        ) -> None:  # fmt: skip
+            part = stage.seconds * min(done / total, 1.0) if total else 0.0
+            progress(
+                Step(
+                    stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total,
+                    seconds=seconds + part, left=left - part,
+                )
+            )  # fmt: skip
+
+        report_progress("")
+        found = parts[stage.title] = stage.part(report_progress)
+        if kept:
+            kept.put(name, stage.title, found)
+        seconds, left = seconds + stage.seconds, left - stage.seconds
+    every = [part for part in parts.values() if part is not None]
+    rows = tuple(each for part in every for each in part.rows)
+    return Reproduction(title=chapter.title, rows=rows, figures=tuple(plot for part in every for plot in part.figures))
 
 
 def chapters() -> tuple[str, ...]:

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
-from design.as_printed.examples import (
+from design.as_printed import (
     CHAPTER2_BOUNDARY_S,
     chapter2_gain,
     chapter2_process,
     chapter2_reference_gain,
     chapter2_system,
 )
+from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
 from design.processes.partitions import Partition, equal_probability, rate_threshold, uniform
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
@@ -23,8 +23,8 @@ from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, Synthesis, largest_uncertainty
 from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse
-from hil.pages.html.figures import BarGroup, Bars
-from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.pages import BarGroup, Bars
+from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, feasibility, markov, verdict_of
 from hil.thesis.chapter2_runs import IN_THE_LOOP, SETTLING, in_the_loop, settling, weibull_process
 from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says

@@ -12,8 +12,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from design.as_printed import CHAPTER2_BOUNDARY_S, chapter2_gain, chapter2_process, chapter2_system
 from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
-from design.as_printed.examples import CHAPTER2_BOUNDARY_S, chapter2_gain, chapter2_process, chapter2_system
 from design.lmi.decision import decide, prove_certificate
 from design.lmi.program import LmiSolution
 from design.processes.rates import constant_rate
@@ -23,7 +23,7 @@ from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, feedback_program, robust_feedback
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.stability import analyse, largest_decay
-from hil.thesis.chapter import ReportProgress
+from hil.thesis import ReportProgress
 from hil.thesis.statements import Statement, above, exactly, not_judged, says
 
 SECTIONS = (1, 2, 4, 8)

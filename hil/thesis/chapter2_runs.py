@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
+from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_reference_gain, chapter2_system
 from design.controllers.scheduled_gain import ScheduledGain
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.studies import mean_states, settling_times, trajectories
@@ -21,9 +21,9 @@ from design.processes.semi_markov import SemiMarkov
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
-from hil.pages.html.figures import Figure, Histogram, Series
+from hil.pages import Figure, Histogram, Series
 from hil.runtime.virtual import simulate
-from hil.thesis.chapter import Plot, ReportProgress
+from hil.thesis import Plot, ReportProgress
 from hil.thesis.judgement import TAIL
 from hil.thesis.statements import Statement, above, mean, run
 

@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from design.as_printed import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section
-from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import DelayedJumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, delayed_hinf
-from hil.pages.html.figures import BarGroup, Bars, Figure, Series
-from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.pages import BarGroup, Bars, Figure, Series
+from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter3_partitions import BOUNDS, FURTHER, PARTITIONS, SECTIONS, WHOLE, further, partitions
 from hil.thesis.judgement import rank
 from hil.thesis.noisy_runs import NoisyRuns, delayed_runs

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from design.as_printed import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section, free_gains, inequality_at
-from design.as_printed.examples import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.delayed_hinf import analyse_delayed, decay_of
-from hil.pages.html.figures import Figure, Series
-from hil.thesis.chapter import Plot, ReportProgress
+from hil.pages import Figure, Series
+from hil.thesis import Plot, ReportProgress
 from hil.thesis.noisy_runs import delayed_runs
 from hil.thesis.statements import Statement, above, below, exactly, number_of, says
 

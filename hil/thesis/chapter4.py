@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapters_2_to_4 import detection_section
-from design.as_printed.examples import (
+from design.as_printed import (
     chapter4_gain,
     chapter4_partitioned_gain,
     chapter4_rate_knots,
     chapter4_seen_gain,
     chapter4_system,
 )
+from design.as_printed.chapters_2_to_4 import detection_section
 from design.errors import Infeasible
 from design.processes.rates import PiecewiseLinearRate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
@@ -31,7 +31,7 @@ from design.semi_markov_loop.fault_tolerant_analysis import Siqc, analyse_fault_
 from hil.certify.jump_loop import process_of, system_of
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.thesis.chapter import Chapter, ReportProgress, Stage
+from hil.thesis import Chapter, ReportProgress, Stage
 from hil.thesis.chapter2_feasibility import markov_approximation
 from hil.thesis.chapter4_simulations import (
     ASSUMED,

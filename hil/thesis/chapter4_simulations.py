@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed.chapters_2_to_4 import detection_section, free_gains
-from design.as_printed.examples import (
+from design.as_printed import (
     CHAPTER4_DETECTION_BOUNDARY_S,
     CHAPTER4_FAILURE_BOUNDARY_S,
     CHAPTER4_START,
@@ -21,6 +20,7 @@ from design.as_printed.examples import (
     chapter4_seen_gain,
     chapter4_system,
 )
+from design.as_printed.chapters_2_to_4 import detection_section, free_gains
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.further_rates import ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition
@@ -28,8 +28,8 @@ from design.processes.rates import Rate
 from design.processes.semi_markov import FaultDetection, sample_fault_detection
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
-from hil.pages.html.figures import Figure, Histogram, Series
-from hil.thesis.chapter import Plot, ReportProgress
+from hil.pages import Figure, Histogram, Series
+from hil.thesis import Plot, ReportProgress
 from hil.thesis.noisy_runs import NoisyRuns, fault_runs
 from hil.thesis.statements import ERRORS, Statement, above, below, exactly, number_of, run, says
 

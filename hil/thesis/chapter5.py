@@ -26,9 +26,9 @@ from design.historical_data.least_cost import cyclic_orders, largest_input, matc
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.pages.html.figures import Figure, Series
+from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
-from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter5_equations import EQUATIONS, equations
 from hil.thesis.statements import Statement, above, below, equal, exactly, says
 from plants.delayed_states import DelayedStates

@@ -28,10 +28,10 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
-from hil.pages.html.figures import Figure, Series
+from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
-from hil.thesis.chapter import Chapter, Plot, Stage
+from hil.thesis import Chapter, Plot, Stage
 from hil.thesis.chapter6_equations import EQUATIONS, STATEMENTS, distortion_norm, equations, loop_of, safe_coupler, statements
 from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
 from hil.thesis.statements import Statement, above, below, exactly, mean, says, within

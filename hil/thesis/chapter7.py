@@ -15,10 +15,10 @@ from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchView
 from hil.measure.tracking import tracking_of_batch
-from hil.pages.html.figures import Band, Figure, Marker, Series
+from hil.pages import Band, Figure, Marker, Series
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
-from hil.thesis.chapter import Chapter, Plot, ReportProgress, Stage
+from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter7_delays import ESTIMATED, STAYS, TRADE_OFF, estimated_delay, stays, trade_off
 from hil.thesis.chapter7_designs import DESIGNS, INFORMED, UNCERTAIN, designs, gain_bounds, information, uncertain
 from hil.thesis.chapter7_friction import EXPERIMENT_ROWS, INTEGRAL, Imperfections, experiment, fit, integral_action, loop_of

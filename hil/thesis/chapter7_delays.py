@@ -20,8 +20,8 @@ from design.processes.delay_chain import DelayChain, Index
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.pages.html.figures import Figure, Series
-from hil.thesis.chapter import Plot, ReportProgress
+from hil.pages import Figure, Series
+from hil.thesis import Plot, ReportProgress
 from hil.thesis.chapter7_designs import NAME, PLANTS, TIE, best
 from hil.thesis.chapter7_models import H2, NETWORK, Array, Plant, motor
 from hil.thesis.chapter7_runs import BATCH_RUNS, following, on_all_cores, squared_error, stationary

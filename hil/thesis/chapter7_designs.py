@@ -17,8 +17,8 @@ from design.requests.tracking import solve_tracking
 from design.tracking.synthesis import Design, TrackingProblem, solve
 from hil.design_questions import problem_for, tracking_target
 from hil.design_questions.plant_uncertainty import PlantSet, interval, judge_uncertain, plants_between, robust_design
-from hil.pages.html.figures import BarGroup, Bars, Figure, Series
-from hil.thesis.chapter import Plot, ReportProgress
+from hil.pages import BarGroup, Bars, Figure, Series
+from hil.thesis import Plot, ReportProgress
 from hil.thesis.chapter7_models import (
     H2,
     HALF,

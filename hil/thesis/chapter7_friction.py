@@ -25,7 +25,7 @@ from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchView
 from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
-from hil.thesis.chapter import ReportProgress
+from hil.thesis import ReportProgress
 from hil.thesis.chapter7_runs import BATCH_RUNS, numbers_of, on_all_cores
 from hil.thesis.statements import ERRORS, Statement, above, below, run, says
 

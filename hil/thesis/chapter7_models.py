@@ -17,7 +17,7 @@ from design.networked_loop.certify import certify_loop
 from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.design_questions import LAMBDA, PI, PRINTED_VTOL
-from hil.thesis.chapter import ReportProgress
+from hil.thesis import ReportProgress
 from hil.thesis.statements import ERRORS, Statement, above, below, equal, exactly, within
 from plants import VTOL, DCMotor
 from transport.packets import encode_control

@@ -22,7 +22,7 @@ from hil.measure.batch_protocols import BatchValues, BatchView
 from hil.measure.prediction import predict
 from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
-from hil.thesis.chapter import ReportProgress
+from hil.thesis import ReportProgress
 from hil.thesis.chapter7_models import (
     H2,
     HINF,

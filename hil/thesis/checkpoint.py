@@ -25,8 +25,8 @@ import plants
 import transport
 from hil.errors import HilError
 from hil.files import refuse_irregular
-from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
-from hil.thesis.chapter import Part, Plot
+from hil.pages import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
+from hil.thesis import Part, Plot
 from hil.thesis.judgement import Approximately, Between, Check, Drawn, Equals, NotJudged, Row
 
 CLASSES: dict[str, Any] = {

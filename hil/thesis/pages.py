@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from hil.pages.html.figures import Badge, Cell, Link, Section, State, Table, Text, Tile
+from hil.pages import Badge, Cell, Link, Section, State, Table, Text, Tile
 from hil.pages.html.page import Page
-from hil.thesis.chapter import Reproduction
+from hil.thesis import Reproduction
 from hil.thesis.judgement import OFF, VERDICTS, Kind, Row, Verdict
 
 KINDS: tuple[Kind, ...] = ("equality", "one run", "one-sided")

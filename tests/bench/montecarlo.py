@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
+from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_process, chapter2_system
 from design.monte_carlo import Workers
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls

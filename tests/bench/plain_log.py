@@ -8,7 +8,7 @@ from types import TracebackType
 
 from mcap.writer import CompressionType, Writer
 
-from hil.log.events import encode_event, to_json
+from hil.log import encode_event, to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write import PayloadWriter
 from hil.log.write.mcap_sink import FLUSH_BYTES, LIBRARY

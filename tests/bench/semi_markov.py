@@ -41,7 +41,7 @@ def bench_cases() -> tuple[BenchCase, ...]:
 
 
 def _chapter2(sections: int) -> tuple[float, JumpCertificate]:
-    from design.as_printed.examples import chapter2_process, chapter2_system
+    from design.as_printed import chapter2_process, chapter2_system
     from design.semi_markov_loop.robust_feedback import FeedbackRequest, largest_uncertainty
 
     request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections)
@@ -49,7 +49,7 @@ def _chapter2(sections: int) -> tuple[float, JumpCertificate]:
 
 
 def _chapter3(gain_bound: float) -> tuple[float, JumpCertificate]:
-    from design.as_printed.examples import CHAPTER3_BOUNDARY_S, chapter3_process, chapter3_system
+    from design.as_printed import CHAPTER3_BOUNDARY_S, chapter3_process, chapter3_system
     from design.semi_markov_loop.delayed_hinf import delayed_hinf
 
     sections = ((0.0, CHAPTER3_BOUNDARY_S),) * 3
@@ -58,7 +58,7 @@ def _chapter3(gain_bound: float) -> tuple[float, JumpCertificate]:
 
 
 def _chapter4() -> tuple[float, JumpCertificate]:
-    from design.as_printed.examples import chapter4_process, chapter4_system
+    from design.as_printed import chapter4_process, chapter4_system
     from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 
     process = chapter4_process(failure_restarts_detection_clock=False)

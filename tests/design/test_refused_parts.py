@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from design.as_printed import chapter2_system
 from design.as_printed.chapters_5_and_6 import inner_loop
-from design.as_printed.examples import chapter2_system
 from design.controllers import LoopModel
 from design.controllers.historical import Historical
 from design.controllers.linear_law import LinearLaw

@@ -30,7 +30,7 @@ from hil.errors import HilError
 from hil.experiment import Seconds, load_experiment, parse_experiment, shipped
 from hil.files import mat_child
 from hil.files.arrays import MOST_NUMBERS, _of_npy, numbers_from_file
-from hil.log.events import decode_event, encode_event
+from hil.log import decode_event, encode_event
 from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
 from hil.measure.identification_records import read_signal_table

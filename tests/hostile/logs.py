@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from hil.experiment import Experiment, load_experiment
-from hil.log.events import encode_event
+from hil.log import encode_event
 from hil.log.read import read_run
 from hil.log.read.export import export
 from hil.log.read.recover import recover

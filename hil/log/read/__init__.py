@@ -16,8 +16,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel
 
 from hil.errors import HilError
-from hil.log import Logged
-from hil.log.events import decode_events
+from hil.log import Logged, decode_events
 from hil.log.read.mcap_file import Columns, Content, open_mcap, start_instant
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
 from hil.log.records import EVENTS_TOPIC, Schema
@@ -74,7 +73,7 @@ def check_events(events: Sequence[Mapping[str, Any]]) -> None:
     """Check of every event what CDR cannot say: that its data are a table, and its instant is one.
 
     Args:
-        events: as they stand in the log, see `hil.log.events.decode_event`.
+        events: as they stand in the log, see `hil.log.decode_event`.
 
     Raises:
         HilError: names the event and the field.

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Protocol, runtime_checkable
 
-from hil.log.events import encode_event
+from hil.log import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
 
 PayloadWriter = Callable[[int, bytes], None]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from hil.errors import HilError
-from hil.log.events import to_json
+from hil.log import to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write import PayloadWriter, Record, Sink
 from hil.log.write.mcap_records import layouts

@@ -20,7 +20,7 @@ from itertools import accumulate, chain
 from struct import Struct, error
 from typing import Any, Final, Generic, TypeVar
 
-from hil.log.events import encode_event
+from hil.log import encode_event
 from hil.log.records import EVENTS_TOPIC, Channel
 from hil.log.write import PayloadWriter, Record
 

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 
 from msgspec import Struct, field
 
-from hil.log.events import to_json
+from hil.log import to_json
 from hil.log.write import pipe_sink
 
 LoopForm = Literal["compiled", "interpreted"]

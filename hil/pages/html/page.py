@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.signals import with_unit
+from hil.pages import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
 from hil.pages.html import text_of
-from hil.pages.html.figures import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
 from hil.pages.html.payload import BUCKETS, WHOLE, Payload, Still, bucket_extremes, columns_of, reduced
 from hil.pages.html.svg import still_html
 
@@ -133,7 +133,7 @@ def block_html(block: Block, payload: Payload) -> str:
     """Return the HTML of one block.
 
     Raises:
-        TypeError: for anything that is not one of the block dataclasses of `hil.pages.html.figures`.
+        TypeError: for anything that is not one of the block dataclasses of `hil.pages`.
     """
     if isinstance(block, Figure):
         return _figure(block, payload)
@@ -145,7 +145,7 @@ def block_html(block: Block, payload: Payload) -> str:
         return _text(block)
     if isinstance(block, Badge):
         return badge_html(block)
-    raise TypeError(f"block: expected one of the dataclasses of hil.pages.html.figures, got {type(block).__name__}")
+    raise TypeError(f"block: expected one of the dataclasses of hil.pages, got {type(block).__name__}")
 
 
 def badge_html(badge: Badge) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.measure.signals import with_unit
-from hil.pages.html.figures import Bars, Histogram, Matrix, Scene
+from hil.pages import Bars, Histogram, Matrix, Scene
 
 GAP = -32768
 """What stands for NaN among whole numbers."""

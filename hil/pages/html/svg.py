@@ -9,8 +9,8 @@ from html import escape
 import numpy as np
 
 from hil.measure.signals import with_unit
+from hil.pages import Bars, Histogram, Marker, Matrix, Scene, Shape
 from hil.pages.html import share_text, text_of
-from hil.pages.html.figures import Bars, Histogram, Marker, Matrix, Scene, Shape
 from hil.pages.html.payload import Still
 
 WIDTH, HEIGHT = 560, 250

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.log.events import CHANGE, decode_event
+from hil.log import CHANGE, decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
 from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING, panels

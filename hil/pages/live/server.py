@@ -27,7 +27,7 @@ from urllib.parse import parse_qs
 import msgspec
 
 from hil.errors import HilError
-from hil.log.events import plain
+from hil.log import plain
 from hil.pages.live.about import Window, controllers_of, picture
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import script_of

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from hil.measure import run_measures
 from hil.measure.view import RunView
-from hil.pages.html.figures import Badge, Figure, Section
+from hil.pages import Badge, Figure, Section
 from hil.pages.html.page import block_html
 from hil.pages.html.payload import Payload
 from hil.plugins.user_plugins import asked, words

@@ -14,8 +14,8 @@ from hil.log.topics import APPLIED, ROWS, TIMING
 from hil.measure.network_paths import NetworkPath, expected_frequencies, expected_transitions, mode_sequence, network_paths
 from hil.measure.summary import POINTS, page_summary
 from hil.measure.view import RunView
+from hil.pages import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Section, Table
 from hil.pages.html import capital, text_of
-from hil.pages.html.figures import Badge, BarGroup, Bars, Block, Histogram, Marker, Matrix, Section, Table
 from transport.law_tests import is_testable
 from transport.laws import ChainLaw, NetworkLaw, RecordedLaw, SemiMarkovLaw
 from transport.laws.sojourn import hazards

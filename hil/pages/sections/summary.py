@@ -6,14 +6,14 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.log.events import plain
+from hil.log import plain
 from hil.log.run import Run
 from hil.measure import Quantity, run_measures
 from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView
+from hil.pages import Badge, Cell, Lines, Section, Table, Text
 from hil.pages.html import text_of
-from hil.pages.html.figures import Badge, Cell, Lines, Section, Table, Text
 
 MOST_EVENTS = 300
 _UNITS: Mapping[str, str] = {"_n_s_per_m": "N s/m", "_n_per_m": "N/m", "_m_per_n": "m/N"}

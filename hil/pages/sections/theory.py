@@ -12,8 +12,8 @@ from hil.measure.prediction import PredictedTracking, predict
 from hil.measure.signals import target_of, with_unit
 from hil.measure.summary import controller_of
 from hil.measure.view import MEASUREMENT, REFERENCE, RunView, matrix
+from hil.pages import Band, Block, Figure, Section, Series, Table
 from hil.pages.html import capital
-from hil.pages.html.figures import Band, Block, Figure, Section, Series, Table
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import composed

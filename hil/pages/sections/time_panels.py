@@ -20,8 +20,8 @@ from hil.measure import run_measures
 from hil.measure.network_paths import network_paths
 from hil.measure.summary import page_summary
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, RunView, Severity, seconds, signal_names
+from hil.pages import Figure, LineStyle, Marker, Section, Series, State
 from hil.pages.html import capital
-from hil.pages.html.figures import Figure, LineStyle, Marker, Section, Series, State
 from hil.pages.html.payload import Float, reduced
 from hil.pages.sections.statistics import DIRECTIONS, MEASURED, network_table
 

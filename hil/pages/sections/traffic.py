@@ -16,8 +16,8 @@ from hil.log.topics import BUS, EXTENDED, SC
 from hil.measure.bus_load import BusLoad, MessageOnBus, bus_of
 from hil.measure.network_paths import loads
 from hil.measure.view import RunView
+from hil.pages import Block, Cell, Figure, Section, Series, Table
 from hil.pages.html import can_id_text
-from hil.pages.html.figures import Block, Cell, Figure, Section, Series, Table
 from hil.pages.sections.time_panels import Records, curve, markers
 from transport.draws import DELIVERED, DISORDERED, LOST
 

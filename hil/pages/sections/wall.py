@@ -16,7 +16,7 @@ from design.controllers.wall import Wall
 from hil.log.append_column import whole
 from hil.log.topics import PASSIVITY, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
-from hil.pages.html.figures import Block, Figure, Marker, Scene, Section, Series, Shape
+from hil.pages import Block, Figure, Marker, Scene, Section, Series, Shape
 from hil.pages.sections.time_panels import curve, markers
 from hil.rig.loop import Loop
 from hil.session.replay.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of

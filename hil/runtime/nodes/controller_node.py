@@ -10,8 +10,8 @@ from typing import Final
 from msgspec import Struct
 
 from hil.rig.loop import Loop
+from hil.runtime.nodes import SEGMENT, before
 from hil.runtime.nodes.controller_input import EverySample, NewestSample, controller_input
-from hil.runtime.nodes.wire import SEGMENT, before
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
 from transport.wire import echo
 

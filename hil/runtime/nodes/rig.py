@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Final, Literal
 
-from hil.log.events import DEPARTED, WITHDRAWN
+from hil.log import DEPARTED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.write import Sink
 from hil.rig.can_bus import can_bus_of
 from hil.rig.loop import EQUAL, JumpStep, Loop, OneStep
 from hil.rig.sensors import SharedMedium
-from hil.runtime.nodes import rng_for
+from hil.runtime.nodes import Wire, rng_for
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.journal import Journal
@@ -25,7 +25,6 @@ from hil.runtime.nodes.network import FaultInjector, clock_of, impaired, sensor_
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
 from hil.runtime.nodes.sensor_node import SensorNode, trigger_of
-from hil.runtime.nodes.wire import Wire
 from plants.parts.protocols import GoesOn, Plant, PlantRun
 from transport.links.can_identifiers import Identifiers
 from transport.medium import ChangingMedium, Delivery, IndependentChannels, OneWay

@@ -19,10 +19,10 @@ from hil.log.write import MemorySink
 from hil.log.write.pipe_sink import PipeSink
 from hil.rig.loop import Loop
 from hil.runtime.clock import monotonic_ns
+from hil.runtime.nodes import Wire
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import Wire
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange
 from transport.links import Closing, Link, LinkCounters

@@ -25,7 +25,7 @@ from hil.measure.summary import percentiles
 from hil.rig.normal_form import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.clock import RealClock, monotonic_ns
-from hil.runtime.nodes.wire import Wire, before
+from hil.runtime.nodes import Wire, before
 from hil.runtime.real.exchange import Handshake
 from hil.session.replay import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed

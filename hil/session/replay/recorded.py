@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from hil.compose.changed import changed
 from hil.errors import HilError
+from hil.log import CHANGE
 from hil.log.append_column import AppendColumn, pieces, release
-from hil.log.events import CHANGE
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import CONTROL, SENSOR, TIMING
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, Change
-from hil.runtime.nodes.wire import Wire, before
+from hil.runtime.nodes import Wire, before
 from hil.session.replay import BATCH, in_time
 from transport.links.authentication import cmac, read_key
 from transport.packets import SensorPacket, decode

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from design.as_printed import chapter3_system
 from design.as_printed.chapters_2_to_4 import inequality_at
-from design.as_printed.examples import chapter3_system
 from design.semi_markov_loop.certificate import JumpCertificate
 
 

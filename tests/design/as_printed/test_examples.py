@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed import examples
+import design.as_printed as examples
+from design.as_printed import chapter2_system, chapter4_process, chapter4_rate_knots, chapter4_seen_gain
 from design.as_printed.chapters_5_and_6 import historical_gains, newest_gains
-from design.as_printed.examples import chapter2_system, chapter4_process, chapter4_rate_knots, chapter4_seen_gain
 
 
 def numbers(x: Any) -> list[float]:

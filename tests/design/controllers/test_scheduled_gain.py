@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from design.as_printed.examples import chapter2_gain
+from design.as_printed import chapter2_gain
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, constant_gain
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from design.as_printed.examples import CHAPTER2_START, chapter2_gain, chapter2_system
+from design.as_printed import CHAPTER2_START, chapter2_gain, chapter2_system
 from design.errors import DesignError
 from design.jump_linear import MJLS
 from design.monte_carlo import JUMPS, NOISE, DrawTable, Workers, _cancel, spread, uniforms

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from design.as_printed.examples import (
+from design.as_printed import (
     CHAPTER2_START,
     chapter2_gain,
     chapter2_process,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from design.as_printed.examples import chapter2_gain
+from design.as_printed import chapter2_gain
 from design.controllers import LoopModel
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import FieldError

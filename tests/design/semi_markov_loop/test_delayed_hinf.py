@@ -9,8 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
+from design.as_printed import chapter3_gain, chapter3_process, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section
-from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
 from design.lmi.exact import prove

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from design.as_printed import chapter2_process, chapter2_system
 from design.as_printed.chapters_2_to_4 import PrintedRequest
-from design.as_printed.examples import chapter2_process, chapter2_system
 from design.errors import FieldError, Infeasible
 from design.lmi.exact import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate

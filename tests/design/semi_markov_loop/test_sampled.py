@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from design.as_printed.examples import (
+from design.as_printed import (
     chapter2_gain,
     chapter2_process,
     chapter2_system,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
+from design.as_printed import chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.rates import PiecewiseLinearRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov

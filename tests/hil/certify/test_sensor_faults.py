@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.as_printed.examples import chapter4_process, chapter4_system
+from design.as_printed import chapter4_process, chapter4_system
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.processes.delay_chain import DelayChain
 from design.processes.rates import constant_rate

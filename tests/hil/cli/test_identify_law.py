@@ -13,8 +13,8 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.recordings import packet_records
 from hil.log.recordings.read import read_recording
+from hil.pages import Figure
 from hil.pages.analyses import _section
-from hil.pages.html.figures import Figure
 from tests.hil.cli.conftest import Hil
 from transport.law_fit import fit_law
 from transport.law_fit.packet_record import PacketRecord

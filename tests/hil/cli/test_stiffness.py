@@ -22,8 +22,8 @@ from design.passivity.stiffness_map import stiffness_map as stiffness_cells
 from hil.cli import main
 from hil.cli.design import command as design
 from hil.cli.design_wall import stiffness_map
+from hil.pages import Figure
 from hil.pages.analyses import stiffness_page, stiffness_section
-from hil.pages.html.figures import Figure
 from tests.waiting import LIMIT_S
 
 MAP = ("--period", "0.05,0.001", "--delay", "0,6", "--hand", "0,10")

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from hil.cli.page_text import print_table
 from hil.cli.terminal import LONGEST, message_lines, visible
 from hil.experiment import shipped
-from hil.pages.html.figures import Badge, Cell, Table
+from hil.pages import Badge, Cell, Table
 from tests.hil.cli.conftest import Hil
 from tests.warm_hil import hil_command
 

@@ -9,7 +9,7 @@ from hil.compose import compose
 from hil.compose.judged import caution, fourth_moments_of
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
-from hil.pages.html.figures import Table
+from hil.pages import Table
 from hil.pages.many_runs import compare_page
 from hil.pages.sections.theory import section as theory_section
 from hil.runtime.virtual import simulate

@@ -27,8 +27,8 @@ from hil.design_questions.trigger_gains import (
 )
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.pages import Figure
 from hil.pages.designs import trigger_page
-from hil.pages.html.figures import Figure
 from hil.runtime.virtual import simulate
 from hil.sweeps import trigger_cost
 from hil.sweeps.shown import interval_of

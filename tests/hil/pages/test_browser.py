@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.measure.view import view_of
-from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
+from hil.pages import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
 from hil.pages.html.page import Page
 from hil.pages.run_page import render_report
 from tests.hil.pages import chromium

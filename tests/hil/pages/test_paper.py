@@ -12,7 +12,7 @@ import pytest
 
 import hil
 from hil.errors import HilError
-from hil.pages.html.figures import Figure, Section, Series, Text
+from hil.pages import Figure, Section, Series, Text
 from hil.pages.paper import write_figures
 from tests.hil.cli.conftest import run_main
 from tests.hil.pages.whole_pages import FIGURES

@@ -15,7 +15,7 @@ from hil.experiment import Experiment, load_experiment
 from hil.log.read import Run
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.pages.html.figures import Badge, Table
+from hil.pages import Badge, Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run_page import render_report
 from hil.pages.sections.summary import events

@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.pages.html.figures import (
+from hil.pages import (
     Badge,
     Band,
     BarGroup,

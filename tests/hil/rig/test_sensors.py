@@ -14,7 +14,7 @@ from hil.experiment.nodes import ClockTable
 from hil.measure.cost import Cost
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
-from hil.pages.html.figures import Figure
+from hil.pages import Figure
 from hil.pages.sections.traffic import sensor_nodes
 from hil.rig.loop import Loop
 from hil.rig.sensors import bus_cycle

@@ -14,7 +14,7 @@ from hil.experiment import load_experiment
 from hil.log.run import records_sha256
 from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
-from hil.pages.html.figures import Table
+from hil.pages import Table
 from hil.pages.run_page import render_report
 from hil.pages.sections.traffic import can_bus
 from hil.runtime.virtual import simulate

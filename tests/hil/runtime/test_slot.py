@@ -17,9 +17,9 @@ from hil.log.write import MemorySink
 from hil.log.write.provenance import loop_form
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.runtime.nodes import session_wire
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import session_wire
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange, simulate
 

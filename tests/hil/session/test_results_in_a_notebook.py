@@ -13,8 +13,8 @@ import pytest
 import hil
 from hil.api.questions import Laws
 from hil.notebook import SIDE, Result
-from hil.pages.html.figures import Figure, Series
-from hil.thesis.chapter import Plot, Reproduction
+from hil.pages import Figure, Series
+from hil.thesis import Plot, Reproduction
 
 SHORT = {"runs": 4, "jobs": 1, "duration": 3}
 

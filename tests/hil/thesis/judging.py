@@ -6,8 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from hil.thesis import Check, Row
-from hil.thesis.judgement import OFF, Approximately, Drawn, Equals, NotJudged
+from hil.thesis.judgement import OFF, Approximately, Check, Drawn, Equals, NotJudged, Row
 from hil.thesis.pages import turns
 
 FACTORS = (-1e6, -10.0, -1.0, 0.0, 0.1, 0.5, 0.9, 0.99, 1.01, 1.1, 2.0, 10.0, 1e6)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
+from design.as_printed import chapter3_gain, chapter3_process, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section, inequality_at
-from design.as_printed.examples import chapter3_gain, chapter3_process, chapter3_system
 from design.controllers.scheduled_gain import ScheduledGain
 from design.semi_markov_loop.certificate import JumpCertificate
-from hil.pages.html.figures import Bars
+from hil.pages import Bars
 from hil.thesis import chapter3 as numbers
 from hil.thesis import chapter3_partitions as section
 from hil.thesis.chapter3_partitions import FURTHER, further, interval_matrices, rates_inside

@@ -17,10 +17,9 @@ from design.historical_data.sensor_schedule import mask_of, round_robin
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
-from hil.thesis import Statement
 from hil.thesis import chapter5_equations as equations
 from hil.thesis.chapter5 import GAINS, THEOREM, delay, further, gains_numbers, published_plant, theorem_numbers, variant_plant
-from hil.thesis.statements import judge
+from hil.thesis.statements import Statement, judge
 from tests.hil.thesis.judging import assert_every_number_decides
 
 PLANT = published_plant()

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from design.as_printed.examples import chapter2_process, chapter3_process, chapter4_process
+from design.as_printed import chapter2_process, chapter3_process, chapter4_process
 from hil.thesis.chapter2_feasibility import FEASIBILITY, feasibility, markov_approximation, mean_sojourns
 from hil.thesis.chapter2_runs import IN_THE_LOOP, comparison, settling_time
 from hil.thesis.chapter2_runs import settled_on_the_rig as settled

@@ -14,9 +14,8 @@ from click.testing import CliRunner
 import hil.thesis
 from hil.cli.reproduce import command, remaining
 from hil.errors import HilError
-from hil.pages.html.figures import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
-from hil.thesis import Chapter, Part, Plot, Stage
-from hil.thesis.chapter import compute
+from hil.pages import Band, BarGroup, Bars, Figure, Histogram, Marker, Series
+from hil.thesis import Chapter, Part, Plot, Stage, compute
 from hil.thesis.checkpoint import KeptStages
 from hil.thesis.pages import chapter_page
 from hil.thesis.statements import Statement, below, equal, not_judged, run, says

@@ -8,10 +8,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.thesis import Check, Statement, power
-from hil.thesis.judgement import OFF, Between, Row, rank, share_interval
-from hil.thesis.pages import power_in_words, turns
-from hil.thesis.statements import Claim, above, below, equal, exactly, judge, last_digit, mean, not_judged, run, says, within
+from hil.thesis.judgement import OFF, Between, Check, Row, rank, share_interval
+from hil.thesis.pages import power, power_in_words, turns
+from hil.thesis.statements import (
+    Claim,
+    Statement,
+    above,
+    below,
+    equal,
+    exactly,
+    judge,
+    last_digit,
+    mean,
+    not_judged,
+    run,
+    says,
+    within,
+)
 from tests.hil.thesis.judging import assert_equalities_turn, assert_every_number_decides
 
 

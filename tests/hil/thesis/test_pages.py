@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 import hil.thesis
 from hil.cli.reproduce import command
-from hil.pages.html.figures import Link
+from hil.pages import Link
 from hil.thesis import Reproduction, Step
 from hil.thesis.statements import Statement, above, below, equal, judge
 

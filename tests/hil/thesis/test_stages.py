@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from design.as_printed import chapter3_gain, chapter4_seen_gain
 from design.as_printed.chapters_2_to_4 import PrintedRequest
-from design.as_printed.examples import chapter3_gain, chapter4_seen_gain
 from design.monte_carlo import Workers
 from design.passivity.synthesis import stiffest_coupler
 from design.processes.partitions import Partition
@@ -28,7 +28,7 @@ from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
 from design.semi_markov_loop.robust_feedback import Synthesis
 from design.tracking.synthesis import TrackingProblem
-from hil.pages.html.figures import Bars, Histogram
+from hil.pages import Bars, Histogram
 from hil.thesis import Stage
 from hil.thesis.chapter7_models import H2
 from hil.thesis.judgement import Approximately, NotJudged

@@ -24,8 +24,8 @@ import hil.thesis
 from hil.cli import cli
 from hil.cli.guide import pages
 from hil.experiment import shipped
-from hil.thesis import VERDICTS, Chapter, Check
-from hil.thesis.judgement import Equals
+from hil.thesis import Chapter
+from hil.thesis.judgement import VERDICTS, Check, Equals
 from hil.thesis.statements import Claim, Statement, judge
 from tests.hil.thesis.judging import assert_every_number_decides
 from tests.mutations.faults import ROOT

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from hil.errors import HilError
-from hil.log.events import encode_event
+from hil.log import encode_event
 from hil.log.read import check_events, check_topics, check_words, read_run
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Field, Schema
 from hil.log.write.mcap_writer import McapWriter

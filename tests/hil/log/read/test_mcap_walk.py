@@ -15,7 +15,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from hil.errors import HilError
-from hil.log.events import encode_event
+from hil.log import encode_event
 from hil.log.read import mcap_walk, read_run
 from hil.log.read.mcap_walk import (
     LARGEST_RECORD,

@@ -17,7 +17,7 @@ import hil
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.events import decode_event
+from hil.log import decode_event
 from hil.log.read import Run, read_run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, TeeSink, pipe_sink, record_to, records_to

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hil.errors import HilError
-from hil.log.events import decode_event, encode_event, plain
+from hil.log import decode_event, encode_event, plain
 from hil.log.read import Run
 from hil.log.write import MemorySink, TeeSink, harmless
 from tests.hil.log.recording import TABLE, assert_same_arrays, record

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import BarGroup, Bars, Figure, Histogram, Matrix, Scene, Section, Series, Shape, Table, Tile
+from hil.pages import BarGroup, Bars, Figure, Histogram, Matrix, Scene, Section, Series, Shape, Table, Tile
 from hil.pages.html.page import Page
 from hil.pages.html.svg import draw_bars
 from tests.hil.pages.whole_pages import GOOD, SECTIONS

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from hil.pages.html.figures import BarGroup, Bars, Histogram, Marker, Scene, Shape
+from hil.pages import BarGroup, Bars, Histogram, Marker, Scene, Shape
 from hil.pages.html.svg import draw_bars, draw_histogram, draw_scene, nice_ticks, scene_legend
 
 PICTURES = {

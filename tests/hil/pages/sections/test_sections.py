@@ -14,7 +14,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import BUS, SC
 from hil.measure.bus_load import bus_of
 from hil.measure.view import view_of
-from hil.pages.html.figures import Figure, Table
+from hil.pages import Figure, Table
 from hil.pages.sections import theory
 from hil.pages.sections.theory import section as theory_section
 from hil.pages.sections.traffic import sensor_nodes

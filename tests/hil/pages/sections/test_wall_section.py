@@ -12,7 +12,7 @@ import pytest
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.view import view_of
-from hil.pages.html.figures import Scene, Shape
+from hil.pages import Scene, Shape
 from hil.pages.html.svg import draw_scene, scene_legend
 from hil.pages.run_page import render_report
 from hil.pages.sections.wall import section as wall_section

@@ -10,8 +10,8 @@ import pytest
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
+from hil.runtime.nodes import SEGMENT, Wire, before, session_wire
 from hil.runtime.nodes.controller_node import HELLO, NEAR, SILENCE_NS, ControlNode, Questions, Refusals
-from hil.runtime.nodes.wire import SEGMENT, Wire, before, session_wire
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
 from transport.wire import echo
 

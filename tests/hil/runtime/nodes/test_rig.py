@@ -17,10 +17,10 @@ from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.clock import Kernel, VirtualClock
+from hil.runtime.nodes import session_wire
 from hil.runtime.nodes.actuator_node import HOLD, NONE_YET, OK, SAFE, row_index
 from hil.runtime.nodes.answer_matcher import LOGGED
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import session_wire
 from hil.runtime.slot import Slot
 from hil.runtime.virtual import simulate
 from transport.packets import ControlPacket, encode_control

@@ -19,9 +19,9 @@ from hil.log.read import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop
+from hil.runtime.nodes import session_wire
 from hil.runtime.nodes.controller_node import HELLO, ControlNode
 from hil.runtime.nodes.rig import Rig
-from hil.runtime.nodes.wire import session_wire
 from hil.runtime.real.exchange import (
     MOST_FRAMES,
     REHEARSALS,

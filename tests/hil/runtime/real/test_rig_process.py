@@ -15,7 +15,7 @@ from hil.experiment import load_experiment
 from hil.log.topics import channels_of
 from hil.log.write.pipe_sink import PipeSink
 from hil.rig.session_link import no_link
-from hil.runtime.nodes.wire import session_wire
+from hil.runtime.nodes import session_wire
 from hil.runtime.real import rig_process
 from hil.runtime.real.ending import ENDED
 from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop

@@ -17,7 +17,7 @@ from hil.experiment import load_experiment
 from hil.log.run import Run
 from hil.log.topics import CONTROL, SENSOR
 from hil.runtime.clock import VirtualClock
-from hil.runtime.nodes.wire import Wire, session_wire
+from hil.runtime.nodes import Wire, session_wire
 from hil.runtime.virtual import simulate_as_logged
 from hil.session.replay import near_values, over_link
 from hil.session.replay import recorded as replay_recorded
