@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
+from msgspec import Struct
 
 from plants.errors import PlantError, require_finite, require_not_negative, require_positive, require_time_span
 from plants.parts import NEVER_NS, NS_PER_S, Signal, StateSpace
@@ -16,8 +17,7 @@ from plants.parts.protocols import Departure, PlantRun
 DRIVER, DRY, ROUNDS = "a driver that saturates, rounds or has a dead zone", "dry friction", "an encoder that rounds"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoadTorque:
+class LoadTorque(Struct, frozen=True, kw_only=True):
     """Load torque over [start, stop), as the voltage that would balance it; it pushes towards negative angles.
 
     Args:

@@ -43,10 +43,10 @@ if TYPE_CHECKING:
     from design.controllers.linear_law import AgedRows as AgedRows
     from design.controllers.linear_law import LinearFeedback as LinearFeedback
     from design.controllers.linear_law import LinearLaw as LinearLaw
-    from design.controllers.linear_law import OutputFeedback as OutputFeedback
     from design.controllers.linear_law import RowsLaw as RowsLaw
-    from design.controllers.send_all import Constant as Constant
-    from design.controllers.send_all import Local as Local
+    from design.controllers.one_row import Constant as Constant
+    from design.controllers.one_row import Local as Local
+    from design.controllers.one_row import OutputFeedback as OutputFeedback
     from design.controllers.send_all import PublishedH2 as PublishedH2
     from design.controllers.send_all import PublishedHinf as PublishedHinf
     from design.controllers.send_all import SendAll as SendAll

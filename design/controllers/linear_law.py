@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, Rows, RunningController, Selection
-from design.controllers.exact_products import dot
-from design.controllers.gain_rows import feedforward
-from design.errors import FieldError
-
-Matrix = tuple[tuple[float, ...], ...]
 
 
 class LinearLaw(Struct, frozen=True, kw_only=True, eq=False):
@@ -70,47 +64,7 @@ class AgedFeedback(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputFeedback:
-    """Dynamic output feedback of any origin, such as LQG: xi(k+1) = A xi + B e, u = u* + C xi + D e, e = y - r.
-
-    It takes the newest sample as if it were of this slot: a local design knows no network.
-
-    Args:
-        A: nested tuple [c][c].
-        B: nested tuple [c][p].
-        C: nested tuple [m][c].
-        D: nested tuple [m][p]. Input unit per output unit.
-    """
-
-    kind: ClassVar[str] = "output-feedback"
-
-    A: Matrix
-    B: Matrix
-    C: Matrix
-    D: Matrix
-
-    def linear_law(self, model: LoopModel) -> LinearLaw:
-        c, m, p = len(self.A), model.B.shape[1], model.C.shape[0]
-        found: dict[str, NDArray[np.float64]] = {}
-        for name, value, shape in (("A", self.A, (c, c)), ("B", self.B, (c, p)), ("C", self.C, (m, c)), ("D", self.D, (m, p))):
-            try:
-                matrix = np.asarray(value, dtype=float)
-            except ValueError:
-                matrix = np.full((0,), np.nan)
-            if matrix.shape != shape and not (matrix.size == 0 and 0 in shape):
-                raise FieldError(name, f"shape {list(matrix.shape)} does not fit; expected {list(shape)} for this plant")
-            if not np.isfinite(matrix).all():
-                raise FieldError(name, "not finite")
-            found[name] = matrix.reshape(shape)
-        return LinearLaw(**found)
-
-    def start(self, model: LoopModel) -> RunningController:
-        return _LinearRows(self.linear_law(model), model)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AgedRows:
+class AgedRows(Struct, frozen=True, kw_only=True):
     """A linear controller as its matrices of every age say; without a feedforward.
 
     Args:
@@ -135,19 +89,3 @@ class _AgedRun:
         found = law.C @ self._xi + law.D @ e
         self._xi = law.A @ self._xi + law.B @ e
         return tuple(tuple(row) for row in found.tolist())
-
-
-class _LinearRows:
-    selection: Selection = "constant"
-
-    def __init__(self, law: LinearLaw, model: LoopModel) -> None:
-        self._omega = feedforward(model).tolist()
-        self._state_rows = np.hstack([law.A, law.B]).tolist()
-        self._input_rows = np.hstack([law.C, law.D]).tolist()
-        self._xi = [0.0] * law.A.shape[0]
-
-    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        known = self._xi + [a - b for a, b in zip(y, r)]
-        u = tuple([dot(star, r) + dot(row, known) for star, row in zip(self._omega, self._input_rows)])
-        self._xi = [dot(row, known) for row in self._state_rows]
-        return (u,)

@@ -6,10 +6,10 @@ A loop without a wall imports no wall.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers.contract import LoopModel, RunningController, Selection
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 MAX_TAPS = 512
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Coupler:
+class Coupler(Struct, frozen=True, kw_only=True):
     """A coupler with a finite impulse response and, if d is not 0, an integrator.
 
     It says how far the avatar stays behind the device while the wall pushes back.

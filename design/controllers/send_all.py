@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from math import prod
 from typing import ClassVar, Literal, Protocol
 
@@ -17,7 +17,6 @@ from design.controllers.contract import (
     Gains,
     LoopModel,
     MultiSampleController,
-    Rows,
     RunningController,
     Selection,
     check_row_sojourns,
@@ -116,7 +115,7 @@ class SendAll:
         return running if len(self.ages) < 2 else NodeGainRowsOfMany(running, self.ages)
 
 
-class _TableAlone(Protocol):
+class TableAlone(Protocol):
     """A controller that is nothing but its table of gains."""
 
     @property
@@ -130,51 +129,6 @@ class _TableAlone(Protocol):
     def start_batch(self, model: LoopModel, runs: int) -> BatchGainRows:
         """Return a batch of `runs` controllers, ready for slot 0."""
         return BatchGainRows(self.table(model), self.selection, model, runs)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Local(_TableAlone):
-    """One gain for every delay: a design that ignores the network (thesis, Section 7.4.3: K = -0.4515).
-
-    Args:
-        gain: nested tuple [m][p]. Output feedback gain, input unit per output unit.
-    """
-
-    gain: tuple[tuple[float, ...], ...] = ((-0.4515,),)
-    selection: Selection = field(default="constant", init=False)
-
-    def table(self, model: LoopModel) -> NDArray[np.float64]:
-        K = np.asarray(self.gain, dtype=float)
-        m, p = model.B.shape[1], model.C.shape[0]
-        if K.shape != (m, p):
-            raise FieldError("gain", f"shape {list(K.shape)} does not fit the plant; expected [{m}][{p}]")
-        return np.broadcast_to(K, (model.tau_max + 1, 1, m, p)).copy()
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Constant:
-    """The same input in every slot and for every row: for tests and for open-loop experiments.
-
-    Args:
-        value: tuple of float, length m. Input, in the plant's input unit.
-    """
-
-    value: tuple[float, ...] = (0.0,)
-
-    def start(self, model: LoopModel) -> RunningController:
-        if len(self.value) != model.B.shape[1]:
-            raise FieldError("value", f"length {len(self.value)}, expected {model.B.shape[1]}: one for each input")
-        return _ConstantRows(self.value)
-
-
-class _ConstantRows:
-    selection: Selection = "constant"
-
-    def __init__(self, value: tuple[float, ...]) -> None:
-        self._rows = (tuple(map(float, value)),)
-
-    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Rows:
-        return self._rows
 
 
 def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[np.float64]:
@@ -191,7 +145,7 @@ def _published(values: Sequence[Sequence[float]], model: LoopModel) -> NDArray[n
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedHinf(_TableAlone):
+class PublishedHinf(TableAlone):
     """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:
@@ -205,7 +159,7 @@ class PublishedHinf(_TableAlone):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PublishedH2(_TableAlone):
+class PublishedH2(TableAlone):
     """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:

@@ -17,11 +17,12 @@ Reference: Chapter 7, (7.14), Theorems 7.1 and 7.2.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from design.errors import FieldError, NotStable
 from design.jump_linear.coupled_lyapunov import factors_of, mean, solve_coupled, transposed_factors
@@ -33,8 +34,7 @@ from design.processes.delay_chain import check_transition
 STABILITY_MARGIN = 1e-9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MJLS:
+class MJLS(Struct, frozen=True, kw_only=True):
     """A jump-linear system with mode-dependent matrices.
 
     Args:
@@ -68,7 +68,7 @@ class MJLS:
         zero = np.zeros((C.shape[1], B.shape[2]))
         D = _stack(zero if self.D is None else self.D, "D", N, C.shape[1], B.shape[2])
         for name, value in (("A", A), ("B", B), ("C", C), ("D", D), ("transition", matrix)):
-            object.__setattr__(self, name, value)
+            force_setattr(self, name, value)
 
     @property
     def matrices(self) -> tuple[Array, Array, Array, Array, Array]:

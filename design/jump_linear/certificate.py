@@ -7,12 +7,11 @@ eigenvalues are computed at these matrices.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 from msgspec import Struct
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 
 from design.jump_linear import MJLS, STABILITY_MARGIN
 from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius

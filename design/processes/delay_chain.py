@@ -6,11 +6,12 @@ Gains are looked up by the label. Every mode of several nodes together says how 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import prod
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import force_setattr
 
 from design.errors import FieldError
 
@@ -51,8 +52,7 @@ def check_transition(matrix: npt.ArrayLike, field: str) -> Array:
     return array
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DelayChain:
+class DelayChain(Struct, frozen=True, kw_only=True):
     """A Markov chain of modes, with the delay of each mode and the label that selects its gain.
 
     A plain chain (7.3)-(7.5) has ``delays = labels = 0..N-1``. A semi-Markov chain whose modes are augmented by
@@ -93,7 +93,7 @@ class DelayChain:
     def __post_init__(self) -> None:
         matrix = check_transition(self.transition, "transition")
         modes = matrix.shape[0]
-        object.__setattr__(self, "transition", matrix)
+        force_setattr(self, "transition", matrix)
         delays = np.arange(modes) if self.delays is None else np.asarray(self.delays)
         labels = delays if self.labels is None else np.asarray(self.labels)
         for name, values in (("delays", delays), ("labels", labels)):
@@ -108,32 +108,32 @@ class DelayChain:
                 raise FieldError("between", f"shapes {low.shape} and {high.shape}, expected {matrix.shape}")
             if not ((low >= 0.0) & (low <= matrix) & (matrix <= high) & (high <= 1.0)).all():
                 raise FieldError("between", "expected 0 <= lower <= transition <= upper <= 1 in every entry")
-            object.__setattr__(self, "between", (low, high))
+            force_setattr(self, "between", (low, high))
         if self.stays is not None:
             stays = np.asarray(self.stays, dtype=np.float64)
             if stays.shape != (modes,) or not ((stays >= 0.0) & (stays <= self.bounds[1].diagonal())).all():
                 raise FieldError("stays", f"expected {modes} probabilities, none above the upper bound of staying")
-            object.__setattr__(self, "stays", stays)
+            force_setattr(self, "stays", stays)
         if self.ages is not None:
             ages = np.asarray(self.ages)
             if ages.ndim != 2 or len(ages) != modes or not np.issubdtype(ages.dtype, np.integer) or not ages.size:
                 raise FieldError("ages", f"shape {ages.shape}, expected integers for {modes} modes and every output")
             if (ages < 0).any() or not np.array_equal(ages.max(axis=1), delays):
                 raise FieldError("ages", "expected ages >= 0, the largest of every mode its delay")
-            object.__setattr__(self, "ages", ages.astype(np.int64))
+            force_setattr(self, "ages", ages.astype(np.int64))
         if self.held is not None:
             held = np.asarray(self.held)
             shapes = ((modes,),) if self.ages is None else ((modes,), np.shape(self.ages))
             if held.shape not in shapes or held.dtype != np.bool_:
                 raise FieldError("held", f"expected {modes} flags, or as many rows with one for every output that has an age")
-            object.__setattr__(self, "held", held)
+            force_setattr(self, "held", held)
         if self.begins is not None:
             begins = np.asarray(self.begins)
             if begins.shape != (modes,) or begins.dtype != np.bool_ or not begins.any():
                 raise FieldError("begins", f"expected {modes} flags, one of them set")
-            object.__setattr__(self, "begins", begins)
-        object.__setattr__(self, "delays", delays.astype(np.int64))
-        object.__setattr__(self, "labels", labels.astype(np.int64))
+            force_setattr(self, "begins", begins)
+        force_setattr(self, "delays", delays.astype(np.int64))
+        force_setattr(self, "labels", labels.astype(np.int64))
 
     @property
     def matrix(self) -> Array:

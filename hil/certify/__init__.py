@@ -90,7 +90,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def motion(self) -> LoopModel:
         """The model with the matrices by which the plant moves: what is judged, beside what the controller knows."""
-        return motion_of(self.plant, self.nominal)
+        return self.once(f"motion, taken over: {self.taken_over is not None}", lambda: motion_of(self.plant, self.nominal))
 
     @property
     def nominal(self) -> LoopModel:

@@ -8,8 +8,8 @@ A relative trigger lets every sample be wrong by a share of itself: one quadrati
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
 from msgspec import Struct
@@ -22,17 +22,21 @@ from design.jump_linear import STABILITY_MARGIN
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, Check, limited_to_model, table_of
 from hil.certify.motion_test import SLOTS, drive, random_inputs
-from hil.certify.region import ClosedLoop, judge_region
-from hil.certify.saturation import ends_from_anywhere, escapes
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, MovesOtherwise, Plant
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from hil.certify.region import ClosedLoop
+
+    Modes = Callable[[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]], ClosedLoop]
+    """Makes the closed loop of a plant (A, B, C)."""
 
 Array = NDArray[np.float64]
 PARTS = 16
 """Parts of a slot over which the motion of an input that changes within the slot is bounded."""
 ROUNDING, LARGEST = 1e-9, 1e12
 CLAMPED = "a clamped integral"
-Modes = Callable[[Array, Array, Array], ClosedLoop]
-"""Makes the closed loop of a plant (A, B, C)."""
 
 
 class Pushed(Struct, frozen=True, kw_only=True):
@@ -171,6 +175,9 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     )
     if not limited:
         return found
+    from hil.certify.region import ClosedLoop, judge_region
+    from hil.certify.saturation import ends_from_anywhere, escapes
+
     adds = (np.abs(applied[:, :, n : n + p]) @ pushed.outputs).max(axis=0) + share
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)

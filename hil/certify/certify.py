@@ -2,13 +2,13 @@
 
 Nothing else says whether a loop is certified: a design hands over gains, a plant its matrices and rates, and a certifier per
 kind of loop judges them as they run. To add a kind of loop, write a :class:`hil.certify.Certifier` over the
-protocols of its plant and controller, and put it into `CERTIFIERS`. A plant or controller of a user's own that fulfils the
+protocols of its plant and controller, and yield it in `certifiers`. A plant or controller of a user's own that fulfils the
 protocols is judged like ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from msgspec.structs import replace
@@ -26,32 +26,34 @@ from hil.certify import (
     why_no_controller,
 )
 from hil.certify.conformance import tested
-from hil.certify.historical_loop import certify_historical
-from hil.certify.jump_loop import certify_jump_loop
 from hil.certify.send_all_loop import certify_linear_law, certify_send_all
-from hil.certify.wall_loop import certify_model_following, certify_wall_loop
 from hil.errors import ForeignVerdict
 from hil.plugins.user_modules import is_ours
 from hil.rig import RigSpec
 from transport.laws import ChainLaw, SemiMarkovLaw
 
-CERTIFIERS: tuple[Certifier, ...] = (
-    certify_send_all, certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law,
-)  # fmt: skip
-"""Asked in this order; the first that knows the kind of loop answers."""
+
+def certifiers() -> Iterator[Certifier]:
+    """Yield who is asked, in order: the first that knows the kind of loop answers, and what others import is not imported."""
+    yield certify_send_all
+    from hil.certify.historical_loop import certify_historical
+    from hil.certify.jump_loop import certify_jump_loop
+    from hil.certify.wall_loop import certify_model_following, certify_wall_loop
+
+    yield from (certify_jump_loop, certify_wall_loop, certify_model_following, certify_historical, certify_linear_law)
 
 
-def certify(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+def certify(loop: CertificationProblem, asked: Iterable[Certifier] | None = None) -> Verdict:
     """Return the verdict on a loop whose plant and controller were tested to be what they say: see `judge` and `tested`.
 
     Args:
         loop: the loop that will run.
-        certifiers: who is asked, in order.
+        asked: certifiers, in order; by default those of `certifiers`.
 
     Raises:
         ForeignVerdict: as of `judge`.
     """
-    return tested(loop, judge(loop, certifiers))
+    return tested(loop, judge(loop, asked))
 
 
 def _too_large(loop: CertificationProblem, error: MemoryError) -> str:
@@ -75,17 +77,17 @@ def of_external(verdict: Verdict, named: str) -> Verdict:
     )  # fmt: skip
 
 
-def judge(loop: CertificationProblem, certifiers: Sequence[Certifier] = CERTIFIERS) -> Verdict:
+def judge(loop: CertificationProblem, asked: Iterable[Certifier] | None = None) -> Verdict:
     """Return the verdict on what a loop says of itself: ``undecided`` where no certifier knows its kind, or no proof is computed.
 
     Args:
         loop: the loop that will run.
-        certifiers: who is asked, in order.
+        asked: certifiers, in order; by default those of `certifiers`.
 
     Raises:
         ForeignVerdict: a certifier answered for another loop than the one it was handed.
     """
-    for certifier in certifiers:
+    for certifier in certifiers() if asked is None else asked:
         try:
             verdict = certifier(loop)
         except (np.linalg.LinAlgError, OverflowError) as error:

@@ -16,7 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from design.controllers import LoopModel, OutputFeedback
+from design.controllers import LoopModel
 from design.verdict import State, Verdict
 from hil.certify import CertificationProblem, Check
 from hil.certify.bounded_departures import departure_check
@@ -88,6 +88,8 @@ def without_loop(plant: Plant, model: LoopModel, digest: str = "") -> Certificat
         model: its model at a period.
         digest: of what a verdict is on; by default none.
     """
+    from design.controllers import OutputFeedback
+
     none = OutputFeedback(A=(), B=(), C=(), D=())
     return CertificationProblem(plant=plant, controller=none, model=model, sc=None, ca=None, digest=digest)
 

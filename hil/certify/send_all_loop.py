@@ -30,14 +30,15 @@ from design.jump_linear.order_of_modes import growth_in_every_order
 from design.processes.delay_chain import DelayChain
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, jumping, limited_to_model, table_of, undecided
-from hil.certify.bounded_departures import Modes, ends_within
-from hil.certify.region import ClosedLoop
+from hil.certify.bounded_departures import ends_within
 from hil.rig.delay_chains import gains_within
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
     from design.jump_linear.certificate import Certificate
     from design.networked_loop.affine_loop import LoopStructure
+    from hil.certify.bounded_departures import Modes
+    from hil.certify.region import ClosedLoop
 
 
 STABLE = 1.0 - 1e-6
@@ -198,6 +199,8 @@ def certify_linear_law(loop: CertificationProblem) -> Verdict | None:
 
 def _closed(structure: LoopStructure, gains: Array, C: Array) -> ClosedLoop:
     """The loop by these gains, over the upper bounds of its transition probabilities."""
+    from hil.certify.region import ClosedLoop
+
     chances = structure.transition if structure.between is None else structure.between[1]
     return ClosedLoop(structure.matrices(gains), chances, structure.applied_input(gains), structure.standing(C))
 

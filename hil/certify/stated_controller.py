@@ -15,7 +15,6 @@ from design.controllers import (
     LinearFeedback,
     LoopModel,
     ModeSchedule,
-    OutputFeedback,
     SendAll,
     ages_distinguished,
     integral_limit,
@@ -59,7 +58,7 @@ NAME = "your controller does not answer as it says"
 def answers_of(loop: CertificationProblem) -> Check:
     """Compare a controller's answers with its statement; return a state and its reason, or None and what was found equal."""
     controller, model = loop.controller, loop.model
-    stated = stated_by(loop)
+    stated = loop.once("stated", lambda: stated_by(loop))
     if stated is None:
         return None, ()
     stated_controller, excitation = stated
@@ -124,6 +123,8 @@ def stated_by(loop: CertificationProblem) -> tuple[Controller, Excitation] | Non
         )  # fmt: skip
         return table, random_excitation(model, width=p * samples, longest=max(lengths, default=1), far=True)
     if isinstance(controller, LinearFeedback):
+        from design.controllers import OutputFeedback
+
         law = loop.once("law", lambda: controller.linear_law(model))
         A, B, C, D = (nested(np.asarray(M)) for M in (law.A, law.B, law.C, law.D))
         return OutputFeedback(A=A, B=B, C=C, D=D), random_excitation(model, width=p)

@@ -166,12 +166,8 @@ def foxglove_beside(onlooker: Onlooker | None, port: int | None) -> Iterator[Onl
         yield server if onlooker is None else Beside(onlooker, server)
 
 
-NOT_A_NUMBER: Final = re.compile(r"is not (a valid (integer|float)( range)?|in the range .*)\.$")
+NOT_A_NUMBER: Final = r"is not (a valid (integer|float)( range)?|in the range .*)\.$"
 """What click says of a value that is no number, or one beyond its bounds."""
-
-
-ONE_OF: Final = re.compile(r"is not one of .*\.$")
-"""What click says of a word that is none of a choice's."""
 
 
 def expected(error: click.UsageError) -> str:
@@ -181,10 +177,11 @@ def expected(error: click.UsageError) -> str:
     kind, said = error.param.type, error.format_message()
     if isinstance(kind, click.Choice) and isinstance(error.param, click.Argument):  # click would call it by all of its words
         words = ", ".join(map(str, kind.choices))
-        missing = isinstance(error, click.MissingParameter)
-        return f"Missing argument: one of {words}." if missing else ONE_OF.sub(f"is not one of {words}.", error.message)
+        if isinstance(error, click.MissingParameter):
+            return f"Missing argument: one of {words}."
+        return re.sub(r"is not one of .*\.$", f"is not one of {words}.", error.message)
     whole = isinstance(kind, click.types.IntParamType)
-    if not (whole or isinstance(kind, click.types.FloatParamType)) or not NOT_A_NUMBER.search(said):
+    if not (whole or isinstance(kind, click.types.FloatParamType)) or not re.search(NOT_A_NUMBER, said):
         return ""
     bounds = ""
     if isinstance(kind, click.IntRange | click.FloatRange):
@@ -192,7 +189,7 @@ def expected(error: click.UsageError) -> str:
         least = "" if kind.min is None else f" {'above' if kind.min_open else closed} {kind.min:g}"
         most = "" if kind.max is None else f" {'below' if kind.max_open else 'to'} {kind.max:g}"
         bounds = least + most
-    return NOT_A_NUMBER.sub(f"is not a {'whole ' if whole else ''}number{bounds}.", said)
+    return re.sub(NOT_A_NUMBER, f"is not a {'whole ' if whole else ''}number{bounds}.", said)
 
 
 def near_options(error: click.NoSuchOption) -> list[str]:

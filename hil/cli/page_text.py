@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from hil.pages.html.page import Page
 
 
-_NUMBER: Final = re.compile(r"[-+–.\d][^:,]*$|none$")  # what a cell is that stands right in its column
+_NUMBER: Final = r"[-+–.\d][^:,]*$|none$"  # what a cell is that stands right in its column
 _TYPED: Final = str.maketrans({"−": "-", "\u202f": ""})  # a number on a terminal can be pasted
 _STYLES: Final = {"bad": "red", "warning": "yellow"}
 
@@ -50,7 +50,7 @@ def print_table(table: Table, *, folds: bool = False) -> None:
     folding: list[tuple[int, Column]] = []
     for head, column in zip(table.columns, zip(*rows) if rows else [()] * len(table.columns)):
         longest = max((len(one.plain) for one in column), default=0)
-        if all(_NUMBER.match(one.plain) or not one.plain for one in column):
+        if all(re.match(_NUMBER, one.plain) or not one.plain for one in column):
             lines = wrap(visible(head), max(longest, *map(len, head.split(" ")), 1))  # no wider than its numbers
             shown.add_column(Text("\n".join(lines)), justify="right", no_wrap=True)
         else:

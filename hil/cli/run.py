@@ -139,7 +139,6 @@ def run(
     from hil.rig.normal_form import rig_of
     from hil.rig.session_link import link_of
     from hil.session import run_session
-    from transport.links.opening import open_link
 
     collect_garbage_again()
     if not re.fullmatch("0?[0-7]{3}", log_mode) or (mode := int(log_mode, 8)) & 0o600 != 0o600:
@@ -154,6 +153,8 @@ def run(
     on = link_of(rig_of(checked), link) if clock == "real" else None
     # An external controller may be there already: do not let it meet this end.
     if on is not None and not external and not on.traits.in_process:
+        from transport.links.opening import open_link
+
         with catch_warnings(action="ignore"), open_link(on.uri, "rig"), open_link(on.uri, "controller"):
             pass  # what cannot be opened is said before anything starts; what is odd about it, by the rig
     uri = None if on is None else on.uri

@@ -26,10 +26,7 @@ from design.controllers import (
 )
 from design.errors import DesignError, FieldError
 from design.whole_process import one_blas_thread
-from hil.certify.historical_loop import delayed_plant_of, known_past, mask_faults
-from hil.certify.jump_loop import process_of, system_of
 from hil.compose.judged import judge
-from hil.compose.stored_gains import fitted, problem_digest, solve_controller
 from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
@@ -38,7 +35,6 @@ from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
 from hil.rig import RigSpec
-from hil.rig.bus_delays import bus_chains
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop
 from hil.rig.named_files import with_named_files
@@ -87,6 +83,8 @@ def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
     asked: Any = experiment.controller
     if not isinstance(asked, Designer) or (isinstance(asked, GivesGains) and asked.gains_given):
         return None
+    from hil.compose.stored_gains import problem_digest
+
     with _small_matrices():
         experiment, rig, model = _modelled(experiment)
         try:
@@ -131,6 +129,8 @@ def _solved(experiment: Experiment, rig: RigSpec, model: LoopModel) -> tuple[Exp
     asked = experiment.controller
     if not isinstance(asked, Designer):
         return experiment, None, None
+    from hil.compose.stored_gains import fitted, solve_controller
+
     chains = chains_for(rig, asked)
     solved, gains = solve_controller(experiment, _task(experiment, rig, chains, model))
     if isinstance(asked, GainsOnFile) and asked.file:
@@ -166,6 +166,8 @@ def _compose(
     except (ValueError, DesignError) as e:
         raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
     if isinstance(controller, HistoryGains):
+        from hil.certify.historical_loop import mask_faults
+
         unknown = mask_faults(controller, model.nodes)
         if unknown:
             raise ExperimentError(experiment.name, unknown)
@@ -193,6 +195,9 @@ def _compose(
 def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> DesignTask:
     """Return what a design has to solve: the loop with the plant's own matrices and rates."""
     from design.requests.tracking import DesignTask  # loaded where gains are asked for
+    from hil.certify.historical_loop import delayed_plant_of, known_past
+    from hil.certify.jump_loop import process_of, system_of
+    from hil.rig.bus_delays import bus_chains
 
     plant, sc, ca, chainless = e.plant, chains.sc, chains.ca, chains.why_none
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from math import log
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,6 @@ from design.verdict import Verdict
 from hil.certify import CertificationProblem
 from hil.certify.certify import certify, of_external, own_laws
 from hil.certify.conformance import NOISY, one_step
-from hil.certify.jump_loop import jump_step
 from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
@@ -120,11 +118,13 @@ def _watched(problem: CertificationProblem, verdict: Verdict, external: bool) ->
     """
     if not verdict.certified and not external:
         return None
-    stated = None if external else stated_by(problem)
+    stated = None if external else problem.once("stated", lambda: stated_by(problem))
     twin = None if stated is None else stated[0]
     if twin is not None and type(twin) is type(problem.controller):
         twin = None
     plant, model = problem.plant, problem.motion
+    if isinstance(plant, JumpPlant):
+        from hil.certify.jump_loop import jump_step
     step = jump_step(plant, model) if isinstance(plant, JumpPlant) else one_step(plant, model)
     return Watched(plant=step, controller=twin, claimed=not external)
 
@@ -138,7 +138,7 @@ def _problem(
     sc, ca, chainless, unmet = found.sc, found.ca, found.chainless, found.unmet
     repeat = sc is not None and ca is not None and min(sc.modes, ca.modes) > 1 and not (sc.begins is None or ca.begins is None)
     if repeat and not in_phase and sc is not None and ca is not None:
-        sc, ca, repeat = dataclasses.replace(sc, begins=None), dataclasses.replace(ca, begins=None), False
+        sc, ca, repeat = replace(sc, begins=None), replace(ca, begins=None), False
         unmet = f"{unmet}; {ANY_PHASE}" if unmet else ANY_PHASE
     if repeat:
         unmet = f"{unmet}; {IN_PHASE}" if unmet else IN_PHASE

@@ -61,7 +61,6 @@ def read_law_file(name: Any, folder: str) -> dict[str, Any]:
 
 
 OLDEST = 63  # slots
-NODE_NAME = re.compile(r"[a-z][a-z0-9_]{0,40}")
 
 
 def _without_own_measures(raw: dict[str, Any]) -> dict[str, Any]:
@@ -172,7 +171,7 @@ class Checker:
         found: dict[str, Any] = {}
         for name, table in raw.items():
             path = f"{table_path}.{name:.60}"
-            if not NODE_NAME.fullmatch(name):
+            if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name):
                 self.faults.append(f"{path}: expected a name of lower-case letters, digits and _")
             elif not isinstance(table, dict):
                 self.faults.append(f"{path}: expected a table, got {table!r:.60}")

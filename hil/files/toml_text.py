@@ -15,7 +15,6 @@ DEEPEST: Final = 32
 
 _MOST_DIGITS: Final = 400
 _LONG_NUMBER: Final = re.compile(rf"(?<![\d_])\d[\d_]{{{_MOST_DIGITS},}}")
-_BARE: Final = re.compile(r"[A-Za-z0-9_-]+")
 _OPENING: Final = re.compile(r"[\"'#]")
 _STRING: Final = re.compile(
     r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
@@ -93,7 +92,7 @@ def toml_value(value: Any) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
     if isinstance(value, Mapping):
-        keys = {key: str(key) if _BARE.fullmatch(str(key)) else toml_value(str(key)) for key in value}
+        keys = {key: str(key) if re.fullmatch(r"[A-Za-z0-9_-]+", str(key)) else toml_value(str(key)) for key in value}
         return f"{{ {', '.join(f'{keys[key]} = {toml_value(entry)}' for key, entry in value.items())} }}"
     raise TypeError(type(value).__name__)
 

@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from struct import Struct
 from typing import Any, Final
 
@@ -52,7 +51,7 @@ _NUMPY: Final = {"float64": "<f8", "int64": "<i8", "int32": "<i4", "uint8": "u1"
 _ORDER: Final = ("float64", "int64", "int32", "uint8", "uint8[]")
 _FIELD_NAME: Final = re.compile(r"(?!.*__)(?!.*_$)[a-z][a-z0-9_]*")
 _SCHEMA_NAME: Final = re.compile(r"[a-z][a-z0-9_]*/msg/[A-Z][A-Za-z0-9]*")
-_LINE: Final = re.compile(r"(?P<type>\S+) (?P<name>\S+)(?:  # (?P<unit>[^,]*)(?:, (?P<doc>.*))?)?")
+_LINE: Final = r"(?P<type>\S+) (?P<name>\S+)(?:  # (?P<unit>[^,]*)(?:, (?P<doc>.*))?)?"
 
 
 class Field(msgspec.Struct, frozen=True, kw_only=True):
@@ -84,8 +83,7 @@ class Field(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.type} {self.name}  # {self.unit}" + (f", {self.doc}" if self.doc else "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Schema:
+class Schema(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """A record's layout, and the two ways through it: ``pack`` to bytes, ``dtype`` back to numbers.
 
     Args:
@@ -103,10 +101,6 @@ class Schema:
 
     name: str
     fields: tuple[Field, ...]
-    text: str = field(init=False)
-    dtype: np.dtype[np.void] = field(init=False, compare=False)
-    raw: bool = field(init=False)
-    pack: Callable[..., bytes] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         if not _SCHEMA_NAME.fullmatch(self.name):
@@ -119,19 +113,29 @@ class Schema:
             if f.name in taken:
                 raise ValueError(f"fields: {self.name} has more than one field {f.name!r}")
             taken.add(f.name)
-        fixed = [f for f in self.fields if f.type != "uint8[]"]
-        raw = len(fixed) < len(self.fields)
-        dtype = np.dtype([(f.name, _NUMPY[f.type]) for f in fixed])
-        codes = "".join(_CODES[f.type] for f in fixed)
-        set_ = object.__setattr__
-        set_(self, "text", "".join(f.line + "\n" for f in self.fields))
-        set_(self, "dtype", dtype)
-        set_(self, "raw", raw)
-        if raw:
+
+    @property
+    def text(self) -> str:
+        """Its fields as ``ros2msg`` has them."""
+        return "".join(f.line + "\n" for f in self.fields)
+
+    @cached_property
+    def dtype(self) -> np.dtype[np.void]:
+        """The fields in numpy, without ``uint8[]``."""
+        return np.dtype([(f.name, _NUMPY[f.type]) for f in self.fields if f.type != "uint8[]"])
+
+    @property
+    def raw(self) -> bool:
+        """Whether it ends with ``uint8[]``."""
+        return self.fields[-1].type == "uint8[]"
+
+    @cached_property
+    def pack(self) -> Callable[..., bytes]:
+        """What makes the bytes of a record of its values."""
+        if self.raw:
             # The length of a sequence is a u32 and aligned as such, counted from the end of the CDR header.
-            set_(self, "pack", _raw_packer(Struct(f"<4s{codes}{-dtype.itemsize % 4}xI").pack))
-        else:
-            set_(self, "pack", partial(Struct(f"<4s{codes}").pack, CDR_HEADER))
+            return _raw_packer(Struct(f"<4s{self.codes}{-self.dtype.itemsize % 4}xI").pack)
+        return partial(Struct(f"<4s{self.codes}").pack, CDR_HEADER)
 
     @property
     def floats(self) -> list[str]:
@@ -148,16 +152,12 @@ class Schema:
         """Where the bytes of ``uint8[]`` begin in a payload (its u32 length stands just before)."""
         return 4 + self.dtype.itemsize + -self.dtype.itemsize % 4 + 4
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        # A compiled packer does not travel between processes; it is made again over there.
-        return partial(type(self), name=self.name, fields=self.fields), ()
-
     @classmethod
     def from_text(cls, name: str, text: str) -> Schema:
         """Read back what ``text`` wrote; raises ValueError for anything that this table could not have written."""
         found = []
         for number, line in enumerate(text.splitlines(), 1):
-            match = _LINE.fullmatch(line)
+            match = re.fullmatch(_LINE, line)
             if match is None:
                 raise ValueError(f"{name}: line {number} is no field: {line[:80]!r}")
             found.append(Field(**{key: value or "" for key, value in match.groupdict().items()}))

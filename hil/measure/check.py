@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from numbers import Real
 from typing import Any, Final
 
-from msgspec.structs import replace as struct_replace
+from msgspec.structs import replace
 
 from hil.errors import ExperimentError, nearest
 from hil.experiment import Experiment
@@ -60,7 +59,7 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
     if (whole := _numbers(measure, view, "a run")) != _numbers(measure, view, "a run"):
         raise AssertionError("the same run must give the same numbers")
     kept = {topic: array for topic, array in view.run.arrays.items() if topic in measure.topics}
-    of_those = replace(view, run=struct_replace(view.run, arrays=kept))
+    of_those = view.of(replace(view.run, arrays=kept))
     if _numbers(measure, of_those, f"with {measure.topics} alone, its topics") != whole:
         raise AssertionError(f"with {measure.topics} alone, its topics, it gives other numbers: a sweep keeps no others")
     said = [f"{name} is a Measure: its numbers stand in summary, page, sweep and comparison"]

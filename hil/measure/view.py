@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from msgspec import Struct
-from msgspec.structs import replace as struct_replace
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from hil.errors import HilError
 from hil.experiment import Experiment, experiment_from_resolved
@@ -48,8 +47,7 @@ class Mark(Struct, frozen=True, kw_only=True):
     severity: Severity = "neutral"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunView:
+class RunView(Struct, frozen=True, kw_only=True, eq=False):
     """A run as measures and figures see it.
 
     Args:
@@ -67,7 +65,7 @@ class RunView:
     signals: Signals
     marks: tuple[Mark, ...]
     known_rig: RigSpec | None = None
-    _made: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _made: dict[Any, Any] = field(default_factory=dict)
 
     def once(self, make: Callable[[RunView], Made]) -> Made:
         """Return what a function makes of this run; it is called once for this view and its single outputs.
@@ -91,13 +89,15 @@ class RunView:
 
     def only(self, name: str) -> RunView:
         """Return the same run with one tracked output."""
-        alone = replace(self, signals=self.signals.only(name))
-        object.__setattr__(alone, "_made", self._made)
-        return alone
+        return replace(self, signals=self.signals.only(name))
 
     def without_records(self) -> RunView:
         """Return a run as if it had ended at once."""
-        return replace(self, run=struct_replace(self.run, arrays={name: a[:0] for name, a in self.run.arrays.items()}, events=[]))
+        return self.of(replace(self.run, arrays={name: a[:0] for name, a in self.run.arrays.items()}, events=[]))
+
+    def of(self, run: Run) -> RunView:
+        """Return the view of a run with other records of the same experiment."""
+        return replace(self, run=run, _made={})
 
     def disturbed_at_s(self) -> float | None:
         """Return when the first input disturbance began as the experiment states it, s; None without one."""

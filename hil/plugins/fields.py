@@ -8,7 +8,6 @@ import re
 import types
 import typing
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeGuard
 
@@ -62,8 +61,7 @@ def _maker(field: Any, missing: object) -> Callable[[], object] | None:
     return made
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Field:
+class Field(msgspec.Struct, frozen=True, kw_only=True):
     """One key of a table.
 
     Args:

@@ -159,7 +159,6 @@ WATCH: Final[ContextVar[Watch]] = ContextVar("who watches this process", default
 MAX_BYTES: Final = 1_000_000
 _PREFIX: Final = "hil_own_"
 _DIGITS: Final = 16
-_SHAPE: Final = re.compile(r"([A-Za-z_]\w*):([A-Za-z_]\w*)", re.ASCII)
 
 
 def is_own(kind: str) -> bool:
@@ -177,7 +176,7 @@ def load_own(kind: str, folder: str | os.PathLike[str]) -> Any:
     Raises:
         HilError: no such file, a file that cannot be run, or nothing of that name in it.
     """
-    said = _SHAPE.fullmatch(kind)
+    said = re.fullmatch(r"([A-Za-z_]\w*):([A-Za-z_]\w*)", kind, re.ASCII)
     if said is None:
         raise HilError(f"{kind!r:.80}: expected module:Class, such as my_module:Cart for the class Cart of my_module.py")
     file, name = f"{said[1]}.py", said[2]

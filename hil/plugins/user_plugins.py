@@ -17,7 +17,6 @@ from design.controllers import Controller, LoopModel, RunningController, Several
 from hil.plugins.registry import Group
 from hil.plugins.user_modules import OUR_FOLDERS
 from plants.errors import PlantError
-from plants.parts.check import check_plant
 
 if TYPE_CHECKING:
     from design.requests.tracking import DesignTask
@@ -176,6 +175,8 @@ def own_fault(group: Group, plugin: Any) -> str | None:
     try:
         with in_own_words():
             if group == "hil.plants":
+                from plants.parts.check import check_plant
+
                 needs(plugin, f"{what}, a plant,", PLANT)
                 check_plant(plugin)
             elif group == "hil.controllers":

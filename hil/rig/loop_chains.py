@@ -7,11 +7,11 @@ watchdog stops a run for lack of commands, by losses of the network and by cuts 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from math import gcd
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import (
@@ -29,10 +29,8 @@ from design.controllers import (
 )
 from hil.experiment import Experiment
 from hil.rig import RigSpec
-from hil.rig.bus_delays import bus_chains
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
-from hil.rig.received_ages import BANDS, received_ages
 from hil.rig.receiver import Received, recorded_chain
 from hil.rig.schedules import as_one, no_commands
 from transport.laws import AgeChain, RecordedLaw
@@ -92,6 +90,8 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
             return LoopChains(sc, None, "", f"the law of network.ca {recorded}")
         ca = recorded
     if sc is None:
+        from hil.rig.received_ages import received_ages
+
         distinguished = _distinguished(controller, model)
         found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
         if isinstance(found, str):
@@ -125,6 +125,8 @@ def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopM
     by_stay = sojourns_distinguished(controller) or row_sojourns_distinguished(controller) > 1
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or by_stay:
         return LoopChains(None, None, "", "the theory of this controller knows no CAN bus with time")
+    from hil.rig.bus_delays import bus_chains
+
     found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
     if found is None or isinstance(found, str):
         return LoopChains(None, None, "", found or "")
@@ -154,6 +156,8 @@ def _slack(rig: RigSpec) -> tuple[tuple[float, ...], tuple[float, ...]]:
     A node is silent while no output differs from its last packet by more than the threshold. So the controller knows every sample
     up to an error of the threshold; see `_beside_bands` for the exceptions.
     """
+    from hil.rig.received_ages import BANDS
+
     found: dict[str, tuple[float, ...]] = {}
     for kind in BANDS:
         bands, slack = [s for s in rig.sensors if s.trigger.kind == kind], np.zeros(len(rig.outputs))

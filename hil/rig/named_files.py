@@ -98,7 +98,7 @@ _CELLS: Final[dict[str, Callable[[str], Any]]] = {
     **dict.fromkeys(("extended", "fd"), lambda cell: _FLAGS[cell.lower()]),
 }
 """What a cell of a column is read by; any other is text."""
-_TOO_LONG: Final = re.compile(r"^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}", re.MULTILINE)
+_TOO_LONG: Final = r"(?m)^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}"
 """cantools keeps every bit of a message in a list."""
 
 
@@ -169,7 +169,7 @@ def _sound(values: dict[str, Any]) -> TrafficTable:
 def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
     import cantools
 
-    beyond = _TOO_LONG.search(text)
+    beyond = re.search(_TOO_LONG, text)
     if beyond is not None:
         raise HilError(f"{path}: is no DBC: {beyond[0].strip()[:80]!r}: no message has so many bits")
     try:
@@ -193,7 +193,7 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
 
 MOST: Final = 100_000
 RECORDINGS: Final = (".log", ".asc", ".blf")
-_LINE: Final = re.compile(r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))")
+_LINE: Final = r"(\d{1,18}) ([0-9A-F]{3}|[0-9A-F]{8})(#R([0-8]?)|##([0-3])([0-9A-F]*)|#([0-9A-F]*))"
 
 
 def line_of(at_ns: int, frame: CanFrame) -> str:
@@ -256,7 +256,7 @@ def due_of(line: str, node: int = 0) -> Due:
     Raises:
         ValueError: it is none.
     """
-    found = _LINE.fullmatch(line)
+    found = re.fullmatch(_LINE, line)
     if found is None:
         raise ValueError(f"{line!r:.60}, expected nanoseconds and a frame, as in '12000000 123#1122'")
     from transport.can_bus_model import Due  # loaded where there is a bus

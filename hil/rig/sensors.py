@@ -19,7 +19,6 @@ from transport.laws.delay_states import delay_states
 from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.traits import CanFraming
 from transport.medium import SampleClock
-from transport.medium.scheduled import Arbitration
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 
@@ -236,6 +235,8 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
         frames: frames that the bus carries in a slot.
         identifiers: of all nodes, of which the lowest wins; by default their numbers.
     """
+    from transport.medium.scheduled import Arbitration
+
     order = sorted(range(len(clocks)), key=lambda node: identifiers[node] if identifiers else node)
     rank = {node: place for place, node in enumerate(order)}
     drawn = [i for i, clock in enumerate(clocks) if clock.drawn]

@@ -14,7 +14,6 @@ from hil.rig.can_bus import CONTROL, CONTROLLER, can_bus_of, can_faults, most_ro
 from hil.rig.schedules import bus_faults
 from transport.links import TransportError
 from transport.links.can_identifiers import Identifiers, identifiers_text
-from transport.links.opening import is_foreign
 from transport.links.traits import CanFraming, LinkTraits, identifiers_on, traits_of, with_options
 
 if TYPE_CHECKING:
@@ -43,6 +42,8 @@ class SessionLink(Struct, frozen=True, kw_only=True):
     @property
     def unproved(self) -> bool:
         """Whether it is a plug-in of the user's own, and no code (``auth=``) says that a frame is as it was sent."""
+        from transport.links.opening import is_foreign  # of real time
+
         return is_foreign(self.uri) and not self.traits.keyed
 
     @property

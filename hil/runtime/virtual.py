@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -15,13 +15,15 @@ from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, Sink
 from hil.rig.loop import Loop
-from hil.runtime.changes import Changes, log_change, take
 from hil.runtime.clock import Clock, Kernel, VirtualClock
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
+
+if TYPE_CHECKING:
+    from hil.runtime.changes import Changes
 
 
 class DirectExchange:
@@ -51,6 +53,7 @@ def _changing(
     slot: Slot, rig: Rig, node: ControlNode, sink: Sink, changes: Changes, period_ns: int, stop: Callable[[], None]
 ) -> Callable[[int], None]:  # fmt: skip
     """Return what runs a slot behind the changes that act from it on."""
+    from hil.runtime.changes import log_change, take
 
     def run(t_ns: int) -> None:
         k = t_ns // period_ns

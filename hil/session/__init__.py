@@ -14,7 +14,7 @@ from dataclasses import replace
 from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import msgspec
 
@@ -34,7 +34,6 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed
-from hil.runtime.changes import Changes
 from hil.runtime.clock import Clock, monotonic_ns, wall_clock
 from hil.runtime.real import machine
 from hil.runtime.real.ending import Forced, StopSignals, failure_of
@@ -43,6 +42,9 @@ from hil.session import finished
 from hil.session.finished import Session as Session
 from transport.draws import REASONS
 from transport.packets import SELECTIONS
+
+if TYPE_CHECKING:
+    from hil.runtime.changes import Changes
 
 ClockName = Literal["virtual", "real"]
 CARRIED = (

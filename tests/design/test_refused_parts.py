@@ -15,9 +15,9 @@ from design.as_printed.chapters_5_and_6 import inner_loop
 from design.controllers import LoopModel
 from design.controllers.historical import Historical
 from design.controllers.linear_law import LinearLaw
+from design.controllers.one_row import Constant
 from design.controllers.rendered_wall import Coupler
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
-from design.controllers.send_all import Constant
 from design.controllers.sensor_nodes import PacketWindow, Turns
 from design.controllers.smith import Smith
 from design.controllers.virtual_wall import VirtualWall

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from msgspec import Struct
@@ -195,8 +194,7 @@ class Due(NamedTuple):
     frame: CanFrame
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Periodic:
+class Periodic(Struct, frozen=True, kw_only=True):
     """A message that comes again and again.
 
     Args:

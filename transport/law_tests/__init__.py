@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from transport.draws import COPIED, LOST, OVERFLOW, SENT, SLOT_TOLERANCE
 from transport.laws import ChannelLaw, MarkovModes, NetworkLaw, RecordedLaw, SemiMarkovLaw, slots_served
-from transport.laws.sojourn import hazards
 
 EXPECTED = 5.0
 TAIL = 1e-3
@@ -162,6 +161,8 @@ def _ratio(observed: float, expected: float) -> float:
 
 
 def _sojourn_evidence(law: SemiMarkovLaw, modes: Modes) -> Iterator[Evidence]:
+    from transport.laws.sojourn import hazards
+
     size = len(law.matrix)
     if modes.max(initial=0) >= size:
         yield Evidence(0.0, 0.0, 0, False)

@@ -214,14 +214,14 @@ class IidAge:
         return mean_holding(self.transition_matrix())
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class ChainAge:
     """What Markov and semi-Markov age laws share: a chain over modes, each with an age."""
 
+    __slots__ = ()
     matrix: tuple[tuple[float, ...], ...]
-    initial: Initial = "stationary"
-    ages: tuple[int, ...] | None = None
-    allow_gaps: bool = False
+    initial: Initial
+    ages: tuple[int, ...] | None
+    allow_gaps: bool
 
     def __post_init__(self) -> None:
         matrix = checked_matrix("matrix", self.matrix)
@@ -286,6 +286,10 @@ class MarkovAge(ChainAge):
     kind: ClassVar[str] = "markov"
     family: ClassVar[Literal["age"]] = "age"
 
+    matrix: tuple[tuple[float, ...], ...]
+    initial: Initial = "stationary"
+    ages: tuple[int, ...] | None = None
+    allow_gaps: bool = False
     allow_absorbing: bool = False
 
     def _check_modes(self) -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from transport.draws import cumulative, uniforms
 from transport.errors import FieldError
 from transport.laws import BoundedTail, SemiMarkovLaw, SettlingHazard, Sojourn
-from transport.laws.age import AgePath, ChainAge
+from transport.laws.age import AgePath, ChainAge, Initial
 from transport.laws.sojourn import Geometric, SojournLaw, hazards
 from transport.laws.stochastic_matrix import stationary_row
 
@@ -68,6 +68,10 @@ class SemiMarkovAge(ChainAge):
     kind: ClassVar[str] = "semi-markov"
     family: ClassVar[Literal["age"]] = "age"
 
+    matrix: tuple[tuple[float, ...], ...]
+    initial: Initial = "stationary"
+    ages: tuple[int, ...] | None = None
+    allow_gaps: bool = False
     sojourn: tuple[SojournLaw, ...]
 
     def _check_modes(self) -> None:

@@ -172,8 +172,8 @@ class Closing:
 
 
 FORMS: Final = {
-    "can": (re.compile("[^:]+:.+"), "no channel, expected can:<interface>:<channel>, as in can:hil:rig0"),
-    "zenoh": (re.compile("([^/:]+/.+)?"), "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447, or nothing"),
+    "can": ("[^:]+:.+", "no channel, expected can:<interface>:<channel>, as in can:hil:rig0"),
+    "zenoh": ("([^/:]+/.+)?", "no endpoint, expected <protocol>/<address>, as in tcp/127.0.0.1:7447, or nothing"),
 }
 
 
@@ -193,7 +193,7 @@ def split_uri(uri: str) -> tuple[str, str, dict[str, str]]:
     except ValueError as error:
         raise TransportError(f"link {uri!r}: options {query!r} are not name=value, joined by &") from error
     form, expected = FORMS.get(scheme, (None, ""))
-    if form is not None and not form.fullmatch(address):
+    if form is not None and not re.fullmatch(form, address):
         raise TransportError(f"link {uri!r}: {expected}")
     options = dict(pairs)
     if len(options) != len(pairs):

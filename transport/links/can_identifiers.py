@@ -36,7 +36,7 @@ BASES: Final = range(0, 0x800, 0x100)
 LARGEST: Final = 0x7FF
 """The largest identifier of 11 bits."""
 
-_RANGE: Final = re.compile("(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8})(?:-(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8}))?")
+_RANGE: Final = "(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8})(?:-(0[xX][0-9a-fA-F]{1,8}|0|[1-9][0-9]{0,8}))?"
 
 
 class Identifiers(Struct, frozen=True, kw_only=True):
@@ -112,7 +112,7 @@ def read_range(text: str) -> range:
     >>> read_range("0x141-0x143")
     range(321, 324)
     """
-    found = _RANGE.fullmatch(text)
+    found = re.fullmatch(_RANGE, text)
     if found is None:
         raise FieldError("identifiers", f"{text!r:.40}, expected a number or two, as in 0x141 or 0x141-0x143")
     first = int(found[1], 0)

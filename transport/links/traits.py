@@ -21,7 +21,6 @@ from msgspec.structs import replace
 
 from transport.links import TransportError, key_file, split_uri
 from transport.links.can_identifiers import BASE, Identifiers, base_of, identifiers_of
-from transport.links.opening import find_link
 
 NO_ONE_ELSE: Final = "no other process: the controller runs in the rig's own"
 
@@ -257,6 +256,8 @@ _OURS: Final[Mapping[str, Callable[[str], LinkTraits]]] = {
 
 
 def _foreign(uri: str) -> LinkTraits:
+    from transport.links.opening import find_link
+
     plugin = find_link(uri)
     unknown = LinkTraits(commanders=f"unknown: the link {plugin.name!r} does not say whom it lets in")
     try:

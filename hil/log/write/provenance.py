@@ -53,7 +53,8 @@ def commit(checkout: Path = CHECKOUT) -> str:
     try:
         # Half the time of `git describe --dirty`, and the index is not written.
         answer = subprocess.run(
-            ["git", "--no-optional-locks", "-C", str(checkout), "status", "--porcelain=v2", "--branch", "--untracked-files=no"],
+            ["git", "--no-optional-locks", "-c", "core.preloadIndex=false", "-C", str(checkout),
+             "status", "--porcelain=v2", "--branch", "--untracked-files=no"],
             capture_output=True, text=True, timeout=10, check=False, stdin=subprocess.DEVNULL,
         )  # fmt: skip
     except (OSError, subprocess.SubprocessError):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
 from hil.plugins.user_modules import is_ours
 from hil.rig.loop import Loop, Running
 from hil.rig.sensors import Sensor
-from hil.runtime.nodes.answer_watch import AnswerWatch
 from transport.packets import SensorPacket
+
+if TYPE_CHECKING:
+    from hil.runtime.nodes.answer_watch import AnswerWatch
 
 
 class SampleHistory:
@@ -68,6 +71,8 @@ def _watch(loop: Loop, running: RunningController | MultiSampleController) -> An
     stated, has_reference = loop.watched.controller, bool(loop.experiment.reference)
     if _runs_as(running, stated.start(loop.model)):  # the very one that runs, and not one that was started before it
         return None
+    from hil.runtime.nodes.answer_watch import AnswerWatch
+
     return AnswerWatch(running, loop.controller, stated, loop.model, has_reference=has_reference)
 
 

@@ -16,11 +16,11 @@ from transport.laws import NetworkLaw
 from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
 from transport.medium.faulted import FaultedMedium, FaultyPath
 from transport.medium.independent import Impairment, impair
-from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium, Turns
 from transport.packets import packet_size
 
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
+    from transport.medium.scheduled import Turns
 
 
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
@@ -67,6 +67,8 @@ def _new(delivery: Delivery) -> Delivery:
 
 
 def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
+    from transport.medium.scheduled import ArbitratedBus, ScheduledMedium
+
     parts: list[tuple[Sequence[int], Medium]] = []
     turning = []
     for shared in loop.rig.media:
@@ -103,6 +105,8 @@ def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
 
 
 def _turns(shared: SharedMedium, nodes: Sequence[int], seed: int) -> Turns:
+    from transport.medium.scheduled import RandomTurns, RoundRobin
+
     table, rng = shared.table, rng_for(seed, f"medium.{shared.name}")
     if table.kind == "round-robin":
         return RoundRobin(nodes, table.phase, table.loss, rng)

@@ -20,7 +20,6 @@ from hil.runtime.nodes import Wire, rng_for
 from hil.runtime.nodes.actuator_node import ActuatorNode
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
 from hil.runtime.nodes.journal import Journal
-from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
 from hil.runtime.nodes.network import FaultInjector, clock_of, impaired, sensor_medium_of
 from hil.runtime.nodes.plant_watch import PlantWatch
 from hil.runtime.nodes.safety import Safety, damper_of
@@ -32,6 +31,7 @@ from transport.packets import EMPTY, MORE, SensorPacket, encode_sensor
 
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
+    from hil.runtime.nodes.jump_watch import JumpWatch, LawWatch
     from transport.can_bus_model.bus import Transmission
     from transport.can_bus_model.node import CanNode
 
@@ -108,8 +108,11 @@ class Rig:
         self._sent: Sequence[Delivery] = ()
         self._claimed = loop.watched is not None and loop.watched.claimed
         self._put_out: tuple[int, str] | None = None  # the first slot in which the plant said so of another input
-        of_laws = () if loop.watched is None else loop.watched.laws
-        self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in of_laws]
+        self._laws: list[tuple[int, LawWatch]] = []
+        if loop.watched is not None and loop.watched.laws:
+            from hil.runtime.nodes.jump_watch import LawWatch
+
+            self._laws = [(i, LawWatch(loop.rig.laws[i])) for i in loop.watched.laws]
         self._past_laws: list[LawWatch] = []
         self._past_watch: PlantWatch | JumpWatch | None = None
         self._watch = None if loop.watched is None else self._watch_of(loop.watched.plant, e.plant, seed)
@@ -121,6 +124,8 @@ class Rig:
         if step is None:
             return None
         if isinstance(step, JumpStep):
+            from hil.runtime.nodes.jump_watch import JumpWatch
+
             return JumpWatch(step, start, self._period_ns)
         return PlantWatch(step, start, self._disturbed_by, self._period_ns)
 

@@ -1,6 +1,5 @@
 """Certificates of networked loops: delays that are never 0, tails that are cut, margins, and the mode of the impulse."""
 
-import dataclasses
 
 import msgspec
 import numpy as np
@@ -103,7 +102,7 @@ def test_a_tail_is_refused_where_its_growth_outruns_the_limit_of_its_hazard():
     assert kept.state == "certified" and kept.long_stay_radius < kept.tail_radius < 1
     rising = certify_loop(*loop, between_ages(DiscreteWeibull(q=0.6, beta=1.3)), [[1.0]], free, "constant")
     assert rising.state == "certified" and rising.long_stay_radius is None  # the hazard rises to 1: every stay ends
-    silent = dataclasses.replace(chain, stays=None)  # a law that does not say its limit
+    silent = msgspec.structs.replace(chain, stays=None)  # a law that does not say its limit
     assert certify_loop(*loop, silent, [[1.0]], free, "constant").state == "undecided"
 
 

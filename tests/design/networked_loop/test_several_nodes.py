@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from design.errors import FieldError
 from design.networked_loop.certify import certify_loop, informed_probability
@@ -101,7 +102,7 @@ def test_what_does_not_fit_is_refused() -> None:
     with pytest.raises(FieldError, match="2 outputs, but the plant has 1"):
         loop_structure(*MOTOR, BOTH, PI)
     with pytest.raises(FieldError, match="ages"):
-        replace(BOTH, ages=np.zeros((4, 2), dtype=int))
+        structs.replace(BOTH, ages=np.zeros((4, 2), dtype=int))
 
 
 def test_a_bound_counts_the_youngest_sample_of_any_node() -> None:

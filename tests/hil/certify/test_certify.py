@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
-from hil.certify.certify import CERTIFIERS, certify
+from hil.certify.certify import certifiers, certify
 from hil.compose import compose
 from hil.errors import ExperimentError, ForeignVerdict
 from hil.experiment import load_experiment
@@ -180,7 +180,7 @@ def test_a_verdict_on_another_loop_is_refused() -> None:
         return Verdict(kind="mean-square stability", state="certified", reason="of something else", digest="0" * 64)
 
     with pytest.raises(ForeignVerdict):
-        certify(to_certify(loop), (careless, *CERTIFIERS))
+        certify(to_certify(loop), (careless, *certifiers()))
 
 
 def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not() -> None:
@@ -210,7 +210,7 @@ def test_a_further_kind_of_loop_gets_its_certificate_by_a_certifier_of_its_own()
         return Verdict(kind="passivity", state="certified", reason="energy", number=0.1, digest=loop.digest)
 
     assert certify(loop).state == "undecided"
-    assert certify(loop, (*CERTIFIERS, passive)).kind == "passivity"
+    assert certify(loop, (*certifiers(), passive)).kind == "passivity"
 
 
 def test_a_wall_over_what_is_no_device_under_one_force_is_undecided() -> None:

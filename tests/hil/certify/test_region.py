@@ -213,7 +213,7 @@ def test_the_start_of_a_loop_and_its_steps_are_those_of_its_emulator(
     changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Over constant ages the command of every slot follows from where the certifier says that the loop begins."""
-    import hil.certify.bounded_departures as departures
+    import hil.certify.region as region
 
     kept: list[Any] = []
 
@@ -221,7 +221,7 @@ def test_the_start_of_a_loop_and_its_steps_are_those_of_its_emulator(
         kept.append(closed)
         return verdict
 
-    monkeypatch.setattr(departures, "judge_region", keep)
+    monkeypatch.setattr(region, "judge_region", keep)
     ages = {f"network.{link}.law": {"kind": "constant", "age": age} for link, age in (("sc", 2), ("ca", 1))}
     step = [{"at": "1 s", "value": [0.2]}]
     for moved, slot in (({"plant.initial_angle_rad": -0.2}, 0), ({"reference": step}, 20)):
