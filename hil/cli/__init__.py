@@ -80,7 +80,8 @@ def command_of(name: str) -> click.Command:
 
 def _close_stdout() -> None:
     """Let what is left in its buffer go nowhere, for where it went to takes no more."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class LazyGroup(click.Group):
@@ -199,19 +200,23 @@ def main(args: list[str] | None = None) -> Any:
         print("\nhil: interrupted", file=sys.stderr)
         sys.exit(e.status if isinstance(e, Terminated) else 130)
     except OSError as e:
+        status = 2
         if e.errno in (errno.EMFILE, errno.ENFILE):
-            print("hil: no free file descriptor; raise the limit: ulimit -n 64", file=sys.stderr)
-            sys.exit(2)
-        if e.errno in (errno.ENAMETOOLONG, errno.ELOOP) and e.filename is not None:
-            print(f"hil: {str(e.filename)[:200]!r}: no path to a file: {e.strerror}", file=sys.stderr)
-            sys.exit(2)
-        if e.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
+            said = "no free file descriptor; raise the limit: ulimit -n 64"
+        elif e.errno in (errno.ENAMETOOLONG, errno.ELOOP) and e.filename is not None:
+            said = f"{str(e.filename)[:200]!r}: no path to a file: {e.strerror}"
+        elif e.errno in (errno.ENOSPC, errno.EDQUOT):
+            said = f"{e.filename or 'output'}: cannot be written: {e.strerror}"
+        else:
+            said, status = f"{e.filename or 'standard output or a file'}: {e.strerror or e}", 1
         _close_stdout()
-        print(f"hil: {e.filename or 'output'}: cannot be written: {e.strerror}", file=sys.stderr)
-        sys.exit(2)
+        print(f"hil: {said}", file=sys.stderr)
+        sys.exit(status)
     except MemoryError:
         print("hil: the machine has too little memory for this; the command and its files are correct", file=sys.stderr)
+        sys.exit(1)
+    except ImportError as e:  # where memory or the disk fails under a library; numpy puts a page of advice before the reason
+        print(f"hil: a library cannot be loaded: {(str(e).strip() or repr(e)).splitlines()[-1]}", file=sys.stderr)
         sys.exit(1)
     except Exception as e:
         if not is_message(type(e)):

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+from contextlib import suppress
 from types import FrameType
 from typing import NoReturn
 
@@ -219,5 +220,6 @@ def _leave(status: int) -> NoReturn:
     """
     late = threading.Timer(CLOSES_S, os._exit, (status,))
     late.daemon = True
-    late.start()
+    with suppress(RuntimeError):  # no room for a thread: all is written, and the end of the process closes the link
+        late.start()
     raise SystemExit(status)

@@ -185,6 +185,18 @@ def test_json_for_a_closed_output_runs_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "a.mcap").exists()
 
 
+def test_a_fault_of_the_machine_is_one_line(tmp_path: Path) -> None:
+    words = f"{sys.executable} -m hil list 1< /dev/null"  # standard output that cannot be written
+    done = subprocess.run(["sh", "-c", words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    assert (done.returncode, done.stderr) == (1, "hil: standard output or a file: Bad file descriptor\n")
+    (tmp_path / "tomllib.py").write_text('raise ImportError("advice\\n\\nlibx.so: failed to map segment")')  # as memory runs out
+    paths = {**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])}
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "laws", "dc-motor-hinf"], env=paths, capture_output=True, text=True, cwd=tmp_path
+    )
+    assert (done.returncode, done.stderr) == (1, "hil: a library cannot be loaded: libx.so: failed to map segment\n")
+
+
 def test_an_interrupt_behind_the_last_line_of_a_command_is_one_line(monkeypatch: pytest.MonkeyPatch, cli: Hil) -> None:
     from hil.cli import cli as group
 
