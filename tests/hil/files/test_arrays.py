@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -19,7 +20,7 @@ import hil
 from hil.errors import HilError
 from hil.experiment import shipped
 from hil.files import arrays as array_files
-from hil.files.arrays import numbers_from_file
+from hil.files.arrays import numbers_from_file, read_columns
 from tests.hil.files.test_mat_file import npy_here
 
 A = np.array([[0.0, 1.0], [0.0, -2.0]])
@@ -76,6 +77,13 @@ def _encrypted(path: Path) -> None:
     path.write_bytes(data)
 
 
+def _damaged_lzma(path: Path) -> None:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_LZMA) as file:
+        file.writestr("A.npy", bytes(100))
+    data = path.read_bytes()
+    path.write_bytes(data[:44] + b"\xff" + data[45:])  # the first byte of its stream is 0
+
+
 def test_of_many_keys_twenty_are_named(folder: Path) -> None:
     np.savez(folder / "many.npz", **{f"k{i:02d}": np.zeros(1) for i in range(25)})
     with pytest.raises(HilError, match=r"has no key 'K'; it has 'k00', .*'k19'$"):
@@ -92,7 +100,7 @@ def test_a_vector_is_a_row_or_a_column_and_what_is_too_much_is_refused(folder: P
     monkeypatch.setattr(array_files, "MOST_NUMBERS", 4)
     assert numbers_from_file({"file": "four.csv"}, "K", str(folder), 2) == [[1.0, 2.0], [3.0, 4.0]]
     monkeypatch.setattr(array_files, "MOST_NUMBERS", 3)
-    with pytest.raises(HilError, match="key 'K': 4 numbers; at most 3"):
+    with pytest.raises(HilError, match="line 2: more than 3 numbers"):
         numbers_from_file({"file": "four.csv"}, "K", str(folder), 2)
     np.savez_compressed(folder / "zeros.npz", K=np.zeros(1000))
     monkeypatch.setattr(array_files, "MAX_BYTES", 1000)
@@ -107,6 +115,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "complex.npz": (lambda p: np.savez(p, A=np.array([1j])), "key 'A': holds an array of kind 'c'"),
     "other.npz": (lambda p: np.savez(p, B=A), "has no key 'A'; it has 'B'"),
     "encrypted.npz": (_encrypted, r"is no whole \.npz file: File 'A.npy' is encrypted"),
+    "lzma.npz": (_damaged_lzma, r"is no whole \.npz file: Corrupt input data"),
     "torn.npz": (lambda p: p.write_bytes(b"PK\3\4 no zip"), r"is no whole \.npz file"),
     "text.mat": (lambda p: savemat(p, {"A": "abc"}), "key 'A': holds char, expected a full matrix"),
     "other.mat": (lambda p: savemat(p, {"B": A}), "has no key 'A'; it has 'B'"),
@@ -130,6 +139,15 @@ def test_a_file_that_is_none_is_refused_by_its_name_and_key(tmp_path: Path, name
     make(tmp_path / name)
     with pytest.raises(HilError, match=rf"{name}.*: {reported}|'{name}': {reported}"):
         numbers_from_file({"file": name}, "A", str(tmp_path), 2)
+
+
+def test_empty_lines_take_no_memory(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text("a,b\n1,2\n" + "\n" * 100_000 + "3,4\n")
+    tracemalloc.start()
+    found = read_columns(tmp_path / "a.csv", "a table", lambda header: header)
+    assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    tracemalloc.stop()
+    assert found.values.tolist() == [[1.0, 2.0], [3.0, 4.0]] and found.lines.tolist() == [2, 100_003]
 
 
 def test_a_fault_of_a_file_stands_with_its_field(folder: Path) -> None:
