@@ -166,9 +166,15 @@ def completion_path(shell: str) -> Path:
 
     Args:
         shell: bash, zsh or fish.
+
+    Raises:
+        HilError: the user has no home.
     """
     variable, default, name = PLACES[shell]
-    return Path(os.environ.get(variable) or Path.home() / default) / name
+    try:
+        return Path(os.environ.get(variable) or Path.home() / default) / name
+    except RuntimeError as error:
+        raise HilError(f"{error} Set HOME, or {variable}") from error
 
 
 def running_shell() -> str:

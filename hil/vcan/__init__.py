@@ -11,6 +11,7 @@ from __future__ import annotations
 import shutil
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 
 from hil.vcan import kernel, uml
@@ -40,7 +41,8 @@ def run_beside_vcan(wanted: Wanted, timeout_s: float | None = None) -> int:
 
 def start(wanted: Wanted) -> list[str]:
     """Return what to execute: the first way that this machine has."""
-    kernel.clear_half_built()
+    with suppress(RunnerError):  # no place for a kernel, which this machine's own way needs not
+        kernel.clear_half_built()
     missing = []
     for name, way in ways(wanted):
         try:
@@ -65,10 +67,10 @@ def what_would_run() -> tuple[bool, str, str]:
         refused = str(why)
     else:
         return True, "this kernel's own vcan", ""
-    built = kernel.built()
-    if built is not None:
-        return True, f"a user-mode kernel, as {refused}: {built}", ""
     try:
+        built = kernel.built()
+        if built is not None:
+            return True, f"a user-mode kernel, as {refused}: {built}", ""
         kernel.need_for_build(None)
     except RunnerError as why:
         return False, f"{refused}, and no user-mode kernel can be built yet", str(why)

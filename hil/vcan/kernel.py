@@ -164,9 +164,16 @@ def need_for_build(source: Path | None, *, install: bool = False) -> None:
 
 
 def cache_directory() -> Path:
-    """Where built kernels are kept: outside the repository, so that every clone uses the same."""
+    """Where built kernels are kept: outside the repository, so that every clone uses the same.
+
+    Raises:
+        RunnerError: the user has no home, such as a container's unknown one.
+    """
     base = os.environ.get("HILRIG_KERNEL_CACHE") or os.environ.get("XDG_CACHE_HOME")  # the first: tests have a cache of their own
-    return Path(base or Path.home() / ".cache") / "hilrig"
+    try:
+        return Path(base or Path.home() / ".cache") / "hilrig"
+    except RuntimeError as why:
+        raise RunnerError(f"no place to keep a kernel ({why}): set XDG_CACHE_HOME") from why
 
 
 def _cached(source: Path | None) -> Path:

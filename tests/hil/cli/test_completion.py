@@ -55,6 +55,11 @@ def test_install_writes_below_the_home_only(cli: Hil, tmp_path: Path, monkeypatc
     (written,) = [p for p in tmp_path.rglob("*") if p.is_file()]
     assert status == 0 and str(written) in out and written.read_text() == script(shell)
     assert "_HIL_COMPLETE" in written.read_text()
+    for name in ("XDG_DATA_HOME", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("HOME", "~")  # as for a user whom the machine does not know
+    status, _, err = cli("completion", "install", shell)
+    assert status == 2 and err.startswith("hil: ") and "Set HOME, or XDG_" in err
 
 
 @pytest.mark.parametrize(("shell", "begins"), [("/bin/zsh", "#compdef hil"), ("/bin/tcsh", "_hil_completion() {"), ("", "_hil")])

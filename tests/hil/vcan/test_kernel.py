@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from hil.vcan import kernel
+from hil.vcan import kernel, what_would_run
 from hil.vcan.kernel import Kernel, debian
-from hil.vcan.supervise import Wanted
+from hil.vcan.supervise import RunnerError, Wanted
 
 
 @pytest.fixture
@@ -98,3 +98,13 @@ def test_a_kernel_is_kept_by_what_it_is_made_of(tmp_path: Path, monkeypatch: pyt
     for name in ("kernel.config", "build_kernel"):
         (tmp_path / name).write_text("another")
     assert kernel._cached(source).name[:24] != first.name[:24]
+
+
+def test_a_user_without_a_home_keeps_no_kernel_and_reads_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("HILRIG_KERNEL_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", "~")
+    works, _, remedy = what_would_run()
+    assert works or "set XDG_CACHE_HOME" in remedy  # this machine's own kernel may have a vcan
+    with pytest.raises(RunnerError, match="set XDG_CACHE_HOME"):
+        kernel.built()
