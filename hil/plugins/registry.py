@@ -11,7 +11,7 @@ from functools import cache
 from typing import Final, Literal
 
 from hil.errors import HilError, nearest
-from hil.plugins.user_modules import is_own, load_own, written_in
+from hil.plugins.user_modules import is_own, load_own, text_of, written_in
 from transport.installed import Point, points, said_by
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]
@@ -87,7 +87,7 @@ def load(group: Group, name: str, folder: str = ".") -> type:
     except KeyboardInterrupt:
         raise
     except BaseException as e:
-        raise HilError(f"{group[4:-1]} plug-in {found[name]}, cannot be loaded: {type(e).__name__}: {e}") from e
+        raise HilError(f"{group[4:-1]} plug-in {found[name]}, cannot be loaded: {type(e).__name__}: {text_of(e)}") from e
     return plugin
 
 

@@ -233,12 +233,20 @@ def _module(path: Path, expected: str | None = None) -> ModuleType:
         lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = lines[-1] if lines else error.lineno if isinstance(error, SyntaxError) else None
         where = f"{path}, line {line}" if line else str(path)
-        message = error.msg if isinstance(error, SyntaxError) else error
+        message = error.msg if isinstance(error, SyntaxError) else text_of(error)
         raise HilError(f"{where}: {type(error).__name__}: {message}") from error
     for value in vars(module).values():
         if isinstance(value, type) and _made_in(value, module):
             copyreg.pickle(value, _reduce)  # another process has to find the file before the class
     return module
+
+
+def text_of(error: BaseException) -> str:
+    """Return what an exception of a user's code says, also where its class cannot say it."""
+    try:
+        return str(error)
+    except Exception as fault:
+        return f"(its __str__ raises {type(fault).__name__})"
 
 
 def _made_in(value: object, module: ModuleType) -> bool:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
 from hil.plugins.registry import Group
-from hil.plugins.user_modules import OUR_FOLDERS
+from hil.plugins.user_modules import OUR_FOLDERS, text_of
 from plants.errors import PlantError
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ def words(error: BaseException) -> str:
 
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(OUR_FOLDERS)]
     where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {error}{where}"
+    return f"{type(error).__name__}: {text_of(error)}{where}"
 
 
 PLANT = {
@@ -202,8 +202,10 @@ def in_own_words(call: str = "") -> Iterator[None]:
     """
     try:
         yield
-    except (AssertionError, KeyboardInterrupt):
+    except KeyboardInterrupt:
         raise
     except BaseException as error:
-        said = str(error) if isinstance(error, PlantError) else words(error)
+        if type(error) is AssertionError:
+            raise
+        said = text_of(error) if isinstance(error, PlantError) else words(error)
         raise AssertionError(f"{call}{said}") from error

@@ -198,6 +198,7 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
         ("broken:Cart", r"broken\.py, line 2: ZeroDivisionError: division by zero"),
         ("wordy:Cart", r"wordy\.py, line 1: SyntaxError: "),
         ("leaving:Cart", r"leaving\.py, line 1: SystemExit: 3"),
+        ("mute:Cart", r"mute\.py, line 3: Mute: \(its __str__ raises ZeroDivisionError\)"),
         ("../cart:Cart", r"plant\.kind: '\.\./cart:Cart': expected module:Class"),
     ],
 )
@@ -206,6 +207,7 @@ def test_what_is_no_plant_is_refused_in_a_sentence(folder: Path, plant: str, rep
     (folder / "raising.py").write_text("class Base(BaseException): pass\nraise Base('at the door')\n")
     (folder / "wordy.py").write_text("this is no Python\n")
     (folder / "leaving.py").write_text("raise SystemExit(3)\n")
+    (folder / "mute.py").write_text("class Mute(Exception):\n    def __str__(self): return 1 / 0\nraise Mute\n")
     with pytest.raises(hil.HilError, match=reported):
         hil.load_experiment(folder / "exp.toml", **OWN | {"plant": {"kind": plant}})
 
@@ -328,6 +330,13 @@ class Alone(Proportional):
 @dataclass(frozen=True, kw_only=True)
 class Leaves(Proportional):
     def table(self, model): raise SystemExit("not today")
+
+class Mute(AssertionError):
+    def __str__(self): return 1 / 0
+
+@dataclass(frozen=True, kw_only=True)
+class Silent(Proportional):
+    def table(self, model): raise Mute
 '''
 
 
@@ -340,6 +349,7 @@ class Leaves(Proportional):
         ("controller", "Flat", r"check_controller: table\(model\) of shape \(1, 1\), expected \(tau, 1, 1, 1\), tau up to 2"),
         ("controller", "NoTable", r"check_controller: table\(model\) of shape \(\), expected"),
         ("controller", "Alone", r"check_controller: table\(model\): TypeError: .*Alone\.table\(\) takes 1 positional"),
+        ("controller", "Silent", r"table\(model\): Mute: \(its __str__ raises ZeroDivisionError\) \(.*wrong\.py, line \d+\)"),
         ("controller", "Leaves", r"check_controller: table\(model\): SystemExit: not today \(.*wrong\.py, line \d+\)"),
     ],
 )
