@@ -175,8 +175,6 @@ def monomials(variables: int, degree: int) -> tuple[Degree, ...]:
 def power(A: Array, degree: int) -> Any:
     """Return A^[degree] with z(A y) = A^[degree] z(y), a sparse array (count(n, degree), count(k, degree)).
 
-    Of a delayed packet, which only moves on, one entry of a row of A acts: few entries of its powers do.
-
     Args:
         A: (n, k).
         degree: of the monomials, at least 1.
@@ -186,18 +184,32 @@ def power(A: Array, degree: int) -> Any:
     """
     from scipy.sparse import csr_array  # where a command has no limits, it is not needed
 
-    R: Any = csr_array(np.ones((1, 1)))
+    row, column, values = power_entries(A, degree)
+    return csr_array((values, (row, column)), shape=(count(A.shape[0], degree), count(A.shape[1], degree)))
+
+
+def power_entries(A: Array, degree: int) -> tuple[Index, Index, Array]:
+    """Return row, column and value of every entry of A^[degree] that is not zero, row by row.
+
+    Of a delayed packet, which only moves on, one entry of a row of A acts: few entries of its powers do.
+
+    Args:
+        A: (n, k).
+        degree: of the monomials, at least 1.
+    """
+    row: Index = np.zeros(1, np.intp)
+    column, values = row, np.ones(1)
     for rows, columns in zip(monomials(A.shape[0], degree), monomials(A.shape[1], degree), strict=True):
-        before = R[rows.parent]
-        shape = (len(rows.first), len(columns.first))
-        row = np.repeat(np.arange(shape[0]), np.diff(before.indptr))
-        values = (A[rows.first[row]] * before.data[:, None]).T.ravel()  # by variable
-        place = (row * shape[1] + columns.times[:, before.indices]).ravel()
-        acts = values != 0.0
+        begin, end = np.searchsorted(row, [rows.parent, rows.parent + 1])
+        before = np.concatenate([np.arange(a, b) for a, b in zip(begin, end)])
+        row, width = np.repeat(np.arange(len(rows.first)), end - begin), len(columns.first)
+        found = (A[rows.first[row]] * values[before, None]).T.ravel()  # by variable
+        place = (row * width + columns.times[:, column[before]]).ravel()
+        acts = found != 0.0
         place, which = np.unique(place[acts], return_inverse=True)
-        row, column = np.divmod(place, shape[1])
-        R = csr_array((np.bincount(which, values[acts]), column, np.searchsorted(row, np.arange(shape[0] + 1))), shape=shape)
-    return R
+        row, column = np.divmod(place, width)
+        values = np.asarray(np.bincount(which, found[acts]), dtype=np.float64)
+    return row, column, values
 
 
 def power_of_row(row: Array, degree: int) -> Array:

@@ -5,8 +5,9 @@ are jumps of X, and everything random is the mode. With xi = [X; 1] and eta = th
 
     eta(k+1) = W_i eta(k),      s(k+1) = s(k) + T |e(k)|^2      (linear in eta)
 
-is a jump-linear system again, so one second-moment recursion of [eta; s] gives, at every slot, the mean of the error
-(through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2.
+is a jump-linear system again, so one recursion of the second moments of [eta; s] gives, at every slot, the mean of the error
+(through the 1), its variance, mean and variance of its square, and mean and variance of the sums of Table 7.2. Those of eta are
+fourth moments of xi: each is computed once, as a monomial, and not for every order of its factors.
 
 Before slot 0 the plant was at rest in its first state: the samples that the first packet carries beside the newest are
 y(0). Before the first sample has come the controller answers zeros, and before the first packet the input is 0. An actuator
@@ -18,7 +19,7 @@ f(k). All of this is in the recursion.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,16 +28,16 @@ import numpy.typing as npt
 
 from design.controllers import Selection
 from design.errors import FieldError
-from design.jump_linear.second_moment import congruence_matrices, to_matrix, to_vector
+from design.jump_linear.higher_moments import monomials, power_entries
 from design.networked_loop import check_gains, check_held, steady_state
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import Array, DelayChain, as_chain
 
 SPARSE = 0.05
-"""Share of a large matrix's entries that are not zero, below which these are multiplied one by one."""
-LARGE = 2**17
-"""Entries of the matrices of all modes from which on it pays to look for zeros: one mebibyte."""
+"""Share of a matrix's entries that are not zero, below which these are multiplied one by one."""
+LARGE = 2**15
+"""Entries of all modes that are not zero, from which on the import of scipy pays."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +156,11 @@ def predict_tracking(
 
 
 class _Recursion:
-    """Second moments of [eta; s], mode by mode."""
+    """Fourth moments of xi, and second moments of s with eta and itself, mode by mode.
+
+    A vector of every mode: the monomials of degree 4 in xi; then, of every sum, s times those of degree 2, and s^2. A slot is
+    linear in it: monomials of A xi are those of xi times A^[4], and s + T |e|^2 has |e|^2 = q xi^[2].
+    """
 
     def __init__(
         self, structure: LoopStructure, gains: Array, chains: tuple[DelayChain, DelayChain], period_s: float, C: Array,
@@ -166,34 +171,35 @@ class _Recursion:
         self.tau, self.received = sc.delay[structure.sc_mode], ca.delay[structure.ca_mode]
         self.received_before = ca.delay[structure.ca_before] if structure.selection == "previous" else self.received
         self.d = structure.base.shape[-1] + 1
-        self.size = self.d * (self.d + 1) // 2
+        _, self.pairs, triples, quads = monomials(self.d, 4)
+        self.product = quads.times[self.pairs.first[:, None], triples.times[self.pairs.parent]]
         self.period_s, self.p, self.summed = period_s, C.shape[0], summed
         self.G = np.zeros((self.p, self.d))
         self.G[:, : C.shape[1]] = C
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
-        self._lifted: dict[tuple[object, ...], Any] = {}
-        self._followed = sparse(structure.transition.T)
+        self._moves: dict[tuple[object, ...], Callable[[Array], Array]] = {}
+        self._followed = _following(structure.transition, sc.matrix, ca.matrix)
         self.M: Array = np.empty(0)
 
     def aim(self, offset: Array) -> None:
         """e = C x^ + offset, offset = r - target."""
         self.G[:, -1] = offset
-        self.square = to_vector(self.G.T @ (self.summed[:, None] * self.G))
+        square, (u, v) = self.G.T @ (self.summed[:, None] * self.G), (self.pairs.first, self.pairs.parent)
+        self.square = np.where(u == v, 1.0, 2.0) * square[u, v]
 
     def begin(self, X: Array, weights: Array) -> None:
         """Start at a known state, with the mode's distribution."""
-        lifted = np.zeros(self.size + len(self.sums_from))
-        xi = np.append(X, 1.0)
-        lifted[: self.size] = to_vector(np.outer(xi, xi))
-        self.M = weights[:, None, None] * np.outer(lifted, lifted)
+        value = np.ones(1)
+        for degree in monomials(self.d, 4):
+            value = np.append(X, 1.0)[degree.first] * value[degree.parent]
+        self.M = weights[:, None] * np.pad(value, (0, len(self.sums_from) * (len(self.square) + 1)))
 
     def jump(self, shift: Array) -> None:
         """X <- X + shift: the reference steps."""
-        matrix = np.eye(self.d)
-        matrix[:-1, -1] = shift
-        W = self._complete(congruence_matrices(matrix.T[None]), np.zeros(len(self.sums_from)))
-        self.M = W @ self.M @ W.transpose(0, 2, 1)
+        affine = np.broadcast_to(np.eye(self.d), (len(self.M), self.d, self.d)).copy()
+        affine[:, :-1, -1] = shift
+        self.M = self._move(affine, np.zeros(len(self.sums_from)))(self.M)
 
     def step(self, k: int, w: Array, f: Array, hold: Array) -> None:
         """One slot under the disturbance w and the drive f; `hold` is u*, from which the silent first packets deviate."""
@@ -202,7 +208,7 @@ class _Recursion:
         rows, early = self._rows(k)
         held = hold.tobytes() if silent else b""
         key = (k if silent or early else -1, w.tobytes(), f.tobytes(), held, counted, self.G[:, -1].tobytes())
-        if key not in self._lifted:
+        if key not in self._moves:
             affine = np.zeros((self.closed.shape[0], self.d, self.d))
             affine[:, :-1, :-1] = self.structure.matrices(self.gains, rows) if early else self.closed
             affine[:, -1, -1] = 1.0
@@ -210,11 +216,39 @@ class _Recursion:
             affine[:, : f.size, -1] += f
             if silent:
                 self._silence(affine, self.tau > k, hold, rows)
-            weights = self.period_s * np.array(counted, dtype=np.float64)
-            self._lifted[key] = _blocks(self._complete(congruence_matrices(affine.transpose(0, 2, 1)), weights))
-        W = self._lifted[key]
-        moved = _multiplied(W, _multiplied(W, self.M).transpose(0, 2, 1))  # M is symmetric
-        self.M = np.asarray(self._followed @ moved.reshape(len(moved), -1)).reshape(moved.shape)
+            self._moves[key] = self._move(affine, self.period_s * np.array(counted, dtype=np.float64))
+        self.M = self._followed(self._moves[key](self.M)).reshape(self.M.shape)
+
+    def _move(self, affine: Array, weights: Array) -> Callable[[Array], Array]:
+        """Return what takes the moments of every mode through xi <- A xi, s <- s + weight |e|^2."""
+        kinds, which = np.unique(affine.reshape(len(affine), -1), axis=0, return_inverse=True)
+        found = [self._entries(A.reshape(affine.shape[1:]), weights) for A in kinds]
+        width = self.M.shape[1]
+        row, column = (np.concatenate([found[i][at] + n * width for n, i in enumerate(which.ravel())]) for at in (0, 1))
+        values, size = np.concatenate([found[i][2] for i in which.ravel()]), self.M.size
+        if len(values) < LARGE:
+            return lambda M: np.asarray(np.bincount(row, values * M.ravel()[column], size), dtype=np.float64).reshape(M.shape)
+        from scipy.sparse import csr_array  # a seventh of the time of `hil report`, which seldom needs it
+
+        matrix: Any = csr_array((values, (row, column)), shape=(size, size))
+        return lambda M: np.asarray(matrix @ M.ravel()).reshape(M.shape)
+
+    def _entries(self, A: Array, weights: Array) -> tuple[Array, ...]:
+        """Rows, columns and values of what `_move` does in one mode."""
+        row, column, value = power_entries(A, 2)
+        found, at = [power_entries(A, 4)], self.product.max() + 1
+        error = np.flatnonzero(self.square)
+        for weight in weights:
+            last, own = at + len(self.square), weight * self.square[error]
+            found += [(at + row, at + column, value), (np.array([last]), np.array([last]), np.ones(1))]
+            if weight:
+                found += [
+                    (np.repeat(at + row, len(error)), self.product[np.ix_(column, error)].ravel(), np.outer(value, own).ravel()),
+                    (np.full(len(error), last), at + error, 2.0 * own),
+                    (np.full(len(error) ** 2, last), self.product[np.ix_(error, error)].ravel(), np.outer(own, own).ravel()),
+                ]
+            at = last + 1
+        return tuple(np.concatenate(each) for each in zip(*found))
 
     def _rows(self, k: int) -> tuple[npt.NDArray[np.int64], bool]:
         """Rows of the entries in slot k, and whether some are others than later: no packet had come whose delay chooses them."""
@@ -242,29 +276,23 @@ class _Recursion:
                 affine[mode, at : at + self.p, :-1] = 0.0
                 affine[mode, at : at + self.p, at : at + self.p] = np.eye(self.p)
 
-    def _complete(self, W: Array, weights: Array) -> Array:
-        full = np.zeros((W.shape[0], self.size + weights.size, self.size + weights.size))
-        full[:, : self.size, : self.size] = W
-        full[:, self.size :, : self.size] = weights[:, None] * self.square
-        full[:, self.size :, self.size :] = np.eye(weights.size)
-        return full
-
     def read(self) -> tuple[Array, Array, float, float]:
         """E e and its variance per output, E |e|^2, E |e|^4 at this slot."""
-        M = self.M.sum(axis=0)
-        moment = to_matrix(M[: self.size, self.size - 1], self.d)  # the last coordinate of eta is 1 * 1
+        M = self.M[:, : self.product.max() + 1].sum(axis=0)
+        pairs = M[self.product[-1]]  # the last coordinate of eta is 1 * 1
+        moment = pairs[self.pairs.times]
         C, mean = self.G[:, :-1], self.G[:, :-1] @ moment[:-1, -1]  # from the ideal response: the rest of e is known
         return (
             mean + self.G[:, -1],
             np.einsum("ca,ab,cb->c", C, moment[:-1, :-1], C) - mean**2,
-            float(self.square @ M[: self.size, self.size - 1]),
-            float(self.square @ M[: self.size, : self.size] @ self.square),
+            float(self.square @ pairs),
+            float(self.square @ M[self.product] @ self.square),
         )
 
     def sums(self) -> tuple[Array, Array]:
         """E s and E s^2 of every sum."""
-        M = self.M.sum(axis=0)
-        return M[self.size :, self.size - 1].copy(), np.diagonal(M)[self.size :].copy()
+        M = self.M.sum(axis=0)[self.product.max() + 1 :].reshape(len(self.sums_from), -1)
+        return M[:, -2], M[:, -1]
 
 
 def sparse(matrix: Array) -> Any:
@@ -276,18 +304,12 @@ def sparse(matrix: Array) -> Any:
     return csr_array(matrix)
 
 
-def _blocks(W: Array) -> Any:
-    """Return matrices (N, n, n) as they are; where they are large and most entries zero, as one sparse block-diagonal matrix."""
-    if W.size < LARGE or np.count_nonzero(W) >= SPARSE * W.size:
-        return W
-    from scipy.sparse import block_diag, csr_array
-
-    return block_diag([csr_array(each) for each in W], format="csr")
-
-
-def _multiplied(W: Any, M: Array) -> Array:
-    """Return the products of every mode, (N, n, n), of what `_blocks` gives."""
-    return np.asarray(W @ M) if isinstance(W, np.ndarray) else np.asarray(W @ M.reshape(W.shape[0], -1)).reshape(M.shape)
+def _following(transition: Array, sc: Array, ca: Array) -> Callable[[Array], Array]:
+    """Return what takes moments (N, ...) to the next slot's modes: where a mode is any pair of both chains', chain by chain."""
+    followed = sparse(transition.T)
+    if not isinstance(followed, np.ndarray) or not np.array_equal(transition, np.kron(sc, ca)):
+        return lambda M: np.asarray(followed @ M)
+    return lambda M: np.asarray(ca.T @ (sc.T @ M.reshape(len(sc), -1)).reshape(len(sc), len(ca), -1))
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -153,6 +153,11 @@ def test_table_7_2_is_predicted_with_its_spread():
         )  # fmt: skip
         found = [predicted.sum_mean[0], predicted.sum_sd[0], predicted.sum_mean[1], predicted.sum_sd[1]]
         assert np.allclose(found, numbers, rtol=0.03, atol=6e-5)
+    known = {"period_s": PERIOD_S, "disturbance": schedule(60)[1]}
+    r = schedule(60)[0]
+    loop = (*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r)
+    to_r, to_3 = (predict_tracking(*loop, target=aim, **known) for aim in (r, 3.0 + 0.0 * r))
+    assert np.allclose(to_3.error_mean, to_r.error_mean + r[:, None] - 3.0) and np.allclose(to_3.error_sd, to_r.error_sd)
 
 
 def test_first_packets_and_a_reference_from_the_start_are_in_the_prediction():
@@ -225,7 +230,7 @@ def test_two_cycles_in_phase_meet_in_half_of_their_pairs(selection: str) -> None
         predict_tracking([[0.9]], [[1.0]], [[1.0]], cycle, cycle, gains, selection, np.ones(6), period_s=0.1, initial=initial)
         for initial in (None, ([1, 0], [1, 0]), ([0, 1], [0, 1]))
     )
-    assert not both[0].error_sd.any() and either.error_sd.any()
+    assert both[0].error_sd.max() < 1e-6 < 1e-3 < either.error_sd.max()
     assert either.error_mean == pytest.approx(0.5 * (both[0].error_mean + both[1].error_mean))
     with pytest.raises(ValueError, match="never meet"):
         predict_tracking([[0.9]], [[1.0]], [[1.0]], cycle, cycle, gains, selection, [1.0], period_s=0.1, initial=([1, 0], [0, 1]))
