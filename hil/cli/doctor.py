@@ -23,7 +23,6 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from hil.cli.terminal import answer, json_option, print_folded
-from hil.log.write.provenance import loop_form
 from hil.plugins.user_modules import REMEDY, shadows
 from hil.runtime.real import processor
 from hil.vcan import what_would_run
@@ -178,6 +177,12 @@ def _machine() -> tuple[bool, str, str]:
     return True, f"{cpu_text()}; runs in virtual time have the same bits on all kinds", ""
 
 
+def _loop() -> tuple[bool, str, str]:
+    from hil.log.write.provenance import loop_form
+
+    return True, f"{loop_form()}; both forms compute the same bits", ""
+
+
 def _who(uri: str | None) -> tuple[bool, str, str]:
     from transport.links.traits import traits_of
 
@@ -228,7 +233,7 @@ def command(link: str | None) -> None:
     checks = [_ours("commands accepted from", partial(_who, link)), *shown, _packages(), _ours("CAN without a kernel", _hil_can),
               _vcan(), ("hil vcan", *what_would_run()), _zenoh(),
               *([_ours("zenoh round trip", _zenoh_cpus)] if there else []), _scheduler(), _idle(), _clock(), _cpus(),
-              _ours("kind of machine", _machine), ("loop", True, f"{loop_form()}; both forms compute the same bits", ""),
+              _ours("kind of machine", _machine), _ours("loop", _loop),
               _tool("cyclictest", "rt-tests", "hil bench timing compares with it"),
               _tool("cc", "gcc", "hil bench links has its floor in C")]  # fmt: skip
     answer([dict(zip(("what", "ok", "finding", "remedy"), c)) for c in checks], show, checks)
