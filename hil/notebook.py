@@ -66,10 +66,10 @@ def svg_of(sheet: Figure) -> str:
     return text[text.find("<svg") :]
 
 
-def as_svg(paint: Callable[[Figure], None]) -> str:
+def as_svg(paint: Callable[[Figure], None], height_mm: float = 90.0) -> str:
     """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
     try:
-        return svg_of(drawn(paint, None, 160.0, 90.0))
+        return svg_of(drawn(paint, None, 160.0, height_mm))
     except HilError:
         return ""
 

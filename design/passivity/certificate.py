@@ -198,8 +198,8 @@ def cut_off(wall: Wall, coupler: Coupler, saturates_n: float) -> str:
 
 
 def named(material: Material) -> str:
-    """Return a material by its numbers, as the thesis writes them: K/B."""
-    return f"material {material.stiffness_n_per_m:g}/{material.damping_n_s_per_m:g}"
+    """Return a material by its numbers K and B."""
+    return f"a material of {material.stiffness_n_per_m:g} N/m and {material.damping_n_s_per_m:g} N s/m"
 
 
 def _samples(delays: Sequence[int]) -> str:

@@ -39,7 +39,8 @@ class GainsOrWall(click.Command):
 
 @click.command(cls=GainsOrWall)
 @click.argument("subject", metavar="PLANT|EXPERIMENT|wall")
-@click.option("--objective", type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True)
+@click.option("--objective", type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True,
+              help="Norm to be small; mixed: the H2 norm, with the H-infinity norm below --hinf-bound.")  # fmt: skip
 @click.option(
     "--information",
     type=click.Choice(["applied", "generated", "tau", "constant", "both", "previous", "total"]),
@@ -60,7 +61,7 @@ class GainsOrWall(click.Command):
               help="The same of d: --information applied, a row for each d and so many slots that it has lasted.")  # fmt: skip
 @click.option("--integral", type=NUMBER, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the starts of the multistart.")
 @click.option("--method", type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
               help="ccl: the thesis's iterated linear matrix inequalities, for comparison.")  # fmt: skip
 @click.option(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
@@ -116,21 +116,19 @@ def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:
     from hil.files.toml_text import toml_value
-    from hil.log.recordings import class_text, independence_text
+    from hil.log.recordings import class_text, fitted_value, independence_text, latencies_text
 
-    tested = fit.tested
     print_folded(f"{way}: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come")
     for note in said["notes"]:
         _line(note)
     for line in independence_text(fit):
         _line(line)
-    shape = "as measured" if fit.latencies.name in ("table", "constant") else f"shape p = {tested.shape:.2g}"
-    _line(f"latencies: {fit.latencies.name} ({shape})")
+    _line(latencies_text(fit))
     for name, (low, high) in list(said["intervals"].items())[:12]:
-        _line(f"{name}: 95 %: {low:.4g} to {high:.4g}")
+        _line(f"{name}: {fitted_value(fit, name):.4g}, 95 %: {low:.4g} to {high:.4g}")
     for age, (share, *pair) in enumerate(said.get("comes_at_age", [])[:8]):
-        within = f"95 %: {pair[0]:.5g} to {pair[1]:.5g}" if pair else "no interval, as packets are not independent"
-        _line(f"comes at age {age}, if not before: {share:.5g}, {within}")
+        within = f"95 %: {pair[0]:.4g} to {pair[1]:.4g}" if pair else "no interval, as packets are not independent"
+        _line(f"comes at age {age}, if not before: {share:.4g}, {within}")
     for each in fit.candidates[:6]:
         _line(f"tried {each.name} on {each.fitted_to}: {each.parameters} parameters, BIC {each.bic:.1f}")
     if fit.law_class == "none":
@@ -185,7 +183,7 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
             raise HilError(f"{record.path}: {error}") from error
     fit = identify_axis(made)
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
-    answer(said, _print, said)
+    answer(said, _print, said, AXES[kinds[0]].parameters)
     if fit.residuals.verdict == "correlated" or said["friction"]["seen"]:
         raise SystemExit(1)
 
@@ -243,10 +241,11 @@ def _friction_in_words(friction: dict[str, Any], verdict: str) -> str:
     return number
 
 
-def _print(said: dict[str, Any]) -> None:
+def _print(said: dict[str, Any], units: Mapping[str, str]) -> None:
     for name, found in said["estimates"].items():
         logged = f"; the log ran with {said['logged'][name]:g}" if name in said["logged"] else ""
-        click.echo(f"{name:>22}  {found['value']:.6g}, 95 %: {found['low']:.6g} to {found['high']:.6g}{logged}")
+        within = f"95 %: {found['low']:.6g} to {found['high']:.6g}"
+        click.echo(f"{name:>22}  {found['value']:.6g} {units[name]}, {within}{logged}")
     plain = said["plain_least_squares"]
     text = "gives none" if plain is None else ", ".join(f"{name} {value:.6g}" for name, value in plain.items())
     test = said["residuals"]
@@ -292,5 +291,5 @@ def _show_rates(found: Sequence[JumpRate]) -> None:
         until = f"{each.before_s:g}" if isfinite(each.before_s) else "..."
         click.echo(
             f"{what:>18}  {each.source} -> {each.to}  h {each.after_s:g} to {until} s: {each.rate:.4g} 1/s, "
-            f"95 %: {each.low:.4g} to {each.high:.4g} ({each.jumps} jumps in {each.exposure_s:.4g} s)"
+            f"95 %: {each.low:.4g} to {each.high:.4g} ({each.jumps} jump{'s' * (each.jumps != 1)} in {each.exposure_s:.4g} s)"
         )

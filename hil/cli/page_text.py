@@ -141,13 +141,13 @@ def print_summary(summary: dict[str, Any]) -> None:
     row("experiment", f"{summary['experiment']}, seed {summary['seed']}, {summary['clock']} time{over}")
     row("ran", f"{summary['slots']} slots, {summary['duration_s']:g} s, in {summary['wall_s']:.2f} s")
     units, titles = summary.get("units", {}), summary.get("titles", {})
+    single = summary["metrics"].get("outputs", {})
     for name, value in summary["metrics"].items():
-        if isinstance(value, dict):  # the same for every output; their units are the outputs' own, and stand in the report
-            for output, numbers in value.items():
-                row(f"  {output}", ", ".join(f"{titles.get(key, key)} {number(v)}" for key, v in numbers.items()))
-        else:
-            unit = units.get(name, "")
-            row(titles.get(name, name), number(value) + (f" {unit}" if unit and value is not None else ""))
+        if name != "outputs" and not (value is None and any(numbers.get(name) is not None for numbers in single.values())):
+            row(titles.get(name, name), _with_unit(value, units.get(name, "")))
+    for output, numbers in single.items():
+        known = {key: _with_unit(value, units.get(f"{key}.{output}", "")) for key, value in numbers.items() if value is not None}
+        row(f"  {output}", ", ".join(f"{titles.get(key, key)} {text}" for key, text in known.items()) or "-")
     nodes = summary["network"]["nodes"]
     ways = {f"{name} to controller" if len(nodes) > 1 else "to controller": found for name, found in nodes.items()}
     for name, n in (ways | {"to actuator": summary["network"]["ca"]}).items():
@@ -198,6 +198,10 @@ def print_summary(summary: dict[str, Any]) -> None:
     log = summary["log"]
     row("log", f"{log['path']} ({log['messages']} messages, {log['dropped']} dropped)")
     print_lines(lines)
+
+
+def _with_unit(value: object, unit: str) -> str:
+    return number(value) + (f" {unit}" if unit and value is not None else "")
 
 
 def in_modes(counts: Sequence[int]) -> str:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
-@click.option("--first-seed", type=int, default=0, show_default=True)
+@click.option("--first-seed", type=int, default=0, show_default=True, help="Seed of the first run.")
 @click.option("--duration", metavar="S", help="Length of a run: 10, 10s, 2min.")
 @click.option("--grid", "grids", type=CHANGE, multiple=True, metavar="KEY=A,B,...", help="Run at all combinations of them.")
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
@@ -37,7 +37,8 @@ if TYPE_CHECKING:
 @click.option("--level", type=float, show_default="0.95", help="Confidence of that interval at the stop.")
 @click.option("--resume", type=click.Path(path_type=Path), help="Keep finished runs in this file, go on from it.")
 @click.option("--metric", "own", multiple=True, metavar="MODULE:FUNCTION", help="A number of your own: a function of a RunView.")
-@click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True)
+@click.option("--backend", type=click.Choice(["loky", "dask"]), default="loky", show_default=True,
+              help="loky: processes of this machine; dask: the workers of --scheduler.")  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="The dask scheduler, e.g. tcp://10.0.0.1:8786.")
 @click.option("--jobs", type=int, default=-1, show_default=True, help="Processes; -1 for one per core.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
@@ -104,7 +105,7 @@ def command(
         )  # fmt: skip
         return
     if output is not None:
-        raise HilError("-o: only with --grid or --range")
+        raise HilError("-o: a page is made with --grid or --range only; --csv FILE writes the numbers of every run")
     if table is not None:
         check_output(table, fresh=not force, remedy="choose another --csv or add --force")  # now, and not after the work
     checked = load_experiment(experiment, sets)

@@ -45,8 +45,8 @@ def load_experiment(
 
     Args:
         source: name of a shipped experiment, or path of a TOML file.
-        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string). A ``file`` is looked for in the
-            working folder first, then in that of the experiment.
+        sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string). A ``file`` (or ``traffic_file``)
+            is looked for in the working folder first, then in that of the experiment.
         seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
         laws: network laws that were built in Python, by the paths of the tables that they stand for.
 
@@ -178,11 +178,14 @@ def _apply(raw: dict[str, Any], change: str) -> None:
     set_field(raw, path, _found_here(parsed, path.rpartition(".")[2]), f"--set {change!r:.60}")
 
 
+FILE_KEYS: typing.Final = ("file", "traffic_file")
+
+
 def _found_here(value: Any, key: str) -> Any:
     """Return a change whose files are those of the working folder, where they stand there: it is typed there."""
     if isinstance(value, dict):
         return {name: _found_here(inner, name) for name, inner in value.items()}
-    if key == "file" and isinstance(value, str) and value and os.path.isfile(value):
+    if key in FILE_KEYS and isinstance(value, str) and value and os.path.isfile(value):
         return os.path.abspath(value)
     return value
 

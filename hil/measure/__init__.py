@@ -12,6 +12,7 @@ from types import FunctionType
 from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from hil.errors import HilError, unknown_name
 from hil.experiment import Experiment
@@ -202,6 +203,30 @@ def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quanti
         if names.count(name) > 1:
             raise HilError(f"report.measures: two of them give a number called {name!r}")
     return found
+
+
+def each_output(measures: Sequence[Measure], signals: Signals) -> tuple[Quantity, ...]:
+    """Return what some measures measure of every output where several are tracked: ``sse.angle`` is that of one output.
+
+    Which values are better is kept where outputs of several units have no number together.
+    """
+    several = signals.tracked_unit() is None
+    return tuple(
+        replace(q, name=f"{q.name}.{name}", title=f"{q.title} of {name.replace('_', ' ')}", better=q.better if several else "")
+        for name in (signals.tracked if len(signals.tracked) > 1 else ())
+        for q in quantities_of(measures, signals.only(name))
+        if q.per_output
+    )
+
+
+def in_one_row(metrics: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers of a run without the table of its single outputs, whose numbers are called as in `each_output`.
+
+    >>> in_one_row({"sse": None, "outputs": {"angle": {"sse": 2.0}}})
+    {'sse': None, 'sse.angle': 2.0}
+    """
+    single = {f"{key}.{name}": v for name, numbers in metrics.get("outputs", {}).items() for key, v in numbers.items()}
+    return {name: value for name, value in metrics.items() if name != "outputs"} | single
 
 
 def measured(view: RunView, measures: Sequence[Measure], failed: dict[str, str] | None = None) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,21 +26,23 @@ class Axis:
 
     Args:
         input, output: names of the signals.
-        parameters: names in the plant's table: of m and b, or of g and p.
+        parameters: names in the plant's table, with their units: of m and b, or of g and p.
         physical: whether these are m = 1/g and b = p/g.
         unit: of the input.
     """
 
     input: str
     output: str
-    parameters: tuple[str, str]
+    parameters: Mapping[str, str]
     physical: bool
     unit: str
 
 
 AXES = {
-    "omni": Axis(input="torque", output="angle", parameters=("inertia", "damping"), physical=True, unit="N m"),
-    "dc-motor": Axis(input="voltage", output="angle", parameters=("gain", "pole"), physical=False, unit="V"),
+    "omni": Axis(
+        input="torque", output="angle", parameters={"inertia": "kg m²", "damping": "N m s/rad"}, physical=True, unit="N m"
+    ),
+    "dc-motor": Axis(input="voltage", output="angle", parameters={"gain": "rad/(V s²)", "pole": "1/s"}, physical=False, unit="V"),
 }
 
 

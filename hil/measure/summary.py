@@ -17,7 +17,7 @@ from hil.experiment import Experiment
 from hil.log import WITHDRAWN
 from hil.log.run import Run
 from hil.log.topics import BUS, SC
-from hil.measure import measured, quantities_of, run_measures
+from hil.measure import each_output, measured, quantities_of, run_measures
 from hil.measure.network_paths import changed_fields, law_kinds, loads, network_metrics, network_paths
 from hil.measure.view import APPLIED, TIMING, RunView, view_of
 from hil.rig import RigSpec
@@ -104,10 +104,10 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
 
     Keys: experiment, seed, clock, link, controller (see `controller_of`), slots, duration_s; metrics (the numbers of the
     experiment's measures, see `hil.measure.measured`), titles (what people read of them) and units (nothing for a pure
-    number); network.sc and network.ca (see `network_metrics`) and network.nodes (the same per sensor node, and its load; see
-    `network_summary`), network.bus (where a CAN bus takes time; see `hil.measure.bus_load.BusLoad`); timing (see
-    `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the run, or None); certificate (what the log
-    carries of it, or None).
+    number), of single outputs under names such as ``sse.angle``; network.sc and network.ca (see `network_metrics`) and
+    network.nodes (the same per sensor node, and its load; see `network_summary`), network.bus (where a CAN bus takes time; see
+    `hil.measure.bus_load.BusLoad`); timing (see `timing_metrics`, with `scheduler`); safety (the reason why safety stopped the
+    run, or None); certificate (what the log carries of it, or None).
 
     Args:
         view: a log that was read, or a run kept in memory with `metadata` and `resolved`.
@@ -117,7 +117,7 @@ def summarise(view: RunView, failed: dict[str, str] | None = None) -> dict[str, 
     slots = _slots(run)
     timing = run_timing(view)
     measures = view.once(run_measures)
-    quantities = quantities_of(measures, view.signals)
+    quantities = quantities_of(measures, view.signals) + each_output(measures, view.signals)
     return {
         "experiment": run.metadata.get("experiment", ""),
         "seed": int(run.metadata.get("seed", 0)),

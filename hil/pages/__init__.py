@@ -85,11 +85,11 @@ class Marker:
 class Figure:
     """An interactive panel: curves, bands and markers over one x axis.
 
-    Panels with the same `sync` group share zoom and cursor (None: a panel of its own). `integer_y` ticks whole
-    numbers only (delay modes). `x_ticks` are the only values that the x axis names, where nothing lies between them.
-    `y_range` fixes the y axis (None: fitted to what is visible). `x_log`, `y_log` give
-    logarithmic axes, `x_asinh`, `y_asinh` some that are linear up to that size and logarithmic beyond, on both sides of 0.
-    `height_px` is the plot's height on screen.
+    Panels with the same `sync` group share zoom and cursor (None: a panel of its own). `integer_y` ticks whole numbers only
+    (delay modes); `y_names` stand in the place of 0, 1, .... `x_ticks` are the only values that the x axis names, where nothing
+    lies between them. `y_range` fixes the y axis (None: fitted to what is visible). `x_log`, `y_log` give logarithmic axes,
+    `x_asinh`, `y_asinh` some that are linear up to that size and logarithmic beyond, on both sides of 0. `height_px` is the
+    plot's height on screen.
     """
 
     title: str
@@ -106,6 +106,7 @@ class Figure:
     y_log: bool = False
     y_asinh: float | None = None
     integer_y: bool = False
+    y_names: tuple[str, ...] = ()
     y_range: tuple[float, float] | None = None
     sync: str | None = TIME
     height_px: int = 240

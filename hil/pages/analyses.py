@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from scipy import special
 
 from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.synthesis import ceiling_n_per_m
-from hil.log.recordings import class_text, independence_text
+from hil.log.recordings import ROUND_TRIP, class_text, fitted_value, independence_text, latencies_text
 from hil.pages import Badge, BarGroup, Bars, Block, Figure, LineStyle, Section, Series, Table, Text
 from hil.pages.html import capital
 from hil.pages.html.page import Page
@@ -19,6 +19,7 @@ from transport.law_fit import LawFit
 from transport.law_fit.packet_record import ages_of
 from transport.law_fit.proportions import LAGS, REJECT, arrivals
 
+WAYS: Final = {"sc": "sensor to controller", "ca": "controller to actuator", ROUND_TRIP: ROUND_TRIP}
 POINTS = 400
 MOST_BARS = 12
 MOST_PARAMETERS = 20
@@ -35,14 +36,14 @@ def law_page(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], model_sha
         model_shares: share of slots at age 0, 1, ... under each fitted law.
     """
     badges = [
-        Badge(label=f"{way}: {fit.law_class}", state="warning" if fit.law_class == "none" else "good")
+        Badge(label=f"{WAYS[way]}: {class_text(fit)}", state="warning" if fit.law_class == "none" else "good")
         for way, fit in fits.items()
     ]
     return Page(
         "Which law is this network?", [_section(way, fit, said[way], model_shares.get(way, [])) for way, fit in fits.items()],
         kicker="hilrig · identified network law", badges=badges,
         subtitle="What was measured, and what the fitted law says, on one axis each.",
-        facts=tuple((way, f"{said[way]['packets']} packets") for way in fits),
+        facts=tuple((WAYS[way], f"{said[way]['packets']} packets") for way in fits),
     ).html()  # fmt: skip
 
 
@@ -87,15 +88,15 @@ def _section(way: str, fit: LawFit, said: dict[str, Any], shares: list[float]) -
     ]  # fmt: skip
     came_rows = [(i, share, *(pair or ("-", "-"))) for i, (share, pair) in enumerate(arrivals(fit).shares())]
     blocks.append(Table(columns=("age in slots", "comes, if not before", "95 % from", "to"), rows=came_rows[:MOST_BARS]))
-    parameters = [(name, *pair) for name, pair in said["intervals"].items()]
-    blocks.append(Table(columns=("parameter of the law", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
+    parameters = [(name, fitted_value(fit, name), *pair) for name, pair in said["intervals"].items()]
+    blocks.append(Table(columns=("parameter of the law", "fitted", "95 % from", "to"), rows=parameters[:MOST_PARAMETERS]))
     blocks.append(Table(columns=("law that was tried", "parameters", "BIC", "independent: p", "shape: p"), rows=rows))
     tested = map(capital, independence_text(fit))
     intro = f"The law: {class_text(fit)}; {said['packets']} packets, {said['lost']} did not come. " + " ".join(
-        f"{note}." for note in (*tested, *said["notes"])
+        f"{note}." for note in (*tested, capital(latencies_text(fit)), *said["notes"])
     )
     return Section(
-        title={"sc": "Sensor to controller", "ca": "Controller to actuator"}.get(way, "Round trip"),
+        title=capital(WAYS[way]),
         intro=intro,
         blocks=tuple(blocks),
         columns=2,
@@ -174,10 +175,10 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
     curves = []
     for i, hand in enumerate(hands):
         safe = at(hand, lambda c: c.certified_n_per_m)
-        curves.append(Series(label=f"certified, hand {hand:g}", x=x, y=safe, colour=i, marked=True))
+        curves.append(Series(label=f"certified, hand {hand:g} N s/m", x=x, y=safe, colour=i, marked=True))
         ceiling = [ceiling_n_per_m(period_s, damping + hand, d) for d in x]
-        curves.append(Series(label=f"ceiling, hand {hand:g}", x=x, y=ceiling, colour=i, style="dashed"))
-    number, first = len(hands), f"hand {hands[0]:g}"
+        curves.append(Series(label=f"ceiling, hand {hand:g} N s/m", x=x, y=ceiling, colour=i, style="dashed"))
+    number, first = len(hands), f"hand {hands[0]:g} N s/m"
     gil_hulin, colgate, exact = (
         at(hands[0], value)
         for value in (lambda c: c.gil_hulin_n_per_m, lambda c: c.colgate_n_per_m, lambda c: c.exact_n_per_m)

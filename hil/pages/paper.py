@@ -123,6 +123,8 @@ def _curves(plot: Figure, axis: Any) -> None:
     _scale("y", axis, plot.y_log, plot.y_asinh)
     if plot.x_ticks:
         axis.set_xticks(plot.x_ticks)
+    if plot.y_names:
+        axis.set_yticks(range(len(plot.y_names)), plot.y_names)
     if plot.y_range is not None:
         axis.set_ylim(*plot.y_range)
     axis.set_xlabel(with_unit(plot.x_label, plot.x_unit))

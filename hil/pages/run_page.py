@@ -13,7 +13,7 @@ import numpy as np
 from hil.errors import HilError
 from hil.files import check_page, write_output
 from hil.log.run import Run
-from hil.measure import Quantity, quantities_of, run_measures
+from hil.measure import Quantity, in_one_row, quantities_of, run_measures
 from hil.measure.signals import with_unit
 from hil.measure.summary import page_summary
 from hil.measure.view import RunView, view_of
@@ -49,7 +49,7 @@ def render_report(view: RunView) -> str:
         kicker="hilrig · run report",
         subtitle=description,
         badges=verdicts(run, summary),
-        tiles=[_tile(view, each, summary["metrics"][each.name]) for each in quantities_of(view.once(run_measures), view.signals)],
+        tiles=_tiles(view, summary["metrics"]),
         facts=_facts(view, summary),
         footer=f"Written by hilrig {run.versions.get('hilrig', '')} from the log alone. Drag across a plot to zoom all "
         "time axes, double-click to reset.",
@@ -91,6 +91,13 @@ def verdicts(run: Run, summary: Mapping[str, Any]) -> list[Badge]:
         for name, value in summary.get("problems", {}).items()
     ]
     return found
+
+
+def _tiles(view: RunView, metrics: Mapping[str, Any]) -> list[Tile]:
+    """Return a tile for each number but those that only single outputs have: they stand in the table."""
+    quantities = quantities_of(view.once(run_measures), view.signals)
+    known = [q for q in quantities if metrics[q.name] is not None or q.needs or not (q.per_output and "outputs" in metrics)]
+    return [_tile(view, each, metrics[each.name]) for each in known]
 
 
 def _tile(view: RunView, quantity: Quantity, value: float | None) -> Tile:
@@ -157,7 +164,8 @@ def logged_run(name: str, page: str, view: RunView, *, drawn: bool) -> LoggedRun
     """
     summary, panels = view.once(page_summary), output_panels(view) if drawn else []
     titles, units = summary["titles"], summary["units"]
-    numbers = {with_unit(titles.get(key, key), units.get(key, "")): value for key, value in summary["metrics"].items()}
+    metrics = in_one_row(summary["metrics"])
+    numbers = {with_unit(titles.get(key, key), units.get(key, "")): value for key, value in metrics.items()}
     said = sorted(verdicts(view.run, summary), key=lambda badge: _WORST.index(badge.state))
     wrong = [badge for badge in said if badge.state != "good"]
     certificate = next((badge for badge in said if badge.label.startswith("certified")), None)

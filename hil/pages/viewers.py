@@ -12,6 +12,7 @@ from typing import Any, Final
 from xml.etree import ElementTree
 
 from hil.errors import HilError
+from hil.log import Curve
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel, Schema
 from hil.log.topics import panels
 from hil.log.write import PayloadWriter, together
@@ -120,7 +121,7 @@ def foxglove(schemas: Mapping[str, Schema]) -> str:
         (`PlotConfig`, `PlotPath`), panels/RawMessages/types.ts; packages/message-path/src/grammar.ne (the paths).
     """
     configs: dict[str, Any] = {}
-    for i, (title, curves) in enumerate(panels(schemas).items()):
+    for i, (title, curves) in enumerate(_titled(schemas).items()):
         configs[f"Plot!{i}"] = {
             "foxglovePanelTitle": title,
             "paths": [
@@ -153,7 +154,7 @@ def plotjuggler(schemas: Mapping[str, Schema]) -> str:
     Reference:
         PlotJuggler, plotjuggler_app: mainwindow.cpp, plot_docker.cpp and plotwidget.cpp, each `xmlLoadState`.
     """
-    found = panels(schemas)
+    found = _titled(schemas)
     root = ElementTree.Element("root")
     tabs = ElementTree.SubElement(root, "tabbed_widget", {"parent": "main_window", "name": "Main Window"})
     container = ElementTree.SubElement(ElementTree.SubElement(tabs, "Tab", tab_name="hilrig", containers="1"), "Container")
@@ -169,6 +170,12 @@ def plotjuggler(schemas: Mapping[str, Schema]) -> str:
     ElementTree.SubElement(root, "use_relative_time_offset", enabled="1")
     ElementTree.indent(root, " ")
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _titled(schemas: Mapping[str, Schema]) -> dict[str, list[tuple[str, Curve]]]:
+    """Return the plots of a log; the title of a plot of one signal has its unit."""
+    units = {f.name: f", {f.unit}" for schema in schemas.values() for f in schema.fields if f.unit != "1"}
+    return {title + units.get(title, ""): curves for title, curves in panels(schemas).items()}
 
 
 def _stacked(names: Sequence[str]) -> Any:

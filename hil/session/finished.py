@@ -111,19 +111,21 @@ class Session(Struct, frozen=True, kw_only=True):
             found[topic] = xarray.Dataset(variables, coords={"t_s": ("t_s", seconds(array), {"units": "s"})})
         return found
 
-    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float = 70.0) -> Figure:
+    def plot(self, path: str | Path | None = None, *, width_mm: float = 85.0, height_mm: float | None = None) -> Figure:
         """Return a figure of the tracked outputs against their reference, and of the inputs, one above the other.
 
         Args:
             path: where to write it; its ending says how: .svg, .pdf or .png (300 dots per inch).
-            width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals.
+            width_mm, height_mm: of the figure as it is printed; 85 mm is a column of many journals. By default it is as high
+                as its plots need.
 
         Raises:
             HilError: if matplotlib is not installed, or for another ending.
         """
         from hil.notebook import drawn
 
-        return drawn(partial(_paint, self.run), path, width_mm, height_mm)
+        run = self.run
+        return drawn(partial(_paint, run), path, width_mm, _height_mm(run) if height_mm is None else height_mm)
 
     def _repr_html_(self) -> str:
         """Return the session in one line, its numbers as tiles, and the plot where matplotlib is installed."""
@@ -138,7 +140,8 @@ class Session(Struct, frozen=True, kw_only=True):
             f'<div style="font-size:80%;opacity:.7">{escape(titles[name])}</div><b>{value:.5g}</b> {escape(units[name])}</div>'
             for name, value in found
         )
-        svg = as_svg(partial(_paint, self.run))
+        run = self.run
+        svg = as_svg(partial(_paint, run), max(90.0, _height_mm(run)))
         return f'<div><p>{escape(repr(self))}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
 
     def __repr__(self) -> str:
@@ -153,18 +156,26 @@ def _paint(run: Run, sheet: Figure) -> None:
     view = view_of(run)
     measurement, reference, applied = (run.arrays[topic] for topic in (MEASUREMENT, REFERENCE, APPLIED))
     outputs, inputs = view.signals.tracked, [*view.signals.inputs]
+    followed = any(reference[name].any() for name in outputs)
     rows = sheet.subplots(len(outputs) + 1, 1, sharex=True, squeeze=False)[:, 0]
     for axis, name in zip(rows, outputs):
-        axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
-        axis.plot(seconds(measurement), measurement[name], color="C0", label=name)
+        if followed:
+            axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
+        axis.plot(seconds(measurement), measurement[name], color="C0", label=name if len(outputs) == 1 else "output")
         axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
-        axis.legend()
+    if followed:
+        rows[0].legend()
     for number, name in enumerate(inputs):
         rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
     rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
     if len(inputs) > 1:
         rows[-1].legend()
     rows[-1].set_xlabel("time (s)")
+    sheet.align_ylabels(rows)
+
+
+def _height_mm(run: Run) -> float:
+    return max(70.0, 30.0 * (len(view_of(run).signals.tracked) + 1))
 
 
 def _units(run: Run, topic: str) -> dict[str, str]:

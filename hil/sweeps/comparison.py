@@ -83,6 +83,8 @@ class Comparison(ShownResult):
             return f"{undecided} is a number in {counts}, not in the same ones"
         pairs = self._pairs(name, judged.name)
         gap = difference_interval(*pairs)
+        if not (own.any() or other.any()) and any(q.name.startswith(f"{judged.name}.") for q in self.quantities):
+            return f"{undecided} is not summed over outputs of several units; it stands below for each output"
         if gap.n < 2:
             return f"{undecided} is a number in {gap.n} runs of both, 2 are needed"
         if not gap.bounded:

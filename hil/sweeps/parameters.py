@@ -56,6 +56,8 @@ class ParameterSweep(ShownResult):
 
     def said(self) -> tuple[str, ...]:
         """Return the cautions, a sentence a point; of many points those of the first ones, and how many there are."""
+        if len(self.cautions) == len(self.columns) > len({*self.cautions.values()}) == 1:
+            return (f"at every point: {self.cautions[0]}",)
         shown = [f"{', '.join(self.points.changes(n))}: {said}" for n, said in list(self.cautions.items())[:MOST_CAUTIONS]]
         more = len(self.cautions) - len(shown)
         return (*shown, f"{more} more points have a caution of this kind") if more else tuple(shown)

@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
 from hil.log.topics import channels_of
-from hil.measure import Named, Quantity, measures_of, quantities_of, refuse_unsound_measures
+from hil.measure import Named, Quantity, each_output, in_one_row, measures_of, quantities_of, refuse_unsound_measures
 from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
@@ -84,15 +84,7 @@ WORTH_WORKERS = 3_000_000
 def quantities_in(experiment: Experiment) -> tuple[Quantity, ...]:
     """Return what the experiment's measures give per run; ``sse.angle`` is that of one output, where several are tracked."""
     measures, signals = measures_of(experiment), signals_of(experiment.plant)
-    found = quantities_of(measures, signals)
-    if len(signals.tracked) < 2:
-        return found
-    return found + tuple(
-        msgspec.structs.replace(q, name=f"{q.name}.{name}", title=f"{q.title} of {name.replace('_', ' ')}", better="")
-        for name in signals.tracked
-        for q in quantities_of(measures, signals.only(name))
-        if q.per_output
-    )
+    return quantities_of(measures, signals) + each_output(measures, signals)
 
 
 def columns_of(experiment: Experiment) -> tuple[str, ...]:
@@ -152,9 +144,7 @@ def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
 
 def _row(run: Run, loop: Loop, names: Sequence[str], seed: int) -> dict[str, float]:
-    found = run_metrics(run, loop.experiment, loop.rig)
-    for output, numbers in found.pop("outputs", {}).items():
-        found |= {f"{name}.{output}": value for name, value in numbers.items()}
+    found = in_one_row(run_metrics(run, loop.experiment, loop.rig))
     row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
     return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hil.cli.new_external import Language
+from hil.cli.new_external import Language, LinkKind
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.files.keys import make_keys
@@ -18,6 +19,7 @@ from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from tests.foreign_session import drive
 from tests.generated_controllers import asked_over, c_on_hil, generate, runs
+from tests.waiting import LIMIT_S
 
 SEED = 11
 LANGUAGES = pytest.mark.parametrize("language", ["python", "c"])
@@ -110,6 +112,13 @@ def test_over_zenoh_it_is_the_same(tmp_path: Path, keyed: bool) -> None:
     with runs([*words, *([key] if keyed else []), endpoint]):
         run = asked_over(loop, SEED, f"zenoh:{endpoint}" + (f"?auth={key}" if keyed else ""))
     assert_same_run(run, simulate(loop, SEED))
+
+
+@pytest.mark.parametrize(("kind", "keyed"), [("can", True), ("zenoh", False)])
+def test_without_its_arguments_a_program_says_what_they_are(tmp_path: Path, kind: LinkKind, keyed: bool) -> None:
+    words = generate(tmp_path, loop_of("dc-motor-hinf"), "python", kind, keyed)
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S)
+    assert ended.returncode == 1 and ended.stderr.startswith("usage: python ")
 
 
 @LANGUAGES

@@ -6,6 +6,7 @@ the file that an experiment includes, with what it leans on.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
@@ -135,6 +136,27 @@ def class_text(fit: LawFit) -> str:
     """Return the class of a fitted law in words. Where a test rejects independent latencies, the class holds for slots only."""
     in_slots = fit.law_class in ("constant", "independent", "gilbert-elliott") and not fit.tested.independent
     return WORDS[fit.law_class] + (", as far as slots show" if in_slots else "")
+
+
+def latencies_text(fit: LawFit) -> str:
+    """Return the fitted latencies in words: family and parameters, whether the shape fits, and what was measured."""
+    name, spec, came = fit.latencies.name, fit.latencies.spec, fit.record.latency_s[fit.record.came]
+    values = [
+        f"{key} = {f'{1e3 * value:.4g} ms' if key in ('loc', 'scale') else f'{value:.4g}'}"
+        for key, value in (spec.items() if isinstance(spec, dict) else ())
+        if isinstance(value, float)
+    ]
+    shape = "as measured" if name in ("table", "constant") else f"shape p = {fit.tested.shape:.2g}"
+    mean, late = 1e3 * came.mean(), 1e3 * np.quantile(came, 0.99)
+    return f"latencies: {name} ({', '.join([*values, shape])}); measured: {mean:.4g} ms on average, 99 % within {late:.4g} ms"
+
+
+def fitted_value(fit: LawFit, name: str) -> float:
+    """Return a parameter of a fitted law by the name of its interval: ``loss``, or ``matrix[1][0]`` of ages."""
+    place = re.fullmatch(r"matrix\[(\d+)\]\[(\d+)\]", name)
+    if fit.ages is None or place is None:
+        return fit.losses.values[name]
+    return float(fit.spec["matrix"][int(place[1])][int(place[2])])
 
 
 def fit_document(fit: LawFit, way: str, source: str, notes: tuple[str, ...]) -> dict[str, Any]:

@@ -196,7 +196,7 @@ def _figure(figure: Figure, payload: Payload) -> str:
         "xLabel": with_unit(figure.x_label, figure.x_unit), "yLabel": with_unit(figure.y_label, figure.y_unit),
         "xLog": figure.x_log, "xAsinh": figure.x_asinh, "xTicks": figure.x_ticks or None, "yLog": figure.y_log,
         "yAsinh": figure.y_asinh, "integerY": figure.integer_y, "yRange": figure.y_range, "sync": figure.sync,
-        "height": figure.height_px,
+        "height": figure.height_px, **({"yNames": figure.y_names} if figure.y_names else {}),
     })  # fmt: skip
     if drawn and drawn < whole:
         fewer = f"Drawn as the minimum and maximum of {text_of(BUCKETS)} intervals of {text_of(whole)} samples."

@@ -62,13 +62,14 @@ def sensor_nodes(view: RunView) -> Section | None:
     ages = tuple(
         Series(label=name, x=t, y=newest_ages(draws, i, slots), style="step", colour=i) for i, name in enumerate(names)
     )
-    numbered = ", ".join(f"{i}: {name}" for i, name in enumerate(names))
     rows: list[list[Cell]] = [
         [load.node, ", ".join(outputs[i] for i in own.outputs), load.packets, load.lost, load.packets_per_s, load.bits_per_s]
         for own, load in zip(sensors, view.once(loads))
     ]
     blocks: tuple[Block, ...] = (
-        Figure(title="Which node sent", y_label="node", series=tuple(sent_by), markers=marks, integer_y=True, note=numbered),
+        Figure(
+            title="Which node sent", y_label="node", series=tuple(sent_by), markers=marks, integer_y=True, y_names=tuple(names)
+        ),
         Figure(
             title="Age of each node's newest sample", y_label="age", y_unit="samples", series=ages, markers=marks, integer_y=True
         ),
@@ -106,8 +107,8 @@ def can_bus(view: RunView) -> Section | None:
 def _table(found: BusLoad) -> Table:
     rows: list[list[Cell]] = [
         [
-            can_id_text(each.can_id, extended=each.extended), each.name, each.frames, each.errors, 100 * each.load,
-            each.waited_ms, each.waited_worst_ms, each.response_worst_ms, each.bound_ms,
+            can_id_text(each.can_id, extended=each.extended), each.name, each.frames, each.errors, _short(100 * each.load),
+            _short(each.waited_ms), each.waited_worst_ms, each.response_worst_ms, each.bound_ms,
         ]
         for each in found.messages
     ]  # fmt: skip
@@ -119,6 +120,10 @@ def _table(found: BusLoad) -> Table:
     )  # fmt: skip
 
 
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.4g}")
+
+
 def _by_node(found: BusLoad) -> tuple[Table, ...]:
     """Return the load of every node, the largest first; nothing where no node sends two messages, for the table above has it."""
     sent: dict[str, list[MessageOnBus]] = {}
@@ -127,9 +132,12 @@ def _by_node(found: BusLoad) -> tuple[Table, ...]:
     if all(len(own) < 2 for own in sent.values()):
         return ()
     rows: list[list[Cell]] = [
-        [node, len(own), sum(each.frames for each in own), sum(each.errors for each in own), 100 * sum(each.load for each in own)]
+        [
+            node, len(own), sum(each.frames for each in own), sum(each.errors for each in own),
+            _short(100 * sum(each.load for each in own)),
+        ]
         for node, own in sorted(sent.items(), key=lambda item: -sum(each.load for each in item[1]))
-    ]
+    ]  # fmt: skip
     return (Table(title="Load by node", columns=["node", "messages", "frames", "destroyed", "load, %"], rows=rows),)
 
 
@@ -154,10 +162,10 @@ def _time_line(frames: npt.NDArray[np.void], found: BusLoad) -> Figure:
         rows = [place.get((bool(f["flags"] & EXTENDED), int(f["can_id"])), -1) for f in broken]
         errors = Series(label="Bus Error", x=broken["end_ns"] / 1e9, y=np.array(rows, dtype=float), style="points", colour=4)
         series.append(errors)
-    names = ", ".join(f"{i}: {each.name}" for i, each in enumerate(found.messages))
     return Figure(
         title="The bus around the longest wait of a packet of the rig", y_label="message", series=tuple(series), sync=None,
-        integer_y=True, height_px=max(240, min(14 * len(found.messages) + 60, 600)), note=f"By priority, {names}.",
+        integer_y=True, height_px=max(240, min(14 * len(found.messages) + 60, 600)),
+        y_names=tuple(each.name for each in found.messages), note="By priority, the most urgent message at the foot.",
     )  # fmt: skip
 
 

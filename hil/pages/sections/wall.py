@@ -16,7 +16,7 @@ from design.controllers.wall import Wall
 from hil.log.append_column import whole
 from hil.log.topics import PASSIVITY, STATE
 from hil.measure.view import APPLIED, MEASUREMENT, RunView
-from hil.pages import Block, Figure, Marker, Scene, Section, Series, Shape
+from hil.pages import Block, Cell, Figure, Marker, Scene, Section, Series, Shape, Table
 from hil.pages.sections.time_panels import curve, markers
 from hil.rig.loop import Loop
 from hil.session.replay.avatar import MOST_ANSWERS, AvatarPath, avatar_path, loop_of
@@ -54,8 +54,7 @@ def section(view: RunView) -> Section | None:
     path = avatar_path(view, loop)
     blocks = _over_time(view, path)
     margin = _margin(loop, loop.controller)
-    if margin is not None:
-        blocks.append(margin)
+    blocks += [*([] if margin is None else [margin]), _felt(loop.controller)]
     if path is not None and np.ptp(path.y_m) + np.ptp(path.z_m) > 0.0:
         shown = _shown(path, loop.controller.wall)
         blocks += [_map(path, loop.controller.wall, shown), _space(path, shown)]
@@ -162,6 +161,21 @@ def _margin(loop: Loop, controller: WallController) -> Figure | None:
         title="Stability in contact, over delay", series=(*curves, limit), x_label="delay, both ways", x_unit="samples",
         y_label="spectral radius", sync=None, markers=(Marker(x=float(own), label="this loop"),),
         note="Device and hand of this run, in contact throughout, at a delay that stays; 1 less the radius is the margin.",
+    )  # fmt: skip
+
+
+def _felt(controller: WallController) -> Table:
+    from design.passivity.transparency import felt_n_per_m
+
+    wall = controller.wall
+    rows: list[list[Cell]] = [
+        [f"material {i + 1}", m.stiffness_n_per_m, m.damping_n_s_per_m, float(f"{felt_n_per_m(m, controller.coupler):.4g}")]
+        for i, m in enumerate(wall.materials)
+        if m in wall.touched
+    ]
+    return Table(
+        title="How stiff the wall feels", columns=["", "spring (N/m)", "damper (N s/m)", "felt (N/m)"], rows=rows,
+        note="Felt: under a constant force, through the coupler.",
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,9 @@ def both_ways(tmp_path: Path) -> list[Path]:
 def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_path: Path) -> None:
     status, out, err = cli("identify", "law", *both_ways, "-o", "law.toml", "--page", "page.html")
     assert status == 0, err
-    assert "independent latencies" in out and "is not rejected" in out
+    said = " ".join(out.split())
+    assert "independent latencies" in out and "is not rejected" in out and "ms on average, 99 % within" in said
+    assert re.search(r"latencies: gamma \(a = [\d.]+, scale = [\d.]+ ms, shape p = ", said), said
     text = (tmp_path / "law.sc.toml").read_text()
     assert 'class = "independent"' in text and "[fit]" in text
     page = (tmp_path / "page.html").read_text()

@@ -109,7 +109,7 @@ def test_the_map_as_a_table_a_csv_and_a_page(tmp_path: Path) -> None:
     page = (tmp_path / "m.html").read_text()
     assert page.startswith("<!doctype html>") and "Contours at T = 50 ms" in page and "ceiling" in page
     assert page.count("Taps in m/N") == 2, "one list for each period"
-    assert "Gil-Hulin, hand 0" in page and "Gil-Hulin, hand 10" not in page
+    assert "Gil-Hulin, hand 0 N s/m" in page and "Gil-Hulin, hand 10" not in page
     assert '"xTicks":[0.0,6.0]' in page and "Colgate, hand 0" in page and "no coupler, no hand (exact)" in page
     assert rows[-1]["taps_m_per_n"].split()[0] in page
 

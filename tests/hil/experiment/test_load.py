@@ -253,6 +253,10 @@ def test_a_file_of_a_change_is_that_of_the_working_folder(tmp_path: Path, monkey
     monkeypatch.chdir(tmp_path)
     experiment = with_law_files(load_experiment("dc-motor-hinf", ["network.sc.law={file='law.toml'}"]))
     assert experiment.network.sc.law == ConstantAge(age=1)
+    (tmp_path / "car.csv").write_text("name,can_id,length,period\n")
+    change = "network.media.bus={kind='can', bitrate=500000, nodes=['motor'], control=true, traffic_file='car.csv'}"
+    bus = load_experiment("dc-motor-busy-can", [change]).network.media["bus"]
+    assert bus.traffic_file == str(tmp_path / "car.csv")
 
 
 def test_set_changes_fields_tables_and_list_entries() -> None:

@@ -53,7 +53,7 @@ def comparison(**values: dict[str, np.ndarray]) -> Comparison:
 
 def points(*found: dict[str, np.ndarray], at: Points, cautions: Sequence[int] = (0,), quantities: Any = OTHERS) -> ParameterSweep:
     """A sweep over parameters of seven runs each."""
-    said = dict.fromkeys(cautions, "bad")
+    said = {point: "bad" + "!" * point for point in cautions}
     return ParameterSweep(experiment="motor", points=at, columns=found, quantities=quantities, cautions=said)
 
 
@@ -177,7 +177,8 @@ def _laws() -> str:
     record = PacketRecord(sent_s=0.05 * np.arange(300), latency_s=late)
     latencies = LatencyFit(name="uniform", spec=0.0, parameters=2, log_likelihood=0.0, cdf=lambda x: np.clip(x / 0.045, 0.0, 1.0),
                            below=lambda x: x)  # fmt: skip
-    losses = LossFit(kind="none", values={}, intervals={}, log_likelihood=0.0, parameters=0, predicted=np.zeros(300))
+    values = {f"p {i}": 0.15 for i in range(22)}
+    losses = LossFit(kind="none", values=values, intervals={}, log_likelihood=0.0, parameters=0, predicted=np.zeros(300))
 
     def fit(law_class: Any, independence: float, period_s: float) -> LawFit:
         tested = Fitness(0.5, 0.25, independence, 0.125, 3, 0.4)

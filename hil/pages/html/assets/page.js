@@ -203,7 +203,7 @@
       },
       axes: [
         axis(figure.xLabel, 27, figure.xTicks ? { splits: () => figure.xTicks } : figure.xAsinh ? { splits: signed } : figure.xLog ? {} : { incrs: ROUND }),
-        axis(figure.yLabel, fits(62), figure.yAsinh ? { splits: signed } : figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18 } : {}),
+        axis(figure.yLabel, fits(62), figure.yAsinh ? { splits: signed } : figure.integerY ? { incrs: [1, 2, 5, 10, 20, 50, 100], space: 18, ...named(figure.yNames) } : {}),
       ],
       series: [{ label: figure.xLabel, value: (u, v) => format(v) }, ...curves.map(curve)],
       bands,
@@ -254,6 +254,8 @@
     for (let e = from + 1; e <= to; e += step) found.push(10 ** e, -(10 ** e));
     return found.filter((v) => low <= v && v <= high).sort((a, b) => a - b);
   }
+
+  const named = (names) => (names ? { space: 11, values: (u, splits) => splits.map((v) => names[v] ?? "") } : {});
 
   function fitted(low, high, integer, asinh) {
     if (low == null) return [0, 1];
