@@ -6,6 +6,7 @@ Every fault is reported at once, by its path.
 from __future__ import annotations
 
 import os
+import re
 import tomllib
 import typing
 from pathlib import Path
@@ -89,7 +90,7 @@ def parse_experiment(
     try:
         raw = parse_toml(text)
     except ValueError as e:
-        raise HilError(f"{source}: not valid TOML: {e}") from e
+        raise HilError(f"{source}: not valid TOML: {e}{_line_of(text, e)}") from e
     for change in sets:
         _apply(raw, change)
     try:
@@ -179,6 +180,15 @@ def _apply(raw: dict[str, Any], change: str) -> None:
 
 
 FILE_KEYS: typing.Final = ("file", "traffic_file")
+
+
+def _line_of(text: str, error: ValueError) -> str:
+    """Return the line that an error of the parser names, and what is most often wrong with it."""
+    place = re.search(r"at line (\d+)", str(error))
+    if place is None:
+        return ""
+    line = text.split("\n")[int(place[1]) - 1].strip()
+    return f": {line!r:.80}; text and durations stand in quotes, an inline table on one line"
 
 
 def _found_here(value: Any, key: str) -> Any:

@@ -118,7 +118,7 @@ def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     run, resolved = view.run, view.run.resolved
     found = [
         ("Plant", str(resolved.get("plant", {}).get("kind", ""))),
-        ("Controller", str(resolved.get("controller", {}).get("kind", ""))),
+        ("Controller", str(summary["controller"])),
         ("Clock", str(summary["clock"])),
         ("Link", str(summary["link"]) if summary["clock"] == "real" else ""),  # in virtual time no frame leaves the process
         ("Sample period", f"{text_of(1e3 * view.period_s)} ms"),

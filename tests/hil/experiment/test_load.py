@@ -127,6 +127,7 @@ FAULTS: list[tuple[str, str, str]] = [
     ("unknown overrun policy", GOOD + '[timing]\noverrun = "skip"\n', "timing.overrun: "),
     ("loop that is not stable", changed('kind = "hinf"', 'kind = "local"'), "radius 1.054"),
     ("not TOML", "name = \n", "not valid TOML"),
+    ("no quotes", "name = 'a'\nperiod = 50 ms\n", "'period = 50 ms'; text and durations stand in quotes"),
     ("a key twice", GOOD.replace("seed = 0", "seed = 0\nseed = 1"), "not valid TOML"),
     ("instant that is no number", GOOD + '\n[[reference]]\nat = "nan s"\nvalue = [1.0]\n',
      "at: 'nan s' is not a duration"),
