@@ -1,4 +1,4 @@
-"""A parameter of a law that does not fit, with its field. Faults of links are in `transport.links`."""
+"""A parameter of a law that does not fit, and what is not known of a law. Faults of links are in `transport.links`."""
 
 from __future__ import annotations
 
@@ -19,6 +19,10 @@ class FieldError(ValueError):
 
     def __str__(self) -> str:
         return f"{self.field}: {self.message}"
+
+
+class NotKnown(Exception):
+    """What was asked of a network is not known; its text is the reason, a phrase."""
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:

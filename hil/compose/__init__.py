@@ -35,12 +35,14 @@ from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
 from hil.rig import RigSpec
+from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop
 from hil.rig.named_files import with_named_files
 from hil.rig.normal_form import in_words_of_parts, rig_of
 from plants.errors import PlantError
 from plants.parts.protocols import JumpPlant
+from transport.errors import NotKnown
 from transport.packets import MAX_OUTPUTS, MAX_ROWS
 
 if TYPE_CHECKING:
@@ -203,9 +205,12 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
     if not isinstance(e.controller, IntegralAction):  # the designs of Chapter 7 state it; others have no packets in their theory
         sc, ca = without_held(sc), without_held(ca)
         chainless = chainless or "the theory of this design has no packet laws"
-    on_bus = bus_chains(rig, longest=True) if isinstance(e.controller, IntegralAction) else None
-    if on_bus is not None:
-        (sc, ca), chainless = (None, None) if isinstance(on_bus, str) else on_bus, on_bus if isinstance(on_bus, str) else ""
+    elif can_bus_of(rig) is not None:
+        sc, ca, chainless = None, None, ""
+        try:
+            sc, ca = bus_chains(rig, longest=True)
+        except NotKnown as why:
+            chainless = str(why)
     jumps: dict[str, Any] = {}
     if isinstance(plant, JumpPlant):
         try:

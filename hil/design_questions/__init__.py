@@ -25,6 +25,7 @@ from hil.errors import HilError, nearest
 from hil.plugins.user_modules import is_ours
 from hil.rig import motion_of
 from plants.parts.protocols import Plant
+from transport.errors import NotKnown
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design, Progress
@@ -96,6 +97,7 @@ def target_of(
         HilError: several sensor nodes, or a network that is no chain of delays.
     """
     from hil.rig.bus_delays import bus_chains
+    from hil.rig.can_bus import can_bus_of
     from hil.rig.delay_chains import chains_of
     from hil.rig.normal_form import rig_of
 
@@ -106,13 +108,14 @@ def target_of(
         chains = chains_of(rig, sojourns, row_sojourns=row_sojourns)
     except ValueError as error:
         raise HilError(f"{name}: {error}") from None
-    on_bus = bus_chains(rig, longest=True)
-    if isinstance(on_bus, str):
-        raise HilError(f"{name}: a design needs a chain of ages on both links, but {on_bus}")
-    sc, ca = (chains.sc, chains.ca) if on_bus is None else on_bus
+    on_bus = can_bus_of(rig) is not None
+    try:
+        sc, ca = bus_chains(rig, longest=True) if on_bus else (chains.sc, chains.ca)
+    except NotKnown as why:
+        raise HilError(f"{name}: a design needs a chain of ages on both links, but {why}") from None
     if sc is None or ca is None:
         raise HilError(f"{name}: its network laws are not finite chains of delays; a design needs them")
-    if row_sojourns > 1 and on_bus is not None:
+    if row_sojourns > 1 and on_bus:
         raise HilError(f"{name}: row_sojourns: {row_sojourns}, but stays over a CAN bus with time are not distinguished")
     period = period_s if period_s is not None else float(experiment.period)
     return _target(experiment.plant, experiment.kinds.get("plant", name), period, sc, ca)

@@ -28,7 +28,7 @@ from hil.rig.named_files import with_traffic_files
 from hil.rig.normal_form import rig_of
 from hil.rig.sensors import SharedMedium
 from transport.can_bus_model import BASE_MOST
-from transport.errors import FieldError
+from transport.errors import FieldError, NotKnown
 from transport.law_fit import fit_law
 from transport.law_fit.packet_record import PacketRecord
 
@@ -71,8 +71,8 @@ def exact_laws(loop: Loop) -> dict[str, BusLaw] | None:
     bus = _bus(loop.rig, name)
     if len(loop.rig.sensors) > 1:
         raise HilError(f"{name}: network.media.{bus.name}: {len(loop.rig.sensors)} sensor nodes, expected one")
-    delays = bus_delays(loop.rig, bus, loop.rows)
-    if isinstance(delays, str) or not delays.exact:
+    delays, _ = _delays(loop, bus)
+    if delays is None or not delays.exact:
         return None
     return {way: _exact(loop, delays, way) for way in (("sc", "ca") if bus.table.control else ("sc",))}
 
@@ -90,8 +90,16 @@ def to_estimate_from(experiment: Experiment) -> Experiment:
     return replace(experiment, duration=Seconds(slots * float(experiment.period)))
 
 
-def _bounds(loop: Loop, delays: BusDelays | str, way: str) -> tuple[float | None, int | None]:
-    if isinstance(delays, str):
+def _delays(loop: Loop, bus: SharedMedium) -> tuple[BusDelays | None, str]:
+    """Return by how many slots packets are late, or None and why that has no bound."""
+    try:
+        return bus_delays(loop.rig, bus, loop.rows), ""
+    except NotKnown as why:
+        return None, str(why)
+
+
+def _bounds(loop: Loop, delays: BusDelays | None, way: str) -> tuple[float | None, int | None]:
+    if delays is None:
         return None, None
     return delays.worst_ns[("sc", "ca").index(way)] / 1e6, _chain(loop, delays, way).max_delay
 
@@ -129,7 +137,7 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
     """
     experiment = loop.experiment
     bus = _bus(loop.rig, experiment.name)
-    delays, period, slots = bus_delays(loop.rig, bus, loop.rows), float(experiment.period), experiment.slots
+    (delays, no_bound), period, slots = _delays(loop, bus), float(experiment.period), experiment.slots
     log, found, deadline = run[BUS.name], {}, experiment.timing.deadline * float(experiment.period)
     for packet in own_packets(loop.rig, bus, loop.rows):
         way = "ca" if packet.sender == CONTROLLER else "sc"
@@ -154,7 +162,7 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         worst, largest = _bounds(loop, delays, way)
         source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
         said = fit_document(fit, way, source, notes)
-        said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": str(delays)}
+        said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": no_bound}
         spec, seeded = fit.spec, f"a run with seed {experiment.seed}"
         how = f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}"
         if fit.law_class == "none":
@@ -166,7 +174,7 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         )  # fmt: skip
         found[way] = BusLaw(
             spec=spec, how=how, exact=False, packets=len(sent), worst_ms=worst, largest_age=largest,
-            no_bound=delays if isinstance(delays, str) else "", text=text,
+            no_bound=no_bound, text=text,
         )  # fmt: skip
     return found
 

@@ -18,10 +18,11 @@ from design.verdict import Verdict
 from hil.design_questions import TrackingTarget, digest_of_design, linear_verdict, on_plant
 from hil.errors import HilError
 from hil.experiment import parse_table
-from hil.rig.delay_chains import delay_chain
-from hil.rig.receiver import Receiver, ages_of, delays_of
+from hil.rig.delay_chains import chain_of
+from hil.rig.receiver import Receiver, received
+from transport.errors import NotKnown
 from transport.law_fit.proportions import AgeRegion, behind_late, confidence_region, seen_correlations
-from transport.laws import AgeChain, ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
+from transport.laws import ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -62,16 +63,14 @@ class Measured:
         Raises:
             HilError: it has none.
         """
-        ages = ages_of(self.law, self.at)
-        found = delays_of(ages, self.at) if isinstance(ages, AgeChain) else delay_chain(self.law)
+        found = chain_of(received("law", self.law, self.at))
         if found is None:
             raise HilError(f"the law {self.fit.law_class!r} has no finite chain of ages")
         return found
 
-    def region(self, factor: float) -> DelayChain | str:
-        """Return the chain with the bounds of its confidence region, or why there is none."""
-        found = confidence_region(self.fit, self.at.max_age, factor, share=0.5)  # both directions together 95 %
-        return found if isinstance(found, str) else _chain_of(found, self.at)
+    def region(self, factor: float) -> DelayChain:
+        """Return the chain with the bounds of its confidence region; see `confidence_region`."""
+        return _chain_of(confidence_region(self.fit, self.at.max_age, factor, share=0.5), self.at)  # together 95 %
 
 
 def measured(fit: LawFit, *, holds_input: bool) -> Measured:
@@ -85,9 +84,10 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
     law: NetworkLaw = parse_table("hil.laws", fit.spec, "law")
     at = Receiver(fit.period_s, fit.deadline_s, 0, holds_input)
     if isinstance(law, PacketAges):
-        chain = law.age_chain(fit.period_s, fit.deadline_s)
-        if isinstance(chain, str):
-            raise HilError(chain)
+        try:
+            chain = law.age_chain(fit.period_s, fit.deadline_s)
+        except NotKnown as why:
+            raise HilError(str(why)) from None
         return Measured(fit=fit, law=law, at=at._replace(max_age=min(OLDEST_DISTINGUISHED, chain.bound)))
     return Measured(fit=fit, law=law, at=at._replace(max_age=max(_ages(law))))
 
@@ -111,11 +111,11 @@ def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Mea
         design: what was designed for it.
         sc, ca: both directions.
     """
-    verdict = _verdict(target, design, sc, ca, 1.0)
-    digest = digest_of_design(target, design)
-    if isinstance(verdict, str):
-        return Verdict(kind="mean-square stability", state="undecided", reason=f"no confidence region: {verdict}",
-                       method="upper bounds of every transition", digest=digest)  # fmt: skip
+    try:
+        verdict = _verdict(target, design, sc, ca, 1.0)
+    except NotKnown as why:
+        return Verdict(kind="mean-square stability", state="undecided", reason=f"no confidence region: {why}",
+                       method="upper bounds of every transition", digest=digest_of_design(target, design))  # fmt: skip
     packets = min(len(sc.fit.record.sent_s), len(ca.fit.record.sent_s))
     if verdict.state == "certified":
         said = f"mean-square stable for every chain of ages that {packets} packets leave possible, with 95 % confidence"
@@ -131,19 +131,15 @@ def region_verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Mea
     )
 
 
-def _verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, factor: float) -> Verdict | str:
-    chains = [each.region(factor) for each in (sc, ca)]
-    if isinstance(chains[0], str) or isinstance(chains[1], str):
-        return next(chain for chain in chains if isinstance(chain, str))
-    return linear_verdict(target, design, chains[0], chains[1])
+def _verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, factor: float) -> Verdict:
+    return linear_verdict(target, design, sc.region(factor), ca.region(factor))
 
 
 def _enough(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, packets: int) -> int | None:
     """Return how many packets certify the region, to 10 %; None where not even a million times as many do."""
 
     def holds(factor: float) -> bool:
-        found = _verdict(target, design, sc, ca, factor)
-        return not isinstance(found, str) and found.state == "certified"
+        return _verdict(target, design, sc, ca, factor).state == "certified"
 
     low, high = 1.0, 2.0
     while not holds(high):

@@ -17,11 +17,12 @@ from msgspec import Struct
 
 from hil.rig import RigSpec
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of
-from hil.rig.delay_chains import delay_chain
-from hil.rig.receiver import Receiver, received, recorded_chain, why_no_ages
+from hil.rig.delay_chains import chain_of
+from hil.rig.receiver import Receiver, received, recorded_chain
 from hil.rig.sensors import SharedMedium
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import frame_length
+from transport.errors import NotKnown
 from transport.laws import RecordedLaw
 
 if TYPE_CHECKING:
@@ -55,45 +56,49 @@ class BusDelays(Struct, frozen=True, kw_only=True):
         return all(late is None or late[0] == late[1] for late in (*self.sensor, *self.control))
 
 
-def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, longest: bool = False) -> BusDelays | str:
-    """Return by how many slots packets are late; or the reason why that has no bound.
+def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, longest: bool = False) -> BusDelays:
+    """Return by how many slots packets are late.
 
     Args:
         rig: its laws' files read.
         bus: its CAN bus.
         rows: of a control packet; by default one for each age.
         longest: take every frame as its longest, and every message as due without jitter: then the ages repeat.
+
+    Raises:
+        NotKnown: that has no bound.
     """
-    why = _why_unknown(rig, bus)
-    if why:
-        return why
+    _require_bounded(rig, bus)
     from transport.can_analysis.response_ranges import response_ranges
 
     rates, timed = rates_of(bus.table), _timed(rig, bus, rows, longest)
     if len({each.key() for each in timed}) < len(timed):
-        return f"two messages of network.media.{bus.name} have one identifier"
-    found = response_ranges(timed, rates)
-    if not isinstance(found, str):
-        return _by_slot(rig, bus, rows, found)
-    return f"network.media.{bus.name}: {found}" if longest else _from_any_offset(rig, bus, rows, timed, found)
+        raise NotKnown(f"two messages of network.media.{bus.name} have one identifier")
+    try:
+        found = response_ranges(timed, rates)
+    except NotKnown as why_none:
+        if longest:
+            raise NotKnown(f"network.media.{bus.name}: {why_none}") from None
+        return _from_any_offset(rig, bus, rows, timed, str(why_none))
+    return _by_slot(rig, bus, rows, found)
 
 
-def _why_unknown(rig: RigSpec, bus: SharedMedium) -> str:
-    """Return what of the rig or the traffic prevents bounds, in words; empty where nothing does."""
+def _require_bounded(rig: RigSpec, bus: SharedMedium) -> None:
+    """Raise NotKnown with what of the rig or the traffic prevents bounds."""
     at, table = f"network.media.{bus.name}", bus.table
     if len(rig.sensors) > 1:
-        return f"{at}: {len(rig.sensors)} sensor nodes; the ages of one are computed"
+        raise NotKnown(f"{at}: {len(rig.sensors)} sensor nodes; the ages of one are computed")
     if table.bit_error_rate:
-        return f"{at}.bit_error_rate: disturbed frames are sent again, any number of times, and no bound holds"
+        raise NotKnown(f"{at}.bit_error_rate: disturbed frames are sent again, any number of times, and no bound holds")
     if table.recorded:
-        return f"{at}: frames of a recording have no period, and what follows behind its end is not known"
+        raise NotKnown(f"{at}: frames of a recording have no period, and what follows behind its end is not known")
     sensor = rig.sensors[0]
     if sensor.trigger.kind != "every-slot":
         trigger = f"{sensor.path}.trigger ({sensor.trigger.kind})"
-        return f"{at}: the ages over a CAN bus with time are of a node that sends in every slot; {trigger} lets it keep silent"
+        said = f"the ages over a CAN bus with time are of a node that sends in every slot; {trigger} lets it keep silent"
+        raise NotKnown(f"{at}: {said}")
     if sensor.clock.drawn:
-        return f"{sensor.path}.clock draws when it sends"
-    return ""
+        raise NotKnown(f"{sensor.path}.clock draws when it sends")
 
 
 def _timed(rig: RigSpec, bus: SharedMedium, rows: int | None, longest: bool) -> list[PeriodicMessage]:
@@ -139,10 +144,11 @@ def _late(response: int, within: int, slot: int) -> int:
     return max(0, -(-(response - within) // slot))
 
 
-def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: ResponseRanges) -> BusDelays | str:
+def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: ResponseRanges) -> BusDelays:
     cycle, rest = divmod(lcm(ranges.hyperperiod_ns, rig.period_ns), rig.period_ns)
     if rest or cycle > MOST_SLOTS:
-        return f"network.media.{bus.name}: its traffic comes again after {cycle} slots, at most {MOST_SLOTS} are computed with"
+        said = f"its traffic comes again after {cycle} slots, at most {MOST_SLOTS} are computed with"
+        raise NotKnown(f"network.media.{bus.name}: {said}")
     every, phase = rig.sensors[0].clock.every, rig.sensors[0].clock.phase
     slot, within, ends = BitRates.units(rig.period_ns), _slots(rig), _last_frames(rig, bus, rows)
     begin = cycle * max(-(-ranges.lead[end] // ranges.count[end]) for end in ends)  # slot from which on all comes again
@@ -159,14 +165,14 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: Response
     if bus.table.buffer == "overwritten":
         for way, packets, apart in ((0, sensor, every), (1, control, 1)):
             if worst[way] > apart * BitRates.ns(slot) and packets:
-                return _replaced(bus, ("sensor", "control")[way])
+                raise _replaced(bus, ("sensor", "control")[way])
     return BusDelays(
         sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1])
     )
 
 
-def _replaced(bus: SharedMedium, sender: str) -> str:
-    return (
+def _replaced(bus: SharedMedium, sender: str) -> NotKnown:
+    return NotKnown(
         f"network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
         "less traffic above it"
     )
@@ -174,7 +180,7 @@ def _replaced(bus: SharedMedium, sender: str) -> str:
 
 def _from_any_offset(
     rig: RigSpec, bus: SharedMedium, rows: int | None, timed: Sequence[PeriodicMessage], why: str
-) -> BusDelays | str:  # fmt: skip
+) -> BusDelays:  # fmt: skip
     """Return the bounds that hold whatever the offsets are: the critical instant for every packet."""
     from transport.can_analysis import response_times
 
@@ -185,43 +191,44 @@ def _from_any_offset(
         own, within, slot = timed[end], _slots(rig)[way], BitRates.units(rig.period_ns)
         bound = bounds[own.name]
         if bound is None:
-            return f"network.media.{bus.name}: {own.name!r} has no bound: {why}"
+            raise NotKnown(f"network.media.{bus.name}: {own.name!r} has no bound: {why}")
         if bus.table.buffer == "overwritten" and bound > own.period_ns:
-            return _replaced(bus, ("sensor", "control")[way])
+            raise _replaced(bus, ("sensor", "control")[way])
         worst[way] = bound
         found.append((_late(rates.duration(own.least_length()), within, slot), _late(BitRates.units(bound), within, slot)))
     sensor = tuple(found[0] if k == clock.phase else None for k in range(clock.every))
     return BusDelays(sensor=sensor, control=tuple(found[1:]), worst_ns=(worst[0], worst[1]))
 
 
-def bus_chains(
-    rig: RigSpec, rows: int | None = None, *, longest: bool = False
-) -> tuple[DelayChain, DelayChain] | str | None:  # fmt: skip
-    """Return the chains of both ages over the CAN bus of a rig; the reason why there are none; None where it has no such bus.
+def bus_chains(rig: RigSpec, rows: int | None = None, *, longest: bool = False) -> tuple[DelayChain, DelayChain]:
+    """Return the chains of both ages over the CAN bus of a rig.
 
     Args:
         rig, rows, longest: as of `bus_delays`; of the longest frames the ages repeat, and a design takes those.
+
+    Raises:
+        NotKnown: there are none, or it has no such bus.
     """
     bus = can_bus_of(rig)
     if bus is None:
-        return None
+        raise NotKnown("it has no CAN bus with time")
     found = bus_delays(rig, bus, rows, longest=longest)
-    if isinstance(found, str):
-        return found
     ways = [received(f"{rig.sensors[0].path}.law", rig.sensors[0].law, rig.at_controller)]
     ways += [received("network.ca.law", rig.ca_law, rig.at_actuator)] if bus.table.control else []
     for way in ways:
         if way.states is None or way.states.ages.any():
-            return f"{way.path} comes behind network.media.{bus.name} and adds ages of its own; a constant age of 0 adds none"
+            said = f"comes behind network.media.{bus.name} and adds ages of its own; a constant age of 0 adds none"
+            raise NotKnown(f"{way.path} {said}")
     sc = chain_of_ages(found.sensor, rig.at_controller)
     if bus.table.control:
         return sc, chain_of_ages(found.control, rig.at_actuator)
     applied = received("network.ca.law", rig.ca_law, rig.at_actuator)
     if isinstance(applied.law, RecordedLaw):
-        recorded = recorded_chain(applied.law)
-        return f"the law of network.ca {recorded}" if isinstance(recorded, str) else (sc, recorded)
-    ca = applied.delays() if applied.of_packets else delay_chain(applied.law, states=applied.states)
-    return (sc, ca) if ca is not None else f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
+        return sc, recorded_chain(applied.law)
+    ca = chain_of(applied)
+    if ca is None:
+        raise NotKnown(f"the law of network.ca {applied.why_none}")
+    return sc, ca
 
 
 def chain_of_ages(packets: Sequence[Late | None], receiver: Receiver) -> DelayChain:

@@ -21,7 +21,7 @@ from design.controllers import (
 )
 from design.errors import FieldError
 from hil.rig import RigSpec
-from hil.rig.receiver import Received, received, why_no_ages
+from hil.rig.receiver import Received, received
 from transport.laws import NetworkLaw, SemiMarkovLaw
 from transport.laws.delay_states import DelayStates, delay_states
 from transport.wire import MAX_ROWS
@@ -105,13 +105,13 @@ def chains_of(
     arriving = tuple(received(f"{sensor.path}.law", sensor.law, rig.at_controller, stays) for sensor in rig.sensors)
     applied = received("network.ca.law", rig.ca_law, rig.at_actuator, row_sojourns)
     silent = _why_silent(rig)
-    chains = () if silent else [_chain(way, sojourns) for way in arriving]
+    chains = () if silent else [chain_of(way, sojourns) for way in arriving]
     known = tuple(chain for chain in chains if chain is not None)
     why_none = silent or _why_no_chain(rig, arriving)
     nodes = None if why_none else known
-    ca = _chain(applied, (row_sojourns,) * (rig.at_actuator.max_age + 1) if row_sojourns > 1 else (), "row_sojourns")
+    ca = chain_of(applied, (row_sojourns,) * (rig.at_actuator.max_age + 1) if row_sojourns > 1 else (), "row_sojourns")
     if not why_none and ca is None:
-        why_none = f"the law of network.ca {why_no_ages(applied.law, applied.at)}"
+        why_none = f"the law of network.ca {applied.why_none}"
     sc = None if nodes is None else product_chain(nodes, [sensor.outputs for sensor in rig.sensors], tuple(ages))
     return Chains(arriving=arriving, applied=applied, nodes=nodes, sc=sc, ca=ca, why_none=why_none)
 
@@ -134,14 +134,15 @@ def _why_no_chain(rig: RigSpec, arriving: Sequence[Received]) -> str:
 
     for sensor, way in zip(rig.sensors, arriving):
         if way.states is None:
-            return f"the law of {sensor.path} {why_no_ages(way.law, way.at)}"
+            return f"the law of {sensor.path} {way.why_none}"
     modes = prod(len(way.states.ages) for way in arriving if way.states is not None)
     if len(arriving) > 1 and modes > MOST_MODES:
         return f"the chains of {len(arriving)} nodes together have {modes} modes, at most {MOST_MODES}"
     return ""
 
 
-def _chain(way: Received, sojourns: int | Sequence[int] = (), field: str = "sojourns") -> DelayChain | None:
+def chain_of(way: Received, sojourns: int | Sequence[int] = (), field: str = "sojourns") -> DelayChain | None:
+    """Return the chain of the delay that a receiver measures, None where there is none; see `delay_chain`."""
     if way.of_packets:
         _refuse_sojourns(way.law, sojourns, field)
         return way.delays()

@@ -33,6 +33,7 @@ from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
 from hil.rig.receiver import Received, recorded_chain
 from hil.rig.schedules import as_one, no_commands
+from transport.errors import NotKnown
 from transport.laws import AgeChain, RecordedLaw
 
 if TYPE_CHECKING:
@@ -72,7 +73,10 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
         model: what it knows of the loop.
     """
     if can_bus_of(rig) is not None:
-        return _over_bus(rig, chains, controller, model)
+        try:
+            return _over_bus(rig, chains, controller, model)
+        except NotKnown as why:
+            return LoopChains(None, None, "", str(why))
     sc = None if chains.sc is None else _begins(chains.sc, chains.arriving)
     ca = None if chains.ca is None else _begins(chains.ca, (chains.applied,))
     unmet, drawn = "", (sc is not None, ca is not None)
@@ -85,17 +89,18 @@ def loop_chains(rig: RigSpec, chains: Chains, controller: Controller, model: Loo
     if ca is None:
         if not isinstance(rig.ca_law, RecordedLaw):
             return LoopChains(sc, None, "", chains.why_none if sc is not None else "the law of network.ca states no chain")
-        recorded = recorded_chain(rig.ca_law)
-        if isinstance(recorded, str):
-            return LoopChains(sc, None, "", f"the law of network.ca {recorded}")
-        ca = recorded
+        try:
+            ca = recorded_chain(rig.ca_law)
+        except NotKnown as why:
+            return LoopChains(sc, None, "", str(why))
     if sc is None:
         from hil.rig.received_ages import received_ages
 
         distinguished = _distinguished(controller, model)
-        found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
-        if isinstance(found, str):
-            return LoopChains(None, ca, "", found)
+        try:
+            found = received_ages(rig, chains.arriving, distinguished, bands=_beside_bands(rig, controller, distinguished))
+        except NotKnown as why:
+            return LoopChains(None, ca, "", str(why))
         return LoopChains(*settled(*_in_phase(found, ca, drawn)), "", "", *_slack(rig))
     return LoopChains(*settled(*_in_phase(sc, ca, drawn)), "", "")
 
@@ -124,13 +129,10 @@ def _over_bus(rig: RigSpec, chains: Chains, controller: Controller, model: LoopM
     """The chains of all ages that a CAN bus with time leaves possible."""
     by_stay = sojourns_distinguished(controller) or row_sojourns_distinguished(controller) > 1
     if not isinstance(controller, GainTable | LinearFeedback | AgedFeedback) or by_stay:
-        return LoopChains(None, None, "", "the theory of this controller knows no CAN bus with time")
+        raise NotKnown("the theory of this controller knows no CAN bus with time")
     from hil.rig.bus_delays import bus_chains
 
-    found = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
-    if found is None or isinstance(found, str):
-        return LoopChains(None, None, "", found or "")
-    sc, ca = found
+    sc, ca = bus_chains(rig, row_count(controller.start(model).selection, model.d_max))
     if ca.begins is None:  # control packets travel elsewhere
         return LoopChains(*settled(*_in_phase(sc, _begins(ca, (chains.applied,)), (False, True))), "", "")
     return LoopChains(*settled(sc, ca), "", "")

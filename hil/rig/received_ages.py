@@ -20,6 +20,7 @@ import numpy as np
 from hil.rig import RigSpec
 from hil.rig.receiver import SURE, Chance, Channel, Received, channel_of
 from hil.rig.sensors import Sensor, SharedMedium
+from transport.errors import NotKnown
 
 if TYPE_CHECKING:
     from design.processes.delay_chain import DelayChain
@@ -47,8 +48,8 @@ Turned = Iterator[tuple[object, Offers, float]]
 
 def received_ages(
     rig: RigSpec, arriving: Sequence[Received], distinguished: int | Sequence[int], *, bands: str = ""
-) -> DelayChain | str:
-    """Return the chain of the ages of every output's newest sample at the controller; or the reason why there is none.
+) -> DelayChain:
+    """Return the chain of the ages of every output's newest sample at the controller.
 
     A node with a band around what it sent counts as one that sends whenever it may, unless something keeps that from being known.
 
@@ -58,28 +59,34 @@ def received_ages(
         distinguished: how many ages 0, 1, ... the controller distinguishes, of the oldest sample or of every node; the last for
             all beyond.
         bands: why the error of a node with a dead band or a relative trigger is not bounded, a phrase; empty: it is bounded.
+
+    Raises:
+        NotKnown: there is none.
     """
     from design.processes.delay_chain import DelayChain
 
     sensors, media = rig.sensors, rig.media
     for medium in media:
         if medium.table.kind not in _MEDIA:
-            return f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows"
+            raise NotKnown(f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows")
     for sensor in sensors:
         kind, trigger = sensor.trigger.kind, f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if kind in BANDS and bands:
-            return f"{bands}: {trigger}, and by how much the sample sent last is wrong is not known then"
+            raise NotKnown(f"{bands}: {trigger}, and by how much the sample sent last is wrong is not known then")
         if kind != "every-slot" and kind not in BANDS:
-            return f"{trigger}, and the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
+            said = "the sample sent last may be wrong by any amount meanwhile; a dead band or a share has a bound"
+            raise NotKnown(f"{trigger}, and {said}")
         if sensor.clock.drawn:
-            return f"{sensor.path}.clock draws when it sends"
+            raise NotKnown(f"{sensor.path}.clock draws when it sends")
     channels: list[Channel] = []
     for way, sensor in zip(arriving, sensors):
-        found = channel_of(way)
-        if isinstance(found, str):
-            return f"{way.path}: {found}"
+        try:
+            found = channel_of(way)
+        except NotKnown as why:
+            raise NotKnown(f"{way.path}: {why}") from None
         if sensor.trigger.kind in BANDS and not found.sure:
-            return f"{way.path}: under a packet law whose ages change it is not known when what a silent node sent last has come"
+            said = "under a packet law whose ages change it is not known when what a silent node sent last has come"
+            raise NotKnown(f"{way.path}: {said}")
         channels.append(found)
     counts = [distinguished] * len(sensors) if isinstance(distinguished, int) else list(distinguished)
     on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
@@ -87,7 +94,7 @@ def received_ages(
     far = [max(each.oldest + wait, count - 2) + 1 for each, wait, count in zip(channels, waits, counts)]  # received before: held
     states, steps = _explored(sensors, media, channels, far)
     if not states:
-        return f"media, clocks and laws together have more than {MOST_STATES} states"
+        raise NotKnown(f"media, clocks and laws together have more than {MOST_STATES} states")
     ages = np.zeros((len(states), len(rig.outputs)), dtype=np.int64)
     held, label = np.zeros(ages.shape, dtype=np.bool_), np.zeros(len(states), dtype=np.int64)
     begins = np.zeros(len(states), dtype=np.bool_)

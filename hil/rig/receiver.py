@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from msgspec import Struct
 
+from transport.errors import NotKnown
 from transport.laws import AgeChain, NetworkLaw, PacketAges, PacketDelays, RecordedLaw, slots_served
 from transport.laws.delay_states import DelayStates, delay_states, measured_ages
 
@@ -33,30 +34,6 @@ class Receiver(NamedTuple):
     holds_input: bool
 
 
-def ages_of(law: NetworkLaw, receiver: Receiver) -> NetworkLaw | AgeChain:
-    """Return the chain of the ages at a receiver under a packet law that has one, any other law as it is."""
-    found = law.age_chain(receiver.period_s, receiver.deadline_s, receiver.max_age) if isinstance(law, PacketAges) else law
-    return law if isinstance(found, str) else found
-
-
-def delays_of(chain: AgeChain, receiver: Receiver) -> DelayChain:
-    """Return the delay chain of the ages at a receiver."""
-    from design.processes.delay_chain import DelayChain
-
-    ages = np.array(chain.mode_ages, dtype=np.int64)
-    oldest = receiver.max_age if receiver.holds_input else max(receiver.max_age, chain.bound)
-    return DelayChain(
-        transition=chain.transition_matrix(), delays=np.minimum(ages, oldest), labels=np.minimum(ages, receiver.max_age),
-        held=ages > oldest,
-    )  # fmt: skip
-
-
-def why_no_ages(law: NetworkLaw, receiver: Receiver) -> str:
-    """Return the reason why a law states no chain, a phrase."""
-    said = law.age_chain(receiver.period_s, receiver.deadline_s, receiver.max_age) if isinstance(law, PacketAges) else ""
-    return f"states no chain: {said}" if isinstance(said, str) and said else "states no chain: it is a packet law or a trace"
-
-
 class Received(Struct, frozen=True, kw_only=True):
     """A network law as its receiver meets it.
 
@@ -66,6 +43,7 @@ class Received(Struct, frozen=True, kw_only=True):
         at: who receives.
         ages: the chain of the ages at the receiver under a packet law that has one, any other law as it is.
         states: the chain of the measured age, None where there is none; see `transport.laws.delay_states`.
+        why_none: the reason why there is none, a phrase.
     """
 
     path: str
@@ -73,6 +51,7 @@ class Received(Struct, frozen=True, kw_only=True):
     at: Receiver
     ages: NetworkLaw | AgeChain
     states: DelayStates | None
+    why_none: str
 
     @property
     def of_packets(self) -> bool:
@@ -81,7 +60,17 @@ class Received(Struct, frozen=True, kw_only=True):
 
     def delays(self) -> DelayChain | None:
         """Return the delay chain of a packet law; None where the ages are no chain."""
-        return delays_of(self.ages, self.at) if isinstance(self.ages, AgeChain) else None
+        chain, at = self.ages, self.at
+        if not isinstance(chain, AgeChain):
+            return None
+        from design.processes.delay_chain import DelayChain
+
+        ages = np.array(chain.mode_ages, dtype=np.int64)
+        oldest = at.max_age if at.holds_input else max(at.max_age, chain.bound)
+        return DelayChain(
+            transition=chain.transition_matrix(), delays=np.minimum(ages, oldest), labels=np.minimum(ages, at.max_age),
+            held=ages > oldest,
+        )  # fmt: skip
 
     def neglects(self) -> str:
         """Return what the chain neglects, a phrase; empty where it is exact."""
@@ -114,8 +103,14 @@ def received(path: str, law: NetworkLaw, at: Receiver, stays: int = 1) -> Receiv
         at: who receives.
         stays: lengths of stay at an age that the receiver distinguishes.
     """
-    ages = ages_of(law, at)
-    return Received(path=path, law=law, at=at, ages=ages, states=delay_states(ages, stays))
+    ages: NetworkLaw | AgeChain = law
+    why = "it is a packet law or a trace"
+    if isinstance(law, PacketAges):
+        try:
+            ages = law.age_chain(at.period_s, at.deadline_s, at.max_age)
+        except NotKnown as reason:
+            why = str(reason)
+    return Received(path=path, law=law, at=at, ages=ages, states=delay_states(ages, stays), why_none=f"states no chain: {why}")
 
 
 MOST_ENTRIES = 1024
@@ -127,23 +122,32 @@ OnWay = tuple[int, ...]
 """A node's samples on their way, in ages and slots."""
 
 
-def recorded_cycle(law: RecordedLaw) -> np.ndarray | str:
-    """Return the ages that a receiver measures slot by slot once a recording repeats; or why there is no such cycle."""
+def recorded_cycle(law: RecordedLaw) -> np.ndarray:
+    """Return the ages that a receiver measures slot by slot once a recording repeats.
+
+    Raises:
+        NotKnown: there is no such cycle, or it is too long.
+    """
     if (slots := slots_served(law)) is not None:
-        return f"the recording ends after {slots} slots, and what follows is not known"
+        raise NotKnown(f"the recording ends after {slots} slots, and what follows is not known")
     ages = law.recorded()
     if len(ages) > MOST_ENTRIES:
-        return f"the recording has {len(ages)} entries, at most {MOST_ENTRIES} are computed with"
+        raise NotKnown(f"the recording has {len(ages)} entries, at most {MOST_ENTRIES} are computed with")
     return measured_ages(np.tile(ages, 2 + int(ages.max()) // len(ages)))[-len(ages) :]
 
 
-def recorded_chain(law: RecordedLaw) -> DelayChain | str:
-    """Return the chain of ages that are recorded on the way to the actuator; or why there is none."""
+def recorded_chain(law: RecordedLaw) -> DelayChain:
+    """Return the chain of ages that are recorded on the way to the actuator.
+
+    Raises:
+        NotKnown: there is none.
+    """
     from design.processes.delay_chain import DelayChain
 
-    cycle = recorded_cycle(law)
-    if isinstance(cycle, str):
-        return f"states no chain: {cycle}"
+    try:
+        cycle = recorded_cycle(law)
+    except NotKnown as why:
+        raise NotKnown(f"the law of network.ca states no chain: {why}") from None
     return DelayChain(transition=np.roll(np.eye(len(cycle)), 1, axis=1), delays=cycle, begins=np.arange(len(cycle)) == 0)
 
 
@@ -262,19 +266,22 @@ def _arrived(newest: int, flying: list[tuple[int, int]], far: int) -> OnWay:
     return (newest, *(number for due, age in flying if due > 0 and age < newest for number in (due, age)))
 
 
-def channel_of(way: Received) -> Channel | str:
-    """Return the channel of a node's law to the controller; or the reason why its states are not known."""
+def channel_of(way: Received) -> Channel:
+    """Return the channel of a node's law to the controller.
+
+    Raises:
+        NotKnown: what its states are.
+    """
     law = way.law
     if isinstance(law, RecordedLaw):
         cycle = recorded_cycle(law)
-        if isinstance(cycle, str):
-            return cycle
         count = len(cycle)
         return AgeChannel(tuple(cycle.tolist()), tuple((((i + 1) % count, SURE),) for i in range(count)), (0,))
     if isinstance(law, PacketDelays):
-        comes = law.delay_chances(way.at.period_s, way.at.deadline_s)
-        if isinstance(comes, str):
-            return f"states no chain: {comes}"
+        try:
+            comes = law.delay_chances(way.at.period_s, way.at.deadline_s)
+        except NotKnown as why:
+            raise NotKnown(f"states no chain: {why}") from None
         return PacketChannel(
             comes=tuple(comes.tolist()), losses=tuple(law.channel_losses()),
             matrix=tuple(map(tuple, law.transition_matrix().tolist())), in_order=not law.reordering,
@@ -282,9 +289,9 @@ def channel_of(way: Received) -> Channel | str:
         )  # fmt: skip
     states = way.states
     if way.of_packets:
-        return "states the ages of packets that are sent in every slot, and not how late each of them comes (delay_chances)"
+        raise NotKnown("states the ages of packets sent in every slot, and not how late each of them comes (delay_chances)")
     if states is None:
-        return why_no_ages(law, way.at)
+        raise NotKnown(way.why_none)
     follows = tuple(
         tuple((j, (float(states.matrix[i, j]), float(states.low[i, j]), float(row[j]))) for j in np.flatnonzero(row).tolist())
         for i, row in enumerate(states.high)

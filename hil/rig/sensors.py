@@ -14,6 +14,7 @@ from design.controllers import SensorNodes, Turns, packet_samples
 from hil.errors import nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
+from transport.errors import NotKnown
 from transport.laws import BoundedAge, NetworkLaw
 from transport.laws.delay_states import delay_states
 from transport.links.can_identifiers import FRAGMENTS, derived
@@ -180,26 +181,30 @@ def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[SharedMedium]) -> S
     """
     mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
     on_bus = bool(shared) and not mixed and shared[0].table.kind == "can-arbitration"
-    turns = _turns(shared[0], sensors) if shared and not mixed else None
+    turns, unforeseen = None, ""
+    if shared and not mixed:
+        try:
+            turns = _turns(shared[0], sensors)
+        except NotKnown as why:
+            unforeseen = str(why)
     return SensorNodes(
         names=tuple(s.name for s in sensors),
         outputs=tuple(s.outputs for s in sensors),
         buffers=tuple(s.buffer for s in sensors),
         delays=tuple(_constant_delay(s.law) for s in sensors),
-        turns=turns if isinstance(turns, Turns) else None,
+        turns=turns,
         silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot" or (s.clock.every > 1 and not on_bus)),
         mixed=mixed,
-        unforeseen=turns if isinstance(turns, str) else "",
+        unforeseen=unforeseen,
     )
 
 
-def _turns(shared: SharedMedium, sensors: Sequence[Sensor]) -> Turns | str:
+def _turns(shared: SharedMedium, sensors: Sequence[Sensor]) -> Turns:
     table = shared.table
     if table.kind == "can":
-        return "the theory knows no chain of the delays that a CAN bus in time makes"
+        raise NotKnown("the theory knows no chain of the delays that a CAN bus in time makes")
     if table.kind == "can-arbitration":
-        received = bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors])
-        return received if isinstance(received, str) else Turns(received=received, loss=table.loss)
+        return Turns(received=bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors]), loss=table.loss)
     if table.kind == "round-robin":
         return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
     position = {node: i for i, node in enumerate(shared.nodes)}
@@ -222,8 +227,8 @@ MOST_PHASES = 64
 BusCycle = tuple[tuple[tuple[int, int], ...], ...]
 
 
-def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle | str:
-    """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries; or why there is no such cycle.
+def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle:
+    """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries.
 
     There is one where the clocks of its nodes draw nothing.
 
@@ -234,6 +239,9 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
         clocks: of all nodes, by number.
         frames: frames that the bus carries in a slot.
         identifiers: of all nodes, of which the lowest wins; by default their numbers.
+
+    Raises:
+        NotKnown: there is no such cycle, or it is too long.
     """
     from transport.medium.scheduled import Arbitration
 
@@ -241,10 +249,11 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     rank = {node: place for place, node in enumerate(order)}
     drawn = [i for i, clock in enumerate(clocks) if clock.drawn]
     if drawn:
-        return f"the theory knows no bus whose nodes have clocks that draw: nodes {drawn}"
+        raise NotKnown(f"the theory knows no bus whose nodes have clocks that draw: nodes {drawn}")
     common = lcm(*(clock.every for clock in clocks))
     if common > MOST_PHASES:
-        return f"the clocks of the nodes come together every {common} slots, the theory takes cycles of {MOST_PHASES} slots"
+        said = f"the clocks of the nodes come together every {common} slots"
+        raise NotKnown(f"{said}, the theory takes cycles of {MOST_PHASES} slots")
     running, bus = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks], Arbitration(frames)
     carried: list[tuple[tuple[int, int], ...]] = []
     seen: dict[tuple[tuple[int, int], ...], int] = {}
@@ -262,9 +271,9 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
         carried.append(tuple((order[place], k - waiting.slot) for place, waiting in bus.winners()))
     period = len(carried) - first
     if period > MOST_PHASES:
-        return f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots"
+        raise NotKnown(f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots")
     cycle = tuple(carried[first + (k - first) % period] for k in range(period))
     for k in range(first):
         if carried[k] != tuple((node, age) for node, age in cycle[k % period] if age <= k):
-            return f"the bus needs {first} slots until it repeats itself, and the theory takes it from slot 0"
+            raise NotKnown(f"the bus needs {first} slots until it repeats itself, and the theory takes it from slot 0")
     return cycle

@@ -25,6 +25,7 @@ from typing import Final
 from transport.can_analysis import InUnits, PeriodicMessage, in_order
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import INTERMISSION
+from transport.errors import NotKnown
 
 MOST_FRAMES: Final = 40_000
 """Frames that are followed, over all hyperperiods."""
@@ -64,14 +65,15 @@ class ResponseRanges:
         return self.ranges[message, at]
 
 
-def response_ranges(messages: Sequence[PeriodicMessage], rates: BitRates) -> ResponseRanges | str:
-    """Return how long every instance of every message takes; or in words why that is not known.
+def response_ranges(messages: Sequence[PeriodicMessage], rates: BitRates) -> ResponseRanges:
+    """Return how long every instance of every message takes.
 
     Args:
         messages: all that is sent on the bus, with offsets; each node queues by priority, and nothing is disturbed.
         rates: of the bus.
 
     Raises:
+        NotKnown: the ranges do not repeat, or too many orders are possible.
         ValueError: two messages have one identifier.
     """
     order = in_order(messages, rates)
@@ -80,9 +82,9 @@ def response_ranges(messages: Sequence[PeriodicMessage], rates: BitRates) -> Res
     frames = sum(count)
     if 2 * frames > MOST_FRAMES:
         said = f"the messages come again after {rates.ns(cycle) / 1e9:g} s and {frames} frames"
-        return f"{said}, at most {MOST_FRAMES // 2} are followed"
+        raise NotKnown(f"{said}, at most {MOST_FRAMES // 2} are followed")
     if sum(each.length * n for each, n in zip(order, count)) > cycle:
-        return "the messages may need more than the whole bus"
+        raise NotKnown("the messages may need more than the whole bus")
     found: dict[tuple[int, int], Interval] = {}
     states, before, last = _idle({(0,) * len(order): [(0, 0)]}, order), None, ()
     for passed in range(MOST_FRAMES // frames + 1):
@@ -93,8 +95,8 @@ def response_ranges(messages: Sequence[PeriodicMessage], rates: BitRates) -> Res
         for _ in range(frames):
             states = _idle(_next(states, order, found, gap), order)
             if sum(map(len, states.values())) > MOST_ORDERS:
-                return f"frames may come in more than {MOST_ORDERS} orders"
-    return f"after {passed} times {rates.ns(cycle) / 1e9:g} s the bus is still not where it was before"
+                raise NotKnown(f"frames may come in more than {MOST_ORDERS} orders")
+    raise NotKnown(f"after {passed} times {rates.ns(cycle) / 1e9:g} s the bus is still not where it was before")
 
 
 def _next(states: States, order: Sequence[InUnits], found: dict[tuple[int, int], Interval], gap: int) -> States:

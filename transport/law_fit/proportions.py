@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special, stats
 
+from transport.errors import NotKnown
 from transport.law_fit.packet_record import delays_in_slots
 
 if TYPE_CHECKING:
@@ -260,26 +261,29 @@ def arrivals(fit: LawFit) -> Arrivals:
     )
 
 
-def confidence_region(fit: LawFit, reach: int, factor: float = 1.0, share: float = 1.0) -> AgeRegion | str:
-    """Return the region of the chain of ages, or in words why there is none.
+def confidence_region(fit: LawFit, reach: int, factor: float = 1.0, share: float = 1.0) -> AgeRegion:
+    """Return the region of the chain of ages.
 
     Args:
         fit: what was fitted.
         reach: ages up to this one are distinguished.
         factor: as if so many times the packets had been counted, in the same shares.
         share: of the 5 % that may miss.
+
+    Raises:
+        NotKnown: there is none.
     """
     if fit.law_class in ("constant", "independent"):
         if fit.record.until_s is not None and np.isfinite(fit.record.until_s).any():
-            return "packets that were overtaken were not recorded"
+            raise NotKnown("packets that were overtaken were not recorded")
         return _of_packets(fit, reach, factor, MISS * share)
     if fit.law_class == "markov":
         return _of_ages(fit, factor, MISS * share)
     if fit.law_class == "gilbert-elliott":
-        return "losses come in bursts, and in which mode the channel was cannot be counted"
+        raise NotKnown("losses come in bursts, and in which mode the channel was cannot be counted")
     if fit.law_class == "semi-markov":
-        return "the tails of sojourn times cannot be counted"
-    return "no class of law explains the record"
+        raise NotKnown("the tails of sojourn times cannot be counted")
+    raise NotKnown("no class of law explains the record")
 
 
 def _of_packets(fit: LawFit, reach: int, factor: float, miss: float) -> AgeRegion:

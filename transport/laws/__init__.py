@@ -184,8 +184,12 @@ class ChannelLaw(MarkovModes, Protocol):
 class PacketAges(Protocol):
     """A packet law whose ages may be a Markov chain, once the slots are known."""
 
-    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> AgeChain | str:
-        """Return the chain of the ages of the newest packet, those up to `reach` distinguished; in words why there is none."""
+    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> AgeChain:
+        """Return the chain of the ages of the newest packet, those up to `reach` distinguished.
+
+        Raises:
+            NotKnown: there is none.
+        """
 
 
 @runtime_checkable
@@ -196,8 +200,12 @@ class PacketDelays(MarkovModes, Protocol):
     def reordering(self) -> bool:
         """Whether a packet may overtake an earlier one; otherwise it waits for those that are not lost."""
 
-    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
-        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
+    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64]:
+        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,).
+
+        Raises:
+            NotKnown: nothing is known of it.
+        """
 
     def channel_losses(self) -> Sequence[float]:
         """Return the probability that a packet is lost, in every mode of the channel."""

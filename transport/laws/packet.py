@@ -173,12 +173,12 @@ class PacketLaw:
             leaves = [own & (delay <= self.discard_older) for own, delay in zip(leaves, late)]
         return newest_received(leaves, late, reordering=self.reordering, queue=self.queue)
 
-    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain | str:
-        """Return the chain of the ages of the newest packet, or in words why there is none; see `packet_chain`."""
+    def age_chain(self, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain:
+        """Return the chain of the ages of the newest packet; see `packet_chain`."""
         return packet_chain(self, latency(self.latency), period_s, deadline_s, reach)
 
-    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64] | str:
-        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); or why nothing is known."""
+    def delay_chances(self, period_s: float, deadline_s: float) -> NDArray[np.float64]:
+        """Return Pr(a packet that the channel does not lose comes first j slots late), (J + 1,); see `first_arrivals`."""
         return first_arrivals(self, latency(self.latency), period_s, deadline_s)
 
     def transition_matrix(self) -> NDArray[np.float64]:

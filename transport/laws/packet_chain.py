@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from transport.draws import SLOT_TOLERANCE
+from transport.errors import NotKnown
 from transport.laws.latency import Latency, LatencyTrace, QuantileTable
 
 if TYPE_CHECKING:
@@ -70,24 +71,25 @@ def arrival_ages(
     return np.maximum(-np.diff(missed, prepend=1.0), 0.0)
 
 
-def first_arrivals(
-    law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float
-) -> NDArray[np.float64] | str:
-    """Return what `arrival_ages` says of a law whose packets come independently of each other, or wait; or in words why not.
+def first_arrivals(law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float) -> NDArray[np.float64]:
+    """Return what `arrival_ages` says of a law whose packets come independently of each other, or wait.
 
     Args:
         law: the packet law.
         latencies, period_s, deadline_s: see `packet_chain`.
+
+    Raises:
+        NotKnown: they do neither, or have no bound that can be computed with.
     """
     if isinstance(latencies, LatencyTrace):
-        return "its latencies are a recorded trace"
+        raise NotKnown("its latencies are a recorded trace")
     if not law.reordering and law.duplication > 0.0:
-        return "packets wait for the copies of those before them (reordering = false, duplication > 0)"
+        raise NotKnown("packets wait for the copies of those before them (reordering = false, duplication > 0)")
     longest, bound = _reach(latencies, law.discard_older, period_s, deadline_s)
     if bound > MOST_STATES:
-        return f"latencies reach {bound} slots, at most {MOST_STATES}{_bounds(law, longest)}"
+        raise NotKnown(f"latencies reach {bound} slots, at most {MOST_STATES}{_bounds(law, longest)}")
     if (bound + 1) * (1 + (law.duplication > 0.0)) > law.queue:
-        return f"its queue of {law.queue} may be full, as latencies reach {bound} slots"
+        raise NotKnown(f"its queue of {law.queue} may be full, as latencies reach {bound} slots")
     return arrival_ages(latencies, law.duplication, law.discard_older, period_s, deadline_s)
 
 
@@ -101,10 +103,8 @@ def _bounds(law: PacketLaw, longest: int) -> str:
     return "" if law.discard_older is not None and law.discard_older < longest else "; discard_older = J bounds it"
 
 
-def packet_chain(
-    law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float, reach: int = 0
-) -> PacketChain | str:
-    """Return the chain of the ages, or in words why there is none.
+def packet_chain(law: PacketLaw, latencies: Latency, period_s: float, deadline_s: float, reach: int = 0) -> PacketChain:
+    """Return the chain of the ages.
 
     A packet is of age i in slot k when it was sent in slot k - i. Given that the newest packet that has come is of age a, none of
     the a packets behind it has come. Latencies are independent: each of these comes in the next slot with a probability of its
@@ -128,19 +128,20 @@ def packet_chain(
         latencies: its latencies.
         period_s, deadline_s: length of a slot, and when it closes, s.
         reach: ages up to this one are distinguished, whatever the longest latency.
+
+    Raises:
+        NotKnown: there is none.
     """
     if isinstance(latencies, LatencyTrace):
-        return "its latencies are a recorded trace"
+        raise NotKnown("its latencies are a recorded trace")
     longest, bound = _reach(latencies, law.discard_older, period_s, deadline_s)
     modes = len(law.channel_losses())
     windows = modes ** min(bound, 20)
     states = max(bound, reach) + 2 if modes == 1 else (3 + max(0, reach - bound)) * windows
     if states > MOST_STATES:
         said = f"latencies reach {bound} slots, so that its chain has {states} states, at most {MOST_STATES}"
-        return said + _bounds(law, longest)
+        raise NotKnown(said + _bounds(law, longest))
     arrives = first_arrivals(law, latencies, period_s, deadline_s)
-    if isinstance(arrives, str):
-        return arrives
     cut = latencies.cut if law.discard_older is None or law.discard_older >= longest else 0.0
     return _explored(law, arrives, max(bound, reach) + 1, bound, cut)
 

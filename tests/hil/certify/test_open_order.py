@@ -27,7 +27,7 @@ def modes_of(loop: Loop) -> tuple[np.ndarray, np.ndarray]:
     """Closed-loop matrices and which of them may follow which, built apart from the certifier's."""
     from design.networked_loop.closed_loop import loop_structure
 
-    sc, ca = bus_chains(loop.rig, loop.rows)  # type: ignore[misc]
+    sc, ca = bus_chains(loop.rig, loop.rows)
     controller, model = loop.controller, loop.model
     gains = gains_within(np.array(controller.table(model)), controller.selection, sc, ca)  # type: ignore[attr-defined]
     structure = loop_structure(model.A, model.B, model.C, sc, ca, controller.selection, samples=loop.samples)  # type: ignore[attr-defined]

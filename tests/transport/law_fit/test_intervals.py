@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
+from transport.errors import NotKnown
 from transport.law_fit import fit_law
 from transport.law_fit.age_models import fit_ages
 from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
@@ -33,7 +34,6 @@ def test_wilsons_interval_of_arrivals_covers_in_93_to_97_percent() -> None:
     """h_0 of a gamma latency with loss, from 10^4 packets in each of 2000 records."""
     law = PacketLaw(latency={"dist": "gamma", "a": 2.0, "scale": "4 ms"}, loss=0.05)
     chain = law.age_chain(T, DEADLINE)
-    assert not isinstance(chain, str)
     truth = float(chain.matrix[0, 0])
     counts = np.random.default_rng(0).binomial(10_000, truth, RUNS)
     covered = np.mean([low <= truth <= high for low, high in (wilson(c, 10_000) for c in counts.tolist())])
@@ -185,14 +185,12 @@ def test_the_region_holds_the_chain_that_runs(loss: float) -> None:
     """Of 20 records fewer than 5 % may miss; 6 misses or more come once in 3000. A region of half the width misses often."""
     law = PacketLaw(latency={"table": [[0, "2 ms"], [1, "22 ms"]]}, loss=loss)
     chain = law.age_chain(T, DEADLINE, 3)
-    assert not isinstance(chain, str)
     missed = narrow = 0
     for seed in range(20):
         rng = np.random.default_rng([3, seed])
         latency = np.where(rng.random(1000) < loss, np.nan, rng.uniform(2e-3, 22e-3, 1000))
         fit = fit_law(PacketRecord(sent_s=np.arange(1000) * T, latency_s=latency), T, DEADLINE)
         region = confidence_region(fit, 3)
-        assert not isinstance(region, str), region
         size = min(3, len(chain.matrix))
         true, low, high = chain.matrix[:size, :size], region.low[:size, :size] - 1e-12, region.high[:size, :size] + 1e-12
         missed += not ((low <= true) & (true <= high)).all()
@@ -206,7 +204,6 @@ def test_more_packets_make_the_region_narrower_and_it_keeps_what_was_seen() -> N
     rng = np.random.default_rng(0)
     fit = fit_law(PacketRecord(sent_s=np.arange(2000) * T, latency_s=rng.uniform(2e-3, 22e-3, 2000)), T, DEADLINE)
     few, many = confidence_region(fit, 2), confidence_region(fit, 2, factor=100.0)
-    assert not isinstance(few, str) and not isinstance(many, str)
     assert ((few.low <= few.matrix) & (few.matrix <= few.high)).all()
     assert (many.high - many.low).max() < 0.15 * (few.high - few.low).max()
     counted = arrivals(fit)
@@ -220,7 +217,8 @@ def test_what_cannot_be_counted_has_no_region() -> None:
     latency = np.where(lost, np.nan, 1e-3)
     fit = fit_law(PacketRecord(sent_s=np.arange(len(lost)) * T, latency_s=latency), T, DEADLINE)
     assert fit.law_class == "gilbert-elliott"
-    assert "mode" in str(confidence_region(fit, 1))
+    with pytest.raises(NotKnown, match="mode"):
+        confidence_region(fit, 1)
     assert arrivals(fit).shares() == [(float(1.0 - lost.mean()), None)]  # Wilson's would cover in 63 %
 
 
