@@ -13,6 +13,7 @@ from typing import Final, Literal
 import msgspec
 import numpy as np
 from msgspec import Struct, field
+from msgspec.structs import replace
 
 Kind = Literal[
     "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
@@ -70,6 +71,16 @@ class Verdict(Struct, frozen=True, kw_only=True):
     def certified(self) -> bool:
         """Whether the claim is proved."""
         return self.state == "certified"
+
+    def assuming(self, *assumptions: str) -> Verdict:
+        """Return it with further assumptions, each once."""
+        return replace(self, assumptions=tuple(dict.fromkeys((*self.assumptions, *assumptions))))
+
+    def undecided(self, reason: str) -> Verdict:
+        """Return it as undecided, for this reason; one that is undecided keeps its own."""
+        if self.state == "undecided":
+            return self
+        return replace(self, state="undecided", reason=reason, details={**self.details, "stable": False})
 
     def to_json(self) -> dict[str, object]:
         """Return the verdict as a dictionary that ``json.dumps`` takes; the details stand beside the other keys."""

@@ -153,7 +153,7 @@ def limited_to_model(
         beyond += ("jumps between modes",)
     if not beyond:
         return verdict
-    return _undecide(verdict, f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")
+    return verdict.undecided(f"{verdict.state} for the plant's model; not decided with {', '.join(beyond)}")
 
 
 def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict:
@@ -164,11 +164,8 @@ def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict
     """
     if not loop.damped or (verdict.kind == "passivity" and verdict.certified):
         return verdict
-    return _undecide(
-        verdict,
-        f"{verdict.state} without the passivity controller at the rig; undecided with the force that this controller adds "
-        f"({verdict.reason})",
-    )
+    without = f"{verdict.state} without the passivity controller at the rig"
+    return verdict.undecided(f"{without}; undecided with the force that this controller adds ({verdict.reason})")
 
 
 FROM_REST: Final = {
@@ -182,7 +179,7 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Extend a verdict on the loop without the faults on its time line to the loop with them.
 
     A fault that is over is left behind in finitely many slots: what it took is then too old to be used, what a restart forgot has
-    come again (or is waited for, see `limited_to_received`), and a mode that was seen late, or a stay that was counted anew, has
+    come again (or is waited for, see `limited_to_received`), and a mode that was seen late, or a stay that was counted again, has
     changed or has lasted so long that no gain distinguishes it. In these slots every map is bounded, a restart is a linear map
     that resets a part of the state, and an answer of zeros instead of u* is bounded. So E|x|^2 is finite where the loop is again
     that of the verdict, and what is proved, or refuted, from any state and mode is so there: mean-square stability, and bounds
@@ -194,7 +191,7 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     why = loop.whole if isinstance(loop.whole, str) else FROM_REST.get(verdict.kind, "") if verdict.certified else ""
     if why:
         without = f"{verdict.state} without what happens on the time line ({faults})"
-        return _undecide(verdict, f"{without}; undecided with it, as {why}: {verdict.reason}")
+        return verdict.undecided(f"{without}; undecided with it, as {why}: {verdict.reason}")
     reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}"
     if verdict.certified and verdict.kind == "guaranteed cost":
         return msgspec.structs.replace(verdict, kind="mean-square stability", reason=f"{reason}; the cost is that without them")
@@ -203,7 +200,7 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
 
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     """Extend a verdict on the loop without the packets that its chains neglect to the loop with them."""
-    return _undecide(verdict, f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
+    return verdict.undecided(f"{verdict.state} but for what is left out: {loop.neglects}") if loop.neglects else verdict
 
 
 def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict:
@@ -213,7 +210,7 @@ def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict
     """
     rate = float(np.abs(np.linalg.eigvals(loop.motion.A)).max())
     if verdict.state == "refused" and loop.silent and rate <= 1.0:
-        return _undecide(verdict, f"{verdict.reason} if the controller acted; {loop.silent}, and until then the input is 0")
+        return verdict.undecided(f"{verdict.reason} if the controller acted; {loop.silent}, and until then the input is 0")
     if verdict.state == "undecided" and loop.silent:
         return msgspec.structs.replace(verdict, reason=f"{verdict.reason}; {loop.silent}")
     if not verdict.certified or rate <= 1.0 or loop.sc is None or not loop.waited:
@@ -229,17 +226,10 @@ def limited_to_received(loop: CertificationProblem, verdict: Verdict) -> Verdict
     )
     sure = growth > 1.0 + WAITS_TOO_LONG and loop.sc.between is None
     return msgspec.structs.replace(
-        _undecide(verdict, f"{verdict.state} once it acts; {waits}"), kind="mean-square stability", number=growth, limit=1.0,
+        verdict.undecided(f"{verdict.state} once it acts; {waits}"), kind="mean-square stability", number=growth, limit=1.0,
         quantity=UNTIL_ALL_CAME,
         state="refused" if sure else "undecided",
     )  # fmt: skip
-
-
-def _undecide(verdict: Verdict, reason: str) -> Verdict:
-    """Return the verdict as undecided, with this reason; one that is undecided already keeps its own."""
-    if verdict.state == "undecided":
-        return verdict
-    return msgspec.structs.replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
 
 
 STATES = {

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 import numpy as np
-from msgspec.structs import replace
 
 from design.errors import TooLarge
 from design.verdict import Verdict
@@ -101,7 +100,7 @@ def judge(loop: CertificationProblem, asked: Iterable[Certifier] | None = None) 
             if verdict.digest != loop.digest:
                 raise ForeignVerdict(f"{certifier!r}: its verdict is on system {verdict.digest[:12]}, not on {loop.digest[:12]}")
             if loop.unmet and verdict.state != "undecided":
-                verdict = replace(verdict, assumptions=(*verdict.assumptions, loop.unmet))
+                verdict = verdict.assuming(loop.unmet)
             verdict = limited_to_received(loop, verdict)
             return limited_to_sound(loop, limited_to_undamped(loop, limited_to_whole(loop, verdict)))
     return undecided(loop, "mean-square stability", why_no_controller(loop.controller))

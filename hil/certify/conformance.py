@@ -77,7 +77,7 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
         if state == "refused" or (state is not None and verdict.state != "undecided"):
             return replace(verdict, state=state, reason=str(said), details={**verdict.details, "stable": False})
         assumptions += said if state is None else ()
-    return verdict if verdict.state == "undecided" else replace(verdict, assumptions=(*verdict.assumptions, *assumptions))
+    return verdict if verdict.state == "undecided" else verdict.assuming(*assumptions)
 
 
 def without_loop(plant: Plant, model: LoopModel, digest: str = "") -> CertificationProblem:

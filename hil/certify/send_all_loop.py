@@ -11,7 +11,6 @@ from math import isnan
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import (
@@ -238,4 +237,4 @@ def judge_linear_law(
             between=loop.between, stays=loop.stays, hinf=True,
         )  # fmt: skip
     verdict = second_moment_verdict(certificate, digest)
-    return verdict if not unseen else replace(verdict, assumptions=(*verdict.assumptions, UNSEEN.format(unseen)))
+    return verdict.assuming(UNSEEN.format(unseen)) if unseen else verdict

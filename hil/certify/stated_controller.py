@@ -180,7 +180,7 @@ def _wall(starts: tuple[Start, Start], excitation: Excitation, loop: Certificati
         if own.shape != expected.shape or not float(np.abs(own - expected).max()) <= EQUAL * scale:
             k = 0 if own.shape != expected.shape else int(np.abs(own - expected).max(axis=(1, 2)).argmax())
             return "refused", (
-                f"{NAME}: pressed {1e3 * size:g} mm deep it answers otherwise than its wall and coupler, in slot {slots[k]}"
+                f"{NAME}: pressed {1e3 * size:g} mm deep it answers differently from its wall and coupler, in slot {slots[k]}"
             )
     return None, (f"the wall answers as its coupler and materials say: compared in {len(slots)} slots, down to 10 mm deep",)
 

@@ -45,7 +45,7 @@ LAWS_NOT_COMPARED: Final = "its network laws are not compared with their chains 
 
 
 def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = True) -> Loop:
-    """Return the loop that runs from a slot on. Gains that were solved stay: only another controller is solved anew.
+    """Return the loop that runs from a slot on. Gains that were solved stay: only another controller is solved again.
 
     Args:
         loop: what runs until then.
@@ -66,7 +66,7 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
     if table is None or (table in ON_THE_TIME_LINE and path != table):
         raise _fixed(loop, path)
     if table.startswith("network.") and loop.rig.media:
-        raise ExperimentError(e.name, [f"{path}: nodes on a shared medium keep their network; begin anew with --set"])
+        raise ExperimentError(e.name, [f"{path}: nodes on a shared medium keep their network; restart with --set"])
     if table == "network.nodes" and not _is_law(loop, path):
         known = " or ".join(f"network.nodes.{sensor.name}.law" for sensor in loop.rig.sensors)
         raise ExperimentError(e.name, [f"{path}: of a sensor node its law may change in a run: {known}"])
@@ -117,7 +117,7 @@ def _fixed(loop: Loop, path: str) -> ExperimentError:
     e = loop.experiment
     fields = e.plant.may_change() if isinstance(e.plant, GoesOn) else ()
     what = ", ".join((*ON_THE_TIME_LINE, *REPLACED, *(PLANT + name for name in fields)))
-    message = f"{path}: does not change while it runs (what does: {what}); begin anew with --set {path}=..."
+    message = f"{path}: does not change while it runs (what does: {what}); restart with --set {path}=..."
     return ExperimentError(e.name, [message])
 
 
@@ -157,12 +157,9 @@ def _some_modes(plant: Plant) -> bool:
 
 
 def _assuming(loop: Loop, *more: str, anywhere: bool = False) -> Loop:
-    """Say in a certificate what nothing compares in a run that was changed; of a plant that is anywhere, in any mode, nothing."""
+    """Add to a certificate what is not compared in a changed run; `anywhere` as of `_in_the_run`."""
     verdict = None if loop.verdict is None else _in_the_run(loop.verdict, anywhere=anywhere)
-    if verdict is None or not verdict.certified:
-        return dataclasses.replace(loop, verdict=verdict)
-    own = (*verdict.assumptions, *(each for each in more if each not in verdict.assumptions))
-    return dataclasses.replace(loop, verdict=replace(verdict, assumptions=own))
+    return dataclasses.replace(loop, verdict=verdict).assuming(*more)
 
 
 def _in_the_run(verdict: Verdict, *, anywhere: bool = False) -> Verdict:
@@ -181,10 +178,10 @@ def _in_the_run(verdict: Verdict, *, anywhere: bool = False) -> Verdict:
         why = "which nodes a packet has come of by then is not known"
     elif anywhere:
         why = "in which mode the plant is then is not known"
-    if not why or verdict.state == "undecided":
+    if not why:
         return verdict
-    reason = f"{verdict.state} from slot 0 on; not decided from a change in the run on, as {why} ({verdict.reason})"
-    return replace(verdict, state="undecided", reason=reason, details={**verdict.details, "stable": False})
+    begun = f"{verdict.state} from slot 0 on; not decided from a change in the run on"
+    return verdict.undecided(f"{begun}, as {why} ({verdict.reason})")
 
 
 def _fits(before: Loop, after: Loop, path: str) -> None:
@@ -197,7 +194,7 @@ def _fits(before: Loop, after: Loop, path: str) -> None:
         "lengths of stay with a row each": lambda loop: loop.rig.row_sojourns,
     }
     faults = [
-        f"{path}: {what}: {of(after)}, and the run has {of(before)}; begin anew with --set {path}=..."
+        f"{path}: {what}: {of(after)}, and the run has {of(before)}; restart with --set {path}=..."
         for what, of in looks.items() if of(before) != of(after)
     ]  # fmt: skip
     if faults:
@@ -211,7 +208,7 @@ Of the plant: what only leads it from within, by `GoesOn.own_way`.
 """
 
 IN_ITS_PROCESS: Final = "the controller is a process of its own, which was started with its parameters"
-TABULATED: Final = "the plant tabulates other equations anew, which may take longer than a slot"
+TABULATED: Final = "the plant tabulates other equations, which may take longer than a slot"
 
 
 def refuse_in_real_time(loop: Loop, path: str) -> None:

@@ -85,7 +85,7 @@ def judge(
         if behind > STOPPED:
             said = f"by its faults the watchdog stops about {float(f'{100.0 * behind:.2g}'):g} % of the runs"
             assumed += (f"{said}, of which nothing is claimed",)
-        verdict = replace(verdict, assumptions=(*verdict.assumptions, *assumed))
+        verdict = verdict.assuming(*assumed)
     if external:
         return of_external(verdict, experiment.kinds.get("controller", "")), watched
     if not (verdict.certified or experiment.allow_uncertified):

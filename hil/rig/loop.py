@@ -8,6 +8,7 @@ that no model explains.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -194,6 +195,12 @@ class Loop:
     def certificate(self) -> dict[str, Any] | None:
         """The verdict as JSON, with the digits that every machine comes to: what the log holds."""
         return None if self.verdict is None else self.verdict.on_every_machine()
+
+    def assuming(self, *assumptions: str) -> Loop:
+        """Return the loop with further assumptions of its certificate; without a certificate it is the same."""
+        if self.verdict is None or not self.verdict.certified:
+            return self
+        return dataclasses.replace(self, verdict=self.verdict.assuming(*assumptions))
 
     def start_controller(self) -> RunningController | MultiSampleController:
         """Return the control law, ready for slot 0."""

@@ -10,13 +10,11 @@ import hashlib
 import os
 import signal
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from errno import EMFILE, ENFILE
 from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-import msgspec
 
 from hil.compose import compose
 from hil.errors import DiskFull, HilError, Terminated
@@ -109,7 +107,7 @@ def run_session(
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
     refuse_undisturbed(experiment, loop.rig, on)
-    loop = _assuming(loop, CARRIED) if clock == "real" and on.unproved else loop
+    loop = loop.assuming(CARRIED) if clock == "real" and on.unproved else loop
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.
     provenance = Provenance(
@@ -179,13 +177,6 @@ def run_session(
     status = finished.status_of(run, sink, outcome)
     read = cache(partial(finished.read_back, path)) if keep is not None else lambda: run
     return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
-
-
-def _assuming(loop: Loop, assumption: str) -> Loop:
-    verdict = loop.verdict
-    if verdict is None or not verdict.certified:
-        return loop
-    return replace(loop, verdict=msgspec.structs.replace(verdict, assumptions=(*verdict.assumptions, assumption)))
 
 
 def _sha256(descriptor: int) -> str:

@@ -7,7 +7,7 @@ import pytest
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.session_link import SessionLink
-from hil.session import CARRIED, _assuming
+from hil.session import CARRIED
 from transport.installed import Folder, Point, points
 from transport.links.traits import LinkTraits
 
@@ -25,7 +25,7 @@ def test_a_link_of_ones_own_without_codes_is_one_that_a_certificate_assumes_to_c
 
 
 def test_the_assumption_stands_in_the_certificate_of_a_certified_loop_alone() -> None:
-    found = _assuming(compose(load_experiment("dc-motor-h2")), CARRIED).verdict
+    found = compose(load_experiment("dc-motor-h2")).assuming(CARRIED).verdict
     assert found is not None and found.certified and found.assumptions[-1] == CARRIED
     loop = compose(load_experiment("dc-motor-ours-integral", ["controller.integral_limit=[]", "allow_uncertified=true"]))
-    assert _assuming(loop, CARRIED) is loop
+    assert loop.assuming(CARRIED) is loop
