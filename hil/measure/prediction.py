@@ -7,9 +7,7 @@ f is what else acts on the plant and is known: its motion without an input, less
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +27,6 @@ from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
 from hil.rig.loop_chains import STOPPED, watchdog_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
-
-if TYPE_CHECKING:
-    from design.networked_loop.prediction import Prediction
 
 Matrix = NDArray[np.float64]
 SAME = 1e-9
@@ -98,12 +93,14 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         slots: 2 or more.
     """
     from design.errors import DesignError
+    from design.networked_loop.prediction import predict_tracking
 
-    plant, chains = loop.experiment.plant, (loop.chains.sc, loop.chains.ca)
+    plant, controller, sc, ca = loop.experiment.plant, loop.controller, loop.chains.sc, loop.chains.ca
     if (
-        not isinstance(loop.controller, GainTable)
-        or integral_limit(loop.controller)
-        or None in chains
+        not isinstance(controller, GainTable)
+        or integral_limit(controller)
+        or sc is None
+        or ca is None
         or loop.experiment.fault
         or loop.chains.neglects()
         or isinstance(plant, JumpPlant)
@@ -111,10 +108,10 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
         or not np.array_equal(feedforward(motion_of(plant, loop.model)), feedforward(loop.model))  # u* holds another plant
     ):
         return None
-    at, at_w, signals, motion = loop.reference().at, loop.disturbance().at, signals_of(plant), drive_of(loop, slots)
-    r: Matrix = np.array([at(k) for k in range(slots)], dtype=np.float64)
-    moves = np.hstack([r, motion[1], [at_w(k) for k in range(slots)]]).any(axis=1)
-    rest = 0 if motion[0].any() else int(np.argmax(moves)) if moves.any() else slots
+    signals, model, (x0, drive) = signals_of(plant), motion_of(plant, loop.model), drive_of(loop, slots)
+    r, w = (np.array([at(k) for k in range(slots)], dtype=np.float64) for at in (loop.reference().at, loop.disturbance().at))
+    moves = np.hstack([r, drive, w]).any(axis=1)
+    rest = 0 if x0.any() else int(np.argmax(moves)) if moves.any() else slots
     if sum(way.silent(rest) for way in loop.chains.arriving) > SILENT or not _first_rows_known(loop, rest):
         return None
     goal: Matrix = np.asarray(target_of(r), dtype=np.float64)
@@ -127,9 +124,11 @@ def predict(loop: Loop, slots: int) -> PredictedTracking | None:
     try:
         for group in groups:
             tracked = [list(signals.outputs).index(name) for name in group]
-            found = _moments(
-                loop, loop.controller, chains, r, motion, target=goal, tracked=tracked, sums_from=tuple(starts.values())
-            )
+            found = predict_tracking(
+                model.A, model.B, model.C, sc, ca, gains_over(controller, model, sc, ca), controller.selection, r,
+                period_s=model.period_s, disturbance=w, samples=loop.samples, integral=integrates(controller),
+                initial=loop.chains.initial(), x0=x0, drive=drive, target=goal, tracked=tracked, sums_from=tuple(starts.values()),
+            )  # fmt: skip
             for (name, start), mean, sd in zip(starts.items(), found.sum_mean, found.sum_sd):
                 title = "whole run" if name == "sse" else f"from {AFTER_S:g} s on"
                 own = name if one_unit else f"{name}.{group[0]}"
@@ -215,19 +214,3 @@ def drive_of(loop: Loop, slots: int) -> tuple[Matrix, Matrix]:
                 f = np.zeros(len(A))
             last = drive[k] = last if (np.abs(f - last) <= size).all() else f
     return first, drive
-
-
-def _moments(
-    loop: Loop, controller: GainTable, chains: tuple[Any, Any], r: Matrix, motion: tuple[Matrix, Matrix], *,
-    target: Matrix | None = None, tracked: Sequence[int] | None = None, sums_from: tuple[int, ...] = (0,),
-) -> Prediction:  # fmt: skip
-    from design.networked_loop.prediction import predict_tracking
-
-    model, at = motion_of(loop.experiment.plant, loop.model), loop.disturbance().at
-    x0, drive = motion
-    return predict_tracking(
-        model.A, model.B, model.C, *chains, gains_over(controller, model, *chains), controller.selection, r,
-        period_s=model.period_s, disturbance=np.array([at(k) for k in range(len(r))]), samples=loop.samples,
-        integral=integrates(controller), initial=loop.chains.initial(), x0=x0, drive=drive, target=target,
-        tracked=tracked, sums_from=sums_from,
-    )  # fmt: skip
