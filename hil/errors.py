@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 
 class HilError(Exception):
@@ -28,6 +29,30 @@ class Terminated(KeyboardInterrupt):
     def __init__(self, number: int) -> None:
         super().__init__(number)
         self.status = 128 + number
+
+
+def exit_status(interrupt: KeyboardInterrupt) -> int:
+    """Return the exit status on the command line: 130 of Ctrl-C."""
+    return interrupt.status if isinstance(interrupt, Terminated) else 130
+
+
+@contextmanager
+def located(where: object, *kinds: type[Exception], advice: str = "") -> Iterator[None]:
+    """Raise a fault as a message that begins with where it is.
+
+    Args:
+        where: the file, the field, the option.
+        kinds: of fault; of an OSError only its reason is given.
+        advice: what helps.
+
+    Raises:
+        HilError: ``where: fault; advice``.
+    """
+    try:
+        yield
+    except kinds as error:
+        fault = (error.strerror if isinstance(error, OSError) else "") or error
+        raise HilError(f"{where}: {fault}" + (f"; {advice}" if advice else "")) from error
 
 
 def is_message(error: type[BaseException]) -> bool:

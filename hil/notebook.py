@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 
 if TYPE_CHECKING:
     import pandas
@@ -51,10 +51,8 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
         paint(sheet)
         if path is not None:
             metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(Path(path).suffix)
-            try:
+            with located(f"plot: {path}: cannot be written", OSError):
                 sheet.savefig(path, dpi=300, metadata=metadata)
-            except OSError as error:
-                raise HilError(f"plot: {path}: cannot be written: {error.strerror}") from error
     return sheet
 
 

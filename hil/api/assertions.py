@@ -10,7 +10,7 @@ from typing import Any
 from design.monte_carlo.confidence import SequentialTest
 from hil.api.experiment_source import Source, as_change, checked_arguments, checked_experiment
 from hil.compose import compose
-from hil.errors import HilError, nearest
+from hil.errors import HilError, located, nearest
 from hil.session import Session, simulated_session
 
 SHOWN_SEEDS = 20
@@ -62,10 +62,8 @@ def assert_probability(
     if not at_least < sure < 1.0:
         room = 1.0 - at_least
         raise HilError(f"assert_probability: margin: {margin:g}; expected a number between 0 and 1 - at_least = {room:g}")
-    try:
+    with located("assert_probability", ValueError):
         test = SequentialTest(p0=at_least, p1=sure, alpha=alpha, beta=beta)
-    except ValueError as error:
-        raise HilError(f"assert_probability: {error}") from None
     if 1 <= most_runs < test.fewest:
         raise HilError(
             f"assert_probability: most_runs: {most_runs}; to tell {at_least:g} from {sure:g} takes {test.fewest} runs at least, "

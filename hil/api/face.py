@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -32,7 +31,7 @@ from hil.sweeps.comparison import Comparison, check_named
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
 from hil.sweeps.points import Points, grid_of, latin_hypercube
-from hil.sweeps.seeds import LAST_SEED, here, run_sweep
+from hil.sweeps.seeds import here, run_sweep, seeds_of
 
 
 @checked_arguments
@@ -99,7 +98,7 @@ def run(
     if clock == "virtual" and (link is not None or external):
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
-        path = check_output(Path(log), fresh=not force, remedy="choose another log=..., or add force=True")
+        path = check_output(Path(log), force=force, remedy="choose another log=..., or add force=True")
         return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         path = Path(folder) / "run.mcap"
@@ -233,16 +232,14 @@ def sweep(
     Raises:
         HilError: if the experiment cannot be run, or the points are none.
     """
-    if runs < 1 or first_seed < 0 or first_seed + runs > LAST_SEED:
-        raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least one run, and seeds from 0 to 2^63 - 1")
+    seeds = seeds_of(runs, first_seed)
     if grid is None and range is None and points is None:
-        seeds = builtins.range(first_seed, first_seed + runs)
         return run_sweep(checked_experiment(source, None, None, changes), seeds, workers=here(jobs))
     where = _points(grid, range, points)
     if isinstance(source, Experiment):
         raise HilError("sweep: grid and range change the file of an experiment; give its name or path, not a loaded one")
     experiments = load_points(lambda sets: load_experiment(source, sets, **changes), where)
-    return sweep_parameters(experiments, where, runs=runs, first_seed=first_seed, workers=here(jobs))
+    return sweep_parameters(experiments, where, seeds=seeds, workers=here(jobs))
 
 
 def _points(axes: Mapping[str, Sequence[Any]] | None, ranges: Mapping[str, Sequence[Any]] | None, count: int | None) -> Points:
@@ -284,6 +281,4 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
     """
     checked = [checked_experiment(source, None, None, changes) for source in sources]
     check_named([each.name for each in checked], "hil.sweep", "hil.load_experiment(..., name=...) renames one")
-    if not 2 <= runs <= LAST_SEED:
-        raise HilError(f"compare: {runs} runs of each; expected at least 2, and seeds below 2^63")
     return compare_experiments({each.name: each for each in checked}, runs, jobs=jobs)

@@ -16,7 +16,7 @@ from design.tracking.design_file import design_text, to_document
 from design.verdict import Verdict
 from hil.api.experiment_source import Source, checked_arguments, checked_experiment
 from hil.design_questions import TrackingTarget, problem_for, target_of, tracking_target, verdict_on
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.experiment.tables import Experiment
 from hil.files import check_output, write_output
 from hil.log.write.provenance import package_versions
@@ -117,20 +117,16 @@ def design(
 
     if sojourns < 1:
         raise HilError(f"design: sojourns: {sojourns}; expected a whole number of at least 1")
-    try:
+    with located("design", ValueError):
         check_row_sojourns(row_sojourns, options.get("information", "applied"), "information")
-    except ValueError as error:
-        raise HilError(f"design: {error}") from None
     sampled = None if period is None else float(period)
     if isinstance(source, Experiment):
         target = target_of(source, source.name, sampled, sojourns, row_sojourns)
     else:
         target = tracking_target(str(source), sampled, sojourns, row_sojourns)
     begun = monotonic_ns()
-    try:
+    with located("design", DesignError, TypeError):
         found = solve_tracking(problem_for(target, **options))
-    except (DesignError, TypeError) as error:
-        raise HilError(f"design: {error}") from error
     return DesignResult(target=target, design=found, wall_s=round((monotonic_ns() - begun) / 1e9, 3))
 
 
@@ -212,7 +208,7 @@ class DesignResult(SingleResult):
         Raises:
             HilError: it is there already, or cannot be written.
         """
-        where = check_output(Path(path), fresh=not force, remedy="choose another path, or add force=True")
+        where = check_output(Path(path), force=force, remedy="choose another path, or add force=True")
         document = to_document(
             self.design, plant=self.target.plant, period_s=self.target.period_s, wall_s=self.wall_s, versions=package_versions()
         ) | {"verdict": self.verdict.to_json()}

@@ -20,7 +20,7 @@ from shlex import quote
 from typing import Final, NamedTuple
 
 from hil.bench import running
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.log import Logged
 from hil.log.records import Channel, Schema
 from hil.log.topics import PROBE
@@ -190,10 +190,8 @@ def write_probe_log(path: Path, uri: str, rate_hz: float, trips: list[Trip], one
 def answering(uri: str) -> Iterator[None]:
     """Answer on a link in a process of its own, for a link within this machine."""
     with ExitStack() as stack:
-        try:
+        with located("the answering process", OSError):
             stack.enter_context(running(python_module("hil.bench.probe", uri)))
-        except OSError as error:
-            raise HilError(f"the answering process: {error}") from error
         yield
 
 

@@ -17,7 +17,7 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Questions
 from hil.cli.page_text import show_page
 from hil.cli.terminal import json_option, visible
-from hil.errors import HilError
+from hil.errors import HilError, located
 
 if TYPE_CHECKING:
     from hil.design_questions.bus_analysis import BusAnalysis
@@ -39,7 +39,7 @@ def can() -> None:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
 @click.option("--errors", type=click.IntRange(0), help="Errors that may come at once; the bounds allow for them.")
-@click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further ones.")
+@click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further errors.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
@@ -65,7 +65,7 @@ def analyse(
         found = _of_traffic(Path(target), bitrate, dbitrate, duration, bursts)
     else:
         if bitrate is not None or dbitrate is not None:
-            raise HilError("--bitrate: an experiment says it itself; change it by --set network.media.NAME.bitrate=500000")
+            raise HilError("--bitrate: an experiment has its own; change it by --set network.media.NAME.bitrate=500000")
         found = _of_experiment(target, sets, duration, bursts)
     show_page(bus_page(found), asdict(found), output)
 
@@ -80,7 +80,7 @@ def analyse(
 @click.option("--berr-reporting/--no-berr-reporting", default=True, show_default=True,
               help="An error frame for every destroyed frame, beside those of state changes.")  # fmt: skip
 def bridge(channel: str, interface: str, bitrate: str, dbitrate: str | None, restart_ms: int, berr_reporting: bool) -> None:
-    """Be the CAN controller between a SocketCAN interface and a bus with time: hil can bridge rig0 vcan0 --bitrate 500k
+    """Act as CAN controller between a SocketCAN interface and a bus with time: hil can bridge rig0 vcan0 --bitrate 500k
 
     What programs send on INTERFACE, such as vcan0, goes onto the bus CHANNEL (can:hil:CHANNEL?timed=1) in its turn; what others
     send there, and the error frames of this controller, come onto INTERFACE. Runs until Ctrl-C.
@@ -185,10 +185,8 @@ def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> st
 
     if experiment is None:
         return dbc_path().read_text(encoding="utf-8")
-    try:
+    with located(experiment, TransportError, ValueError):
         return rig_dbc(rig_of(load_experiment(experiment, sets)), link)
-    except (TransportError, ValueError) as error:
-        raise HilError(f"{experiment}: {error}") from error
 
 
 def c_codec(database: Any) -> tuple[str, str]:
@@ -205,7 +203,7 @@ def _write_codec(database: Any, folder: Path, force: bool) -> None:
 
     paths = [made_folder(folder) / f"{_CODEC}.{ending}" for ending in ("h", "c")]
     for path in paths:
-        check_output(path, fresh=not force, remedy="choose another --c or add --force")
+        check_output(path, force=force)
     for path, text in zip(paths, c_codec(database)):
         write_output(path, text, replace=force)
         print(visible(path))
@@ -245,7 +243,7 @@ def database_of(text: str) -> Any:
               help="One more directory in which files stay.")  # fmt: skip
 @click.option("--source", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path),
               help="Archive linux-6.12*.tar.xz to build the kernel from, in place of Debian's package.")  # fmt: skip
-@click.option("--install", is_flag=True, help="Let Debian packages that a build lacks be installed (as root).")
+@click.option("--install", is_flag=True, help="Install the Debian packages that a build lacks (as root).")
 @click.option("-v", "--verbose", is_flag=True, help="Say which kernel is used.")
 @click.argument("argv", metavar="[--] COMMAND [ARG]...", nargs=-1, required=True, type=click.UNPROCESSED)
 def vcan(
@@ -254,16 +252,16 @@ def vcan(
 ) -> None:  # fmt: skip
     """Run COMMAND where a real vcan0 exists, and exit with its status.
 
-    Where this kernel has CAN, COMMAND has a network of its own with a vcan0 in it, and all else is as ever. Elsewhere, as in
+    Where this kernel has CAN, COMMAND has a network of its own with a vcan0 in it, and all else is unchanged. Elsewhere, as in
     most containers, a small user-mode kernel is booted on this machine's own files (0.3 s). It is built once (some minutes) and
-    kept in ~/.cache/hilrig. There, what COMMAND writes is thrown away, but in this directory and in those of --rw; /tmp is
+    kept in ~/.cache/hilrig. There, what COMMAND writes is lost, except in this directory and those of --rw; /tmp is
     empty, HOME is another one, and only vcan0 and lo are networks. With --virtual-time computing takes no time: no deadline
     is missed however slow the machine is, and two runs give the same time stamps.
 
     \b
     Exit status: that of COMMAND (128 + N if signal N ended it)
       124  ended by --timeout
-      125  no vcan0 could be had
+      125  no vcan0 is available
       126, 127  COMMAND cannot be run, or is not there
     """
     from hil.vcan import RUNNER_FAILED, RunnerError, Wanted, run_beside_vcan

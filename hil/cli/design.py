@@ -12,7 +12,7 @@ import click
 from hil.cli.option_types import Duration, Number
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option, print_facts, visible
-from hil.errors import HilError
+from hil.errors import HilError, exit_status
 
 if TYPE_CHECKING:
     from design.tracking.synthesis import Design
@@ -56,9 +56,9 @@ class GainsOrWall(click.Command):
 @click.option("--period", type=Duration(above=True), help="Sample period, such as 25ms [the thesis's, or the experiment's].")
 @click.option("--samples", type=click.IntRange(1, 2), default=1, show_default=True, help="Samples per sensor packet.")
 @click.option("--sojourns", type=click.IntRange(1), default=1, show_default=True,
-              help="Slots for which tau has lasted that a gain distinguishes, over semi-Markov delays.")  # fmt: skip
+              help="Slots that tau has lasted which a gain distinguishes; for semi-Markov delays.")  # fmt: skip
 @click.option("--row-sojourns", type=click.IntRange(1), default=1, show_default=True,
-              help="The same of d: --information applied, a row for each d and so many slots that it has lasted.")  # fmt: skip
+              help="The same for d, with --information applied: a row for each d and each of so many slots.")  # fmt: skip
 @click.option("--integral", type=NUMBER, default=0.0, help="Weight of the integrated error in z; > 0 adds integral action.")
 @click.option("--starts", type=click.IntRange(0), default=0, help="Starts of the multistart [by objective].")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the starts of the multistart.")
@@ -70,7 +70,7 @@ class GainsOrWall(click.Command):
     metavar="NAME=WIDTH",
     help="Guarantee the design for a parameter of the plant within gain=10%, pole=0.3 (to either side) or A.1.0=10%; repeatable.",
 )
-@click.option("--robust", is_flag=True, help="--uncertainty: gains of least guaranteed H2 norm, not those for the nominal plant.")
+@click.option("--robust", is_flag=True, help="--uncertainty: gains of the smallest guaranteed H2 norm, instead of nominal ones.")
 @click.option(
     "--local",
     type=click.Choice(["lqr", "lqg", "hinf"]),
@@ -137,7 +137,7 @@ def command(
     if trade_off:
         _refuse_others(set(answers.SHAPES), "with --trade-off, which solves designs of all three objectives")
     elif path is not None:
-        check_output(path, fresh=not force, remedy="choose another -o or add --force")  # now, and not after the work
+        check_output(path, force=force)  # now, and not after the work
     _check_row_sojourns(row_sojourns, information)
     target = tracking_target(subject, period, sojourns, row_sojourns)
     shape: dict[str, Any] = {
@@ -179,7 +179,7 @@ def command(
                 document["robust"] = robust
     except KeyboardInterrupt as interrupt:
         print("hil: design interrupted; nothing was written", file=sys.stderr)
-        sys.exit(getattr(interrupt, "status", 130))
+        sys.exit(exit_status(interrupt))
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)

@@ -20,7 +20,7 @@ from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, print_facts
 from hil.compose import compose
 from hil.design_questions import TrackingTarget, compromises, digest_of_law, model_at, motion_at, on_plant
-from hil.errors import HilError
+from hil.errors import HilError, exit_status, located
 from hil.experiment import Experiment, load_experiment
 from hil.experiment.tables import Timing
 from hil.pages.designs import can_priority_page, norm_trade_off_page, trigger_page
@@ -59,11 +59,8 @@ def show_historical(experiment: Experiment, orders: bool, spread: bool) -> None:
     """Print what gains over historical data cost."""
     from hil.design_questions.historical_bounds import judge_historical
 
-    try:
-        with Working(f"{experiment.name}: what its gains cost"):
-            found = judge_historical(compose(experiment), orders=orders, spread=spread)
-    except ValueError as error:
-        raise HilError(f"{experiment.name}: {error}") from error
+    with located(experiment.name, ValueError), Working(f"{experiment.name}: what its gains cost"):
+        found = judge_historical(compose(experiment), orders=orders, spread=spread)
     answer(found, lambda: print(*historical_lines(found), sep="\n"))
 
 
@@ -156,10 +153,8 @@ def measured_ways(path: Path, period_s: float) -> tuple[Measured, Measured, tupl
         raise HilError(f"--network {path}: {said}")
     found = {}
     for way, record in records.items():
-        try:
+        with located(f"--network {path}: {way}", HilError, FieldError):
             found[way] = measured(fit_law(record, period_s, Timing().deadline * period_s), holds_input=way == BACK)
-        except (HilError, FieldError) as error:
-            raise HilError(f"--network {path}: {way}: {error}") from error
     return found[THERE], found[BACK], notes
 
 
@@ -308,7 +303,7 @@ def show_trigger(subject: str, input_weight: float | None, options: dict[str, An
                 watch.counted(len(points), len(plan))
                 points.append(run_candidate(asked, each))
     except KeyboardInterrupt as interrupt:
-        status = getattr(interrupt, "status", 130)
+        status = exit_status(interrupt)
         if not points:
             print("hil: design interrupted; nothing was found, nothing was written", file=sys.stderr)
             sys.exit(status)

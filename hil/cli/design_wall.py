@@ -16,7 +16,7 @@ import click
 from hil.cli.option_types import LARGEST, Duration, NumberList, Ratio, Within
 from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, json_option, print_facts
-from hil.errors import HilError
+from hil.errors import HilError, located
 
 if TYPE_CHECKING:
     from design.passivity.synthesis import CouplerDesign
@@ -28,12 +28,12 @@ VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, ov
 @click.command()
 @click.option("--period", type=Duration(above=True), default="1ms", show_default=True, help="Sample period T.")
 @click.option("--delay", type=NumberList(whole=True), default="0..6", show_default=True, help="Delays in samples that are safe.")
-@click.option("--hand", type=Within(min=0.0), default=0.0, show_default=True, help="Least damping of a hand in N s/m.")
+@click.option("--hand", type=Within(min=0.0), default=0.0, show_default=True, help="Smallest damping of a hand in N s/m.")
 @click.option("--damping", type=Within(min=0.0), help="Damping b of the device in N s/m [the Omni's].")
 @click.option("--stiffness", type=Within(min=0.0, min_open=True), help="Static stiffness in N/m to be reached.")
 @click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
-@click.option("--varying", is_flag=True, help="Safe while the delay of one direction varies from sample to sample.")
-@click.option("--weight", type=Ratio(), help="W(z) whose largest |W C| is least, such as 1,-0.97/1,-0.9, in powers of 1/z.")
+@click.option("--varying", is_flag=True, help="Also safe while the delay of one direction varies from sample to sample.")
+@click.option("--weight", type=Ratio(), help="W(z) whose largest |W C| is minimised, such as 1,-0.97/1,-0.9, in powers of 1/z.")
 @click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
 @click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
@@ -57,23 +57,20 @@ def command(
     from plants.omni import Omni
 
     for target in filter(None, (path, header)):
-        check_output(target, fresh=not force, remedy="choose another name or add --force")
+        check_output(target, force=force)
     beta = (Omni().damping if damping is None else damping) + hand
     delays = [int(d) for d in delay]
-    try:
-        with Working("coupler of a wall"):
-            asked = None if weight is None else Weight(*weight)
-            found = stiffest_coupler(
-                delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness, varying=varying,
-                weight=asked,
-            )  # fmt: skip
-            plain = (
-                found
-                if asked is None
-                else stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying)
-            )
-    except FieldError as error:
-        raise HilError(f"--weight: {error}") from error
+    with located("--weight", FieldError), Working("coupler of a wall"):
+        asked = None if weight is None else Weight(*weight)
+        found = stiffest_coupler(
+            delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness, varying=varying,
+            weight=asked,
+        )  # fmt: skip
+        plain = (
+            found
+            if asked is None
+            else stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying)
+        )
     document = {
         "kind": "coupler",
         "period_s": period,
@@ -137,7 +134,7 @@ def _header(design: CouplerDesign) -> str:
 @click.command()
 @click.option("--period", type=NumberList(above=True, times=True), default="1ms,50ms", show_default=True, help="Sample periods.")
 @click.option("--delay", type=NumberList(whole=True), default="0,1,2,4,6,8", show_default=True, help="Largest delays in samples.")
-@click.option("--hand", type=NumberList(), default="0,5,10", show_default=True, help="Least damping of a hand in N s/m.")
+@click.option("--hand", type=NumberList(), default="0,5,10", show_default=True, help="Smallest damping of a hand in N s/m.")
 @click.option("--lever", type=float, default=1.0, show_default=True, help="Tip per angle, m/rad; 1: kg and N s/m at the tip.")
 @click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Write the table with the taps here.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with the contours here.")
@@ -147,7 +144,7 @@ def stiffness_map(
     period: tuple[float, ...], delay: tuple[float, ...], hand: tuple[float, ...], lever: float, table: Path | None,
     output: Path | None, force: bool,
 ) -> None:  # fmt: skip
-    """Show the stiffest wall that is safe for every passive hand: certified, beside its ceiling and what the field quotes.
+    """Show the stiffest wall that is safe for every passive hand: certified, beside its bound and values of the literature.
 
     The device is the Omni of Chapter 6. A cell's coupler is safe at every delay from 0 up to its own.
     """
@@ -158,13 +155,13 @@ def stiffness_map(
     from plants.parts.hand import Hand
 
     if not 1.0 / LARGEST <= lever <= LARGEST:
-        raise HilError(f"--lever: {lever!r}, expected a number above 0, and of a length that there is")
+        raise HilError(f"--lever: {lever!r}, expected {1.0 / LARGEST:g} to {LARGEST:g} m/rad")
     if max(delay) > 40:
         raise HilError(f"--delay: {max(delay):g}; a coupler for every delay up to it takes minutes, expected at most 40")
     if output is not None:
         check_page(output, force=force)
     if table is not None:
-        check_output(table, fresh=not force, remedy="choose another name or add --force")
+        check_output(table, force=force)
     omni = Omni(hand=Hand(), lever_m=lever)
     device = {"mass_kg": omni.tip_mass_kg, "damping_n_s_per_m": omni.tip_damping_n_s_per_m}
     with Working("stiffness map"):

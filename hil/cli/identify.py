@@ -14,7 +14,7 @@ import click
 from hil.cli.laws import files_of
 from hil.cli.option_types import Duration, Questions, Within
 from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded
-from hil.errors import HilError
+from hil.errors import HilError, located
 
 if TYPE_CHECKING:
     from design.identification.jump_rates import JumpRate
@@ -62,7 +62,7 @@ def law(
     """Fit a network law to recorded packets: a log of hil probe or of a run (.mcap), a table (.csv), a capture of ping
     or of frames over zenoh (.pcap), or two CAN logs of one bus (.log, .asc, .blf), the sender's first.
 
-    Two tables are both directions. Of both directions -o law.toml writes law.sc.toml and law.ca.toml. Exit status 1: none of
+    Two tables are the two directions; -o law.toml then writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
     from hil.files import check_output, write_output
@@ -76,17 +76,15 @@ def law(
         records, notes = packet_records(recording, halve=halve)
     targets = {} if output is None else files_of(output, records)
     for path in (*targets.values(), *filter(None, [page])):
-        check_output(path, fresh=not force, remedy="choose another name or add --force")
+        check_output(path, force=force)
     fits = {}
     with Working("fit of network laws"):
         for way, record in records.items():
             slot = record.period_s if period is None else period
             if not slot > 0.0:
                 raise HilError(f"{recording.source}: {way}: half of the packets or more have one time stamp; add --period")
-            try:
+            with located(f"{recording.source}: {way}", FieldError):
                 fits[way] = fit_law(record, slot, deadline * slot)
-            except FieldError as error:
-                raise HilError(f"{recording.source}: {way}: {error}") from error
     said = {way: fit_document(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():
@@ -163,8 +161,8 @@ command.add_command(law)
 def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: str | None) -> None:
     """Estimate inertia and damping (omni), or gain and pole (dc-motor), from one or more LOGs: .mcap, or .csv with times.
 
-    All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise, or dry friction is seen, of which the axis has
-    none: the intervals are then too narrow.
+    All LOGs are fitted as one axis. Exit status 1 if the residuals are not noise, or dry friction is seen, which the
+    model lacks: the intervals are then too narrow.
     """
     from design.errors import DesignError
     from design.identification import Record
@@ -177,10 +175,8 @@ def plant(logs: tuple[Path, ...], kind: str | None, u_name: str | None, y_name: 
         raise HilError(f"logs of different plants: {', '.join(kinds)}; expected one, or --plant")
     made = []
     for record in records:
-        try:
+        with located(record.path, DesignError):
             made.append(Record(u=record.u, y=record.y, period_s=record.period_s))
-        except DesignError as error:
-            raise HilError(f"{record.path}: {error}") from error
     fit = identify_axis(made)
     said = _document(kinds[0], AXES[kinds[0]], records, fit)
     answer(said, _print, said, AXES[kinds[0]].parameters)
@@ -271,7 +267,7 @@ def _print(said: dict[str, Any], units: Mapping[str, str]) -> None:
 def rates(logs: tuple[Path, ...], edges: tuple[float, ...], fault: str, detected: str) -> None:
     """Estimate the rates of a fault and of its detection (4.2) from one or more LOGs of a plant that logs both modes.
 
-    Jumps are counted over the time in which they could come, apart for every true mode; intervals are at 95 %.
+    Jumps are counted over the time in which they can occur, separately for every true mode; intervals are at 95 %.
     """
     from design.identification.jump_rates import jump_rates
     from hil.measure.identification_records import read_mode_record

@@ -91,7 +91,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
     bus = can_bus_of(loop.rig)
     files = {} if output is None or bus is None else files_of(output, ("sc", "ca") if bus.table.control else ("sc",))
     for path in files.values():
-        check_output(path, fresh=not force, remedy="choose another name or add --force")
+        check_output(path, force=force)
     found = exact_laws(loop)
     if found is None:
         loop = compose(to_estimate_from(experiment), certify=False)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @click.argument("file", type=click.Path())
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Page to write, FILE.html by default.")
 @click.option("--figures", type=click.Path(path_type=Path), metavar="DIR", help="Also write every plot as SVG and PDF.")
-@click.option("--folder", type=click.Path(path_type=Path), metavar="DIR", help="Where own modules stand: they are run.")
+@click.option("--folder", type=click.Path(path_type=Path), metavar="DIR", help="Folder of own modules, which are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 def report(file: str, output: Path | None, figures: Path | None, folder: Path | None, show: bool, force: bool) -> None:
@@ -80,14 +80,14 @@ def export(file: Path, output: Path, topics: tuple[str, ...], force: bool) -> No
     """Write the log FILE as a CAN log (candump .log, Vector .blf or .asc, PEAK .trc, ASAM .mf4) or as tables (.csv, .npz).
 
     Frames stand at their measured times, tables have session times. Tables of more than one topic become files named
-    OUTPUT.topic.csv. A run with an emulated CAN bus gives the frames of that bus: the log knows their times and lengths, their
+    OUTPUT.topic.csv. A run with an emulated CAN bus gives the frames of that bus: the log has their times and lengths, their
     bytes are 00; --topic /link/sensor and --topic /link/control give those of the link.
     """
     from hil.files import check_output
     from hil.log.read import read_run
     from hil.log.read.export import export
 
-    check_output(output, fresh=not force, remedy="choose another -o or add --force")
+    check_output(output, force=force)
     with Working(f"export of {file}"):
         written = list(export(read_run(file), output, topics, replace=force))
     for path in written:
@@ -112,7 +112,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.pages.viewers import foxglove, plotjuggler
 
     if output is not None:
-        check_output(output, fresh=not force, remedy="choose another -o or add --force")
+        check_output(output, force=force)
     if Path(source).suffix == ".mcap":
         schemas = read_run(source).schemas
     else:
@@ -164,10 +164,10 @@ def replay(
     the first sample that differs, and the SHA-256 of the records: of one experiment and seed in virtual time the same on
     every machine.
 
-    With --process a controller's own program, which runs, gets every recorded sensor packet again; each field that it answers
-    otherwise than in the log is one line, but for the time of its answers and their counter.
+    With --process the running program of a controller gets every recorded sensor packet again; each field of its answers that
+    differs from the log is one line, except their time and counter.
 
-    Exit status: 0; 1 if --verify or --process finds it different, an answer has not the tag of --auth, or the log is not what
+    Exit status: 0; 1 if --verify or --process finds it different, an answer lacks the tag of --auth, or the log is not what
     the holder of --key signed; 2 bad input.
     """
     from hil.files import check_output
@@ -185,7 +185,7 @@ def replay(
         if given and not ways[needed]:
             raise HilError(f"{name}: needs {needed}")
     if output is not None:
-        check_output(output, fresh=True)
+        check_output(output, remedy="choose another -o")
     for name, given_key in (("--key", key), ("--auth", auth)):
         if given_key is not None and (controller is not None or onto is not None or process is not None):
             raise HilError(f"{name}: needs --verify")

@@ -32,7 +32,7 @@ WIDEST = 110
 @click.argument("chapter")
 @json_option("Print one JSON object; for all, one per chapter by its name.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), help="Write the page with the figures here; for all, a folder.")
-@click.option("--power", "with_power", is_flag=True, help="Say too how many rows a number that is 10 % off turns.")
+@click.option("--power", "with_power", is_flag=True, help="Also say how many verdicts change if a number is 10 % off.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 def command(chapter: str, output: Path | None, with_power: bool, force: bool) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
@@ -96,15 +96,13 @@ def _interrupted(kept: KeptStages | None, kind: type[BaseException] | None, *_: 
 
 def _pages(chapter: str, names: tuple[str, ...], output: Path, force: bool) -> dict[str, Path]:
     """Where each page goes, checked. The folder of ``all`` is made; an ``index.html`` of another kind is refused."""
-    from hil.errors import HilError
+    from hil.errors import located
     from hil.files import check_page
 
     if chapter != ALL:
         return {chapter: check_page(output, force=force)}
-    try:
+    with located(f"{output}: cannot be made a folder", OSError):
         output.mkdir(exist_ok=True)
-    except OSError as error:
-        raise HilError(f"{output}: cannot be made a folder: {error.strerror or error}") from error
     pages = {**{name: output / f"{name}.html" for name in names}, ALL: output / "index.html"}
     return {name: check_page(path, force=force) for name, path in pages.items()}
 

@@ -14,7 +14,7 @@ import click
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option, print_folded, visible
-from hil.errors import HilError, nearest
+from hil.errors import HilError, located, nearest
 
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import StopRule
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
-@click.option("--runs", type=int, default=100, show_default=True, help="Number of runs, with --until at most; seeds 0, 1, ...")
-@click.option("--first-seed", type=int, default=0, show_default=True, help="Seed of the first run.")
+@click.option("--runs", type=click.IntRange(1), default=100, show_default=True, help="Runs (--until: at most) of seeds 0, 1, ...")
+@click.option("--first-seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the first run.")
 @click.option("--duration", metavar="S", help="Length of a run: 10, 10s, 2min.")
 @click.option("--grid", "grids", type=CHANGE, multiple=True, metavar="KEY=A,B,...", help="Run at all combinations of them.")
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
-@click.option("--points", type=int, metavar="N", help="So many points of a Latin hypercube over the ranges.")
+@click.option("--points", type=int, metavar="N", help="Number of points of a Latin hypercube over the ranges.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="With --grid or --range: a page.")
 @click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="Write a row per run.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
@@ -78,36 +78,30 @@ def command(
     from hil.files import check_output, write_output
     from hil.measure.signals import with_unit
     from hil.sweeps import SweepStore, statistics
-    from hil.sweeps.seeds import columns_of, here, run_sweep
+    from hil.sweeps.seeds import columns_of, here, run_sweep, seeds_of
 
-    if runs < 1:
-        raise HilError(f"--runs: {runs} is below 1")
-    if first_seed < 0:
-        raise HilError(f"--first-seed: {first_seed} is negative")
-    if first_seed + runs > 2**63:
-        raise HilError(f"--first-seed: {first_seed}, and the last seed is beyond 2^63 - 1")
+    seeds = seeds_of(runs, first_seed)
     if level is not None and until is None:
-        raise HilError("--level: only with --until, of whose interval it is the confidence")
-    check_jobs(jobs)
+        raise HilError("--level: only with --until; it is the confidence of that interval")
     if duration is not None:
         sets = (*sets, f"duration={duration}")
     if (scheduler is None) == (backend == "dask"):
         raise HilError("--scheduler: --backend dask needs the address of its scheduler; no other backend takes one")
+    workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     if own:
         sets = (*sets, measures_with(experiment, sets, own))
-    workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")
         run_points(
-            experiment, points_of(grids, ranges, points), sets=sets, runs=runs, first_seed=first_seed, resume=resume,
-            workers=workers, page=output, table=table, force=force,
+            experiment, points_of(grids, ranges, points), sets=sets, seeds=seeds, resume=resume, workers=workers, page=output,
+            table=table, force=force,
         )  # fmt: skip
         return
     if output is not None:
         raise HilError("-o: a page is made with --grid or --range only; --csv FILE writes the numbers of every run")
     if table is not None:
-        check_output(table, fresh=not force, remedy="choose another --csv or add --force")  # now, and not after the work
+        check_output(table, force=force)  # now, and not after the work
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]
@@ -116,7 +110,6 @@ def command(
     with ExitStack() as stack:
         store = stack.enter_context(SweepStore(resume, checked, columns)) if resume is not None else None
         watch = stack.enter_context(Working(checked.name, runs))
-        seeds = range(first_seed, first_seed + runs)
         found = run_sweep(checked, seeds, workers=workers, progress=watch.counted, store=store, until=rule)
     values = found.values
     if found.alone:
@@ -165,14 +158,6 @@ def measures_with(experiment: str, sets: tuple[str, ...], own: tuple[str, ...]) 
     return f"report.measures={json.dumps(measures)}"
 
 
-def check_jobs(jobs: int) -> None:
-    """Refuse a number of processes that means nothing, or that would only bring the machine down."""
-    from hil.sweeps.seeds import MOST_JOBS
-
-    if jobs == 0 or not -1 <= jobs <= MOST_JOBS:
-        raise HilError(f"--jobs: {jobs}; expected -1 or a number from 1 to {MOST_JOBS}")
-
-
 def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, StopRule]:
     """The metric and the rule that ``METRIC=HALFWIDTH`` or ``sd:METRIC=HALFWIDTH`` asks for.
 
@@ -191,10 +176,8 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         number = float(width)
     except ValueError:
         raise HilError(f"--until: {width!r} is not a number; expected METRIC=HALFWIDTH") from None
-    try:
+    with located("--until", ValueError):
         return metric, StopRule(half_width=number, statistic=statistic or "mean", level=level)  # type: ignore[arg-type]
-    except ValueError as e:
-        raise HilError(f"--until: {e}") from e
 
 
 def _show(out: dict[str, Any], titles: dict[str, str], table: Path | None) -> None:

@@ -26,8 +26,7 @@ def run_points(
     points: Points,
     *,
     sets: Sequence[str],
-    runs: int,
-    first_seed: int,
+    seeds: range,
     workers: Workers,
     resume: Path | None,
     page: Path | None,
@@ -40,8 +39,7 @@ def run_points(
         experiment: shipped name or TOML file.
         points: where.
         sets: changes of all points.
-        runs: at each point.
-        first_seed: of each point.
+        seeds: of each point, a run each.
         workers: where the runs are computed.
         resume: folder of finished runs.
         page: HTML page to write.
@@ -60,13 +58,11 @@ def run_points(
     if page is not None:
         check_page(page, force=force)
     if table is not None:
-        check_output(table, fresh=not force, remedy="choose another name or add --force")
+        check_output(table, force=force)
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
-    with Working(f"{len(points.values)} points", runs * len(points.values)) as watch:
-        found = sweep_parameters(
-            experiments, points, runs=runs, first_seed=first_seed, workers=workers, folder=resume, progress=watch.counted
-        )
+    with Working(f"{len(points.values)} points", len(seeds) * len(points.values)) as watch:
+        found = sweep_parameters(experiments, points, seeds=seeds, workers=workers, folder=resume, progress=watch.counted)
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
     if table is not None:
@@ -75,18 +71,14 @@ def run_points(
         write_output(page, parameter_page(found))
     out: dict[str, Any] = {
         "experiment": experiment,
-        "runs": runs,
+        "runs": len(seeds),
         "wall_s": round(time.perf_counter() - begun, 3),
         "points": [
             {
                 "changes": dict(zip(points.keys, points.values[number])),
                 "stopped_by_safety": int(columns["stopped"].sum()),
                 "caution": found.cautions.get(number),
-                "metrics": {
-                    q.name: as_plain(i) if i.n > 1 else {"n": i.n}
-                    for q in found.quantities
-                    for i in [interval_of(columns[q.name])]
-                },
+                "metrics": {q.name: as_plain(interval_of(columns[q.name])) for q in found.quantities},
             }
             for number, columns in enumerate(found.columns)
         ],
@@ -141,7 +133,7 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
         rows = []
         for point in out["points"]:
             seen = point["metrics"][quantity.name]
-            mean, low = seen.get("mean"), seen.get("low")
+            mean, low = seen["mean"], seen["low"]
             numbers = ("-" if mean is None else f"{mean:.5g}", "-" if low is None else f"{low:.4g} to {seen['high']:.4g}")
             rows.append((*point["changes"].values(), seen["n"], *numbers))
         if any(row[-2] != "-" for row in rows):

@@ -21,7 +21,7 @@ from design.verdict import Verdict, digest
 from hil.certify import limited_to_model
 from hil.certify.conformance import plant_check, tested, without_loop
 from hil.certify.send_all_loop import second_moment_verdict
-from hil.errors import HilError, nearest
+from hil.errors import HilError, located, nearest
 from hil.plugins.user_modules import is_ours
 from hil.rig import motion_of
 from plants.parts.protocols import Plant
@@ -104,10 +104,8 @@ def target_of(
     rig = rig_of(experiment)
     if len(rig.sensors) > 1:
         raise HilError(f"{name}: several sensor nodes; hil run solves their gains by kind = 'designed'")
-    try:
+    with located(name, ValueError):
         chains = chains_of(rig, sojourns, row_sojourns=row_sojourns)
-    except ValueError as error:
-        raise HilError(f"{name}: {error}") from None
     on_bus = can_bus_of(rig) is not None
     try:
         sc, ca = bus_chains(rig, longest=True) if on_bus else (chains.sc, chains.ca)
@@ -200,10 +198,8 @@ def problem_for(target: TrackingTarget, **options: Any) -> TrackingProblem:
     for name in options:
         if name not in known:
             raise HilError(f"design: no option is called {name!r}{nearest(name, known) or '.'} There are: {', '.join(known)}")
-    try:
+    with located("design", ValueError):
         return TrackingProblem(A=target.A, B=target.B, C=target.C, sc=target.sc, ca=target.ca, **options)
-    except ValueError as error:
-        raise HilError(f"design: {error}") from None
 
 
 WEIGHTS: Final = (0.01, 0.05, 0.1, 0.2, 0.35, 0.5, 0.75)

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.processes.delay_chain import DelayChain
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.experiment import Experiment
 from hil.experiment.table import Seconds
 from hil.files.toml_text import toml_lines
@@ -155,10 +155,8 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
             latency = np.maximum(latency + 2.0 * deadline - period, 0.0)
             less = f"{1e3 * (period - 2.0 * deadline):g} ms"
             notes = (f"latencies are {less} less than on the bus: a slot of the law closes at the deadline",)
-        try:
+        with located(f"{experiment.name}: {way}", FieldError):
             fit = fit_law(PacketRecord(sent_s=sent, latency_s=latency), period, deadline)
-        except FieldError as error:
-            raise HilError(f"{experiment.name}: {way}: {error.field}: {error.message}") from error
         worst, largest = _bounds(loop, delays, way)
         source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
         said = fit_document(fit, way, source, notes)

@@ -30,7 +30,7 @@ from design.tracking.synthesis import Design, Progress
 from design.verdict import State, Verdict, digest
 from design.whole_process import one_blas_thread
 from hil.design_questions import TrackingTarget, digest_of_design, on_plant
-from hil.errors import HilError
+from hil.errors import HilError, located
 from plants.errors import PlantError
 from plants.parts.protocols import MovesOtherwise, Plant
 
@@ -144,15 +144,13 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
 
 def _discrete(target: TrackingTarget, values: dict[str, float], names: Sequence[str]) -> Array:
     """[A B] of the plant with other values of its parameters, as it moves; without any, of its model; (n, n + m)."""
-    try:
+    with located("--uncertainty", PlantError, ValueError):
         changed: Any = target.of
         for name, value in values.items():
             field, *at = name.split(".")
             changed = dataclasses.replace(changed, **{field: _changed(getattr(changed, field), at, value)})
         moves = changed.motion() if values and isinstance(changed, MovesOtherwise) else changed.model()
         found = moves.discretise(target.period_s)
-    except (PlantError, ValueError) as error:
-        raise HilError(f"--uncertainty: {error}") from None
     if not np.array_equal(found.C, target.C):
         said = "changes what the plant measures (C); how it moves alone may be uncertain"
         raise HilError(f"--uncertainty: {', '.join(names)}: {said}")

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 
 
 def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
@@ -28,11 +28,8 @@ def read_regular(path: str | Path, most_bytes: int, what: str) -> bytes:
     Raises:
         HilError: it cannot be read, is a folder, a pipe or a device, or has more bytes.
     """
-    with open_regular(path, what) as file:
-        try:
-            data = file.read(most_bytes + 1)
-        except OSError as e:
-            raise HilError(f"{path}: cannot be read: {e.strerror or e}") from e
+    with open_regular(path, what) as file, located(f"{path}: cannot be read", OSError):
+        data = file.read(most_bytes + 1)
     if len(data) > most_bytes:
         raise HilError(f"{path}: more than {most_bytes} bytes, the limit of {what}")
     return data
@@ -162,13 +159,16 @@ def new_files(files: Sequence[File]) -> list[Path]:
 PAGE = b"<!doctype html"  # as our pages begin
 
 
-def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy: str = "choose another -o") -> Path:
+REMEDY = "choose another name or add --force"
+
+
+def check_output(path: Path, *, force: bool = False, page: bool = False, remedy: str = REMEDY) -> Path:
     """Return ``path`` if a file can be written there.
 
     Args:
         path: file to be written.
-        fresh: refuse a file that is already there.
-        page: refuse a file that is already there and is no page.
+        force: whether a file that is already there may be replaced.
+        page: whether a page may, and no other file.
         remedy: what the message about such a file advises.
 
     Raises:
@@ -188,26 +188,24 @@ def check_output(path: Path, *, fresh: bool = False, page: bool = False, remedy:
         raise HilError(f"{path}: cannot be written: it is a folder")
     if target.exists() and not target.is_file():
         raise HilError(f"{path}: cannot be written: it is no regular file")
-    if found and fresh:
+    if found and not (force or page):
         raise HilError(f"{path}: exists already; {remedy}")
     if not target.parent.is_dir():
         raise HilError(f"{path}: cannot be written: no folder {target.parent if found else path.parent}")
-    try:
+    with located(f"{path}: cannot be written", OSError):
         if target.exists():
             with open(target, "r+b") as file:  # nothing is written, but it could be
                 if page and file.read(len(PAGE)).lower() != PAGE:
                     raise HilError(f"{path}: exists already and is no report; {remedy}")
         with tempfile.TemporaryFile(dir=target.parent):  # root has permission everywhere, and still cannot write in /proc
             pass
-    except OSError as e:
-        raise HilError(f"{path}: cannot be written: {e.strerror or e}") from e
     return path
 
 
 PAGES = (".html", ".htm")
 
 
-def check_page(path: Path, *, force: bool = False, remedy: str = "choose another -o or add --force") -> Path:
+def check_page(path: Path, *, force: bool = False, remedy: str = REMEDY) -> Path:
     """Return ``path`` if a page can be written there; one of ours that is there is replaced.
 
     Args:
@@ -220,7 +218,7 @@ def check_page(path: Path, *, force: bool = False, remedy: str = "choose another
     """
     if path.suffix.lower() not in PAGES and not os.path.isdir(path):
         raise HilError(f"{path}: a page is written here; expected a name that ends in .html")
-    return check_output(path, page=not force, remedy=remedy)
+    return check_output(path, force=force, page=not force, remedy=remedy)
 
 
 def made_folder(folder: Path) -> Path:
@@ -229,10 +227,8 @@ def made_folder(folder: Path) -> Path:
     Raises:
         HilError: it cannot be made.
     """
-    try:
+    with located(f"{folder}: cannot be made", OSError):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise HilError(f"{folder}: cannot be made: {error.strerror or error}") from error
     return folder
 
 

@@ -22,7 +22,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.files import open_regular, read_regular
 
 _CHILD: Final = Path(__file__).with_name("mat_child.py")
@@ -138,10 +138,8 @@ def _of_npz(data: bytes, key: str) -> NDArray[Any]:
             held = member.read(MAX_BYTES + 1)
     if len(held) > MAX_BYTES:
         raise HilError(f"key {key!r}: more than {MAX_BYTES} bytes")
-    try:
+    with located(f"key {key!r}", HilError):
         return _of_npy(held)
-    except HilError as error:
-        raise HilError(f"key {key!r}: {error}") from error
 
 
 def _of_mat(data: bytes, key: str) -> NDArray[Any]:
@@ -199,7 +197,7 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
     with open_regular(path, what) as file:
         if os.fstat(file.fileno()).st_size > MOST_BYTES:
             raise HilError(f"{path}: more than {MOST_BYTES} bytes, the limit of {what}")
-        try:
+        with located(f"{path}: is no CSV", OSError, UnicodeDecodeError, csv.Error):
             text = io.TextIOWrapper(file, "utf-8-sig", newline="")
             first = text.readline(1 << 20)
             separator = ";" if ";" in first and "," not in first else ","
@@ -228,6 +226,4 @@ def read_columns(path: Path, what: str, picked: Callable[[list[str]], Sequence[s
                         numbers.append(math.nan if entry.strip().lower() in MISSING else float(entry))
                     except ValueError:
                         raise HilError(f"{path}:{rows.line_num}: {row[i]!r:.40} is no number") from None
-        except (OSError, UnicodeDecodeError, csv.Error) as e:
-            raise HilError(f"{path}: is no CSV: {e}") from e
     return Columns(header, np.frombuffer(numbers).reshape(len(lines), len(at)), np.frombuffer(lines, np.int64))

@@ -10,7 +10,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.files import File, new_files, read_regular, written_whole
 from transport.links import TransportError
 from transport.links.authentication import REVOKED, cryptography_needed, revoked_names
@@ -46,7 +46,7 @@ def make_keys(folder: Path, hosts: Sequence[str] = (), days: int = 365) -> list[
         The files: ca.pem, ca.key, then .pem and .key of rig and controller, then frames.key.
 
     Raises:
-        HilError: the folder is not to be had, or there is something in it.
+        HilError: the folder cannot be made, or there is something in it.
     """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -114,10 +114,8 @@ def _general(host: str) -> x509.GeneralName:
         return x509.IPAddress(ipaddress.ip_address(host))
     except ValueError:
         pass
-    try:
+    with located(f"--host {host!r:.80}: neither an address nor a name", ValueError):
         return x509.DNSName(host)
-    except ValueError as error:
-        raise HilError(f"--host {host!r:.80}: neither an address nor a name: {error}") from error
 
 
 def _pem(key: ec.EllipticCurvePrivateKey) -> bytes:
@@ -132,16 +130,14 @@ def authority_key(folder: Path, what: str) -> tuple[ec.EllipticCurvePrivateKey, 
         what: what is done with it, for the message.
 
     Raises:
-        HilError: one is not to be had, or they do not belong together.
+        HilError: one cannot be read, or they do not belong together.
     """
     try:
         data = read_secret(str(folder / "ca.key"), "the private key of the authority")
     except TransportError as error:
         raise HilError(f"{error}; {what} where the authority's key is kept") from error
-    try:
+    with located(f"{folder / 'ca.key'}: is no private key in PEM", ValueError, TypeError):
         root = load_pem_private_key(data, None)
-    except (ValueError, TypeError) as error:
-        raise HilError(f"{folder / 'ca.key'}: is no private key in PEM: {error}") from error
     if not isinstance(root, ec.EllipticCurvePrivateKey):
         raise HilError(f"{folder / 'ca.key'}: expected a key as `hil keys new` makes it")
     path = folder / "ca.pem"
@@ -158,10 +154,8 @@ def read_certificate(path: Path) -> x509.Certificate:
         HilError: there is none.
     """
     data = read_regular(path, MOST_BYTES, "a certificate")
-    try:
+    with located(f"{path}: is no certificate", ValueError):
         return x509.load_pem_x509_certificate(data)
-    except ValueError as error:
-        raise HilError(f"{path}: is no certificate: {error}") from error
 
 
 def issue_certificate(folder: Path, name: str, hosts: Sequence[str] = (), days: int = 365) -> list[Path]:
@@ -177,7 +171,7 @@ def issue_certificate(folder: Path, name: str, hosts: Sequence[str] = (), days: 
         The files: NAME.pem, NAME.key.
 
     Raises:
-        HilError: the authority's key is not to be had, or the name cannot.
+        HilError: the authority's key cannot be read, or the name cannot.
     """
     if not _NAME.fullmatch(name) or name in _TAKEN:
         raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.', and none of {', '.join(_TAKEN)}")
@@ -237,7 +231,7 @@ def renew_certificates(folder: Path, days: int = 365) -> list[Path]:
         The files: ca.pem, then every other .pem that is there.
 
     Raises:
-        HilError: ca.key or a certificate is not to be had, or they do not belong together; then nothing is replaced.
+        HilError: ca.key or a certificate cannot be read, or they do not belong together; then nothing is replaced.
     """
     begin = datetime.now(UTC) - BEFORE
     root, _ = authority_key(folder, "certificates are renewed")

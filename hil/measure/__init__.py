@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, Protocol, TypeVar, runtime_checkable
 from msgspec import Struct
 from msgspec.structs import replace
 
-from hil.errors import HilError, unknown_name
+from hil.errors import HilError, located, unknown_name
 from hil.experiment import Experiment
 from hil.experiment.tables import Report
 from hil.log.records import EVENTS_TOPIC
@@ -92,11 +92,8 @@ def measures_of(experiment: Experiment | None) -> tuple[Measure, ...]:
     found = []
     for name in report.measures:
         made = registry.load("hil.measures", name, experiment.folder if experiment is not None else ".")
-        try:
-            with in_own_words():
-                measure = made_of(made)
-        except AssertionError as error:
-            raise HilError(f"report.measures: {name!r}: {error}") from error
+        with located(f"report.measures: {name!r}", AssertionError), in_own_words():
+            measure = made_of(made)
         if not isinstance(measure, Measure):
             lacks = "title, note, topics, quantities(signals) or of(view)"
             raise HilError(f"report.measures: {name!r} is no measure: it lacks {lacks}")
@@ -194,10 +191,8 @@ def quantities_of(measures: Sequence[Measure], signals: Signals) -> tuple[Quanti
     """
     found: tuple[Quantity, ...] = ()
     for measure in measures:
-        try:
+        with located(f"report.measures: {type(measure).__name__}", AssertionError):
             found += stated_by(measure, signals)
-        except AssertionError as fault:
-            raise HilError(f"report.measures: {type(measure).__name__}: {fault}") from fault
     names = [quantity.name for quantity in found]
     for name in names:
         if names.count(name) > 1:

@@ -11,7 +11,7 @@ from functools import partial
 from typing import Any, Final
 from xml.etree import ElementTree
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.log import Curve
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel, Schema
 from hil.log.topics import panels
@@ -47,10 +47,8 @@ class Foxglove:
         self._channels: list[Any] = []
         self.clock: Clock | None = None  # it paces nothing, and changes nothing
         self.changes: Changes | None = None
-        try:
+        with located(f"--foxglove {port}", RuntimeError, advice="--foxglove 0 takes a free port"):
             self._server = foxglove.start_server(name="hilrig", host=HOST, port=port, context=self._context)
-        except RuntimeError as error:
-            raise HilError(f"--foxglove {port}: {error}; --foxglove 0 takes a free port") from error
         self.url = f"ws://{HOST}:{self._server.port}"
 
     def __enter__(self) -> Foxglove:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from msgspec.structs import replace
 
-from hil.errors import ExperimentError, HilError
+from hil.errors import ExperimentError, HilError, located
 from hil.experiment.nodes import TrafficTable, can_faults_of
 from hil.experiment.table import Seconds
 from hil.experiment.table_check import fault_at
@@ -113,11 +113,8 @@ def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
     """
     if path.suffix not in (".csv", ".dbc"):
         raise HilError(f"{path}: the ending {path.suffix!r} names no table of traffic, expected .csv or .dbc")
-    try:
-        with open_regular(path, "a table of traffic") as file:
-            text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
-    except (OSError, ValueError) as error:
-        raise HilError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    with located(path, OSError, ValueError), open_regular(path, "a table of traffic") as file:
+        text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
     if len(text) > LARGEST:
         raise HilError(f"{path}: more than {LARGEST} characters")
     found = _of_csv(path, text) if path.suffix == ".csv" else _of_dbc(path, text)
@@ -179,15 +176,13 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
     found = []
     for message in database.messages:
         if message.cycle_time:
-            try:
+            with located(f"{path}: message {message.name}", ValueError, TypeError, OverflowError):
                 values = {
                     "name": message.name, "can_id": message.frame_id, "period": Seconds(message.cycle_time / 1000),
                     "length": message.length, "extended": message.is_extended_frame, "fd": bool(message.is_fd),
                     "node": message.senders[0] if message.senders else "",
                 }  # fmt: skip
                 found.append(_sound(values))
-            except (ValueError, TypeError, OverflowError) as error:  # an attribute of another type or size than the format has
-                raise HilError(f"{path}: message {message.name}: {error}") from error
     return tuple(found)
 
 

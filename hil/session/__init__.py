@@ -15,7 +15,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-
 from hil.compose import compose
 from hil.errors import DiskFull, HilError, Terminated
 from hil.experiment import Experiment

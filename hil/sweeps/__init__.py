@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.monte_carlo.confidence import Interval
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.experiment import Experiment
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
@@ -124,12 +124,10 @@ class SweepStore:
         self.path = path
         self.rows: dict[int, dict[str, float]] = {}
         head = {"format": FORMAT, "experiment": experiment.name, "digest": _digest(experiment), "metrics": list(metrics)}
-        try:
+        with located(f"--resume: {path}", OSError):
             if path.exists() and not path.is_file():  # a device has no end
                 raise HilError(f"--resume: {path} is no file")
             self._file = open(path, "a+b", buffering=0)  # noqa: SIM115 (what does not fit is reported by write)
-        except OSError as e:
-            raise HilError(f"--resume: {path}: {e.strerror}") from e
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as e:
@@ -192,11 +190,9 @@ class SweepStore:
     def _write(self, start: int, *lines: dict[str, Any]) -> None:
         """Write what is not there yet of lines that begin at a size of the file: it may be called again after an interrupt."""
         data = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
-        try:
+        with located(f"--resume: {self.path}: cannot be written", OSError):
             while (there := self._size() - start) < len(data):  # the last bytes of a disk take a part of it, and no error
                 self._file.write(data[there:])
-        except OSError as e:
-            raise HilError(f"--resume: {self.path}: cannot be written: {e.strerror}") from e
 
     def add(self, rows: Sequence[dict[str, float]]) -> None:
         """Append finished runs and hand them to the operating system."""

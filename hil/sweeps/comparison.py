@@ -16,7 +16,7 @@ from hil.experiment import Experiment
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
 from hil.notebook import Result
-from hil.sweeps.seeds import here, quantities_in, run_sweep
+from hil.sweeps.seeds import here, quantities_in, run_sweep, seeds_of
 from hil.sweeps.shown import SHORTER, ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
 
 
@@ -189,8 +189,9 @@ def compare(
         progress: called with the experiment and how many of its runs have been done.
 
     Raises:
-        HilError: no measure is common to all of them.
+        HilError: fewer than two runs, or no measure is common to all of them.
     """
+    seeds, workers = seeds_of(runs, least=2), here(jobs)
     quantities = common_quantities([quantities_in(experiment) for experiment in experiments.values()])
     if not quantities:
         raise HilError(f"compare: {', '.join(experiments)}: no number that all have; name one measure in the [report] of each")
@@ -198,7 +199,7 @@ def compare(
     cautions: dict[str, str] = {}
     alone = ""
     for name, experiment in experiments.items():
-        ran = run_sweep(experiment, range(runs), workers=here(jobs), progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
+        ran = run_sweep(experiment, seeds, workers=workers, progress=lambda done, name=name: progress(name, done))  # type: ignore[misc]
         if ran.interrupted:
             return Comparison(runs=runs, values=values, quantities=quantities, interrupted=ran.interrupted)
         values[name], alone = ran.values, alone or ran.alone

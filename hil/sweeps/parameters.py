@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval, difference_interval
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.experiment import Experiment
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
@@ -159,10 +159,8 @@ def load_points(load: Callable[[list[str]], Experiment], points: Points) -> list
     """
     found = []
     for number in range(len(points.values)):
-        try:
+        with located(", ".join(points.changes(number)), HilError):
             found.append(load(points.changes(number)))
-        except HilError as error:
-            raise HilError(f"{', '.join(points.changes(number))}: {error}") from None
     return found
 
 
@@ -170,8 +168,7 @@ def sweep_parameters(
     experiments: Sequence[Experiment],
     points: Points,
     *,
-    runs: int,
-    first_seed: int = 0,
+    seeds: range,
     workers: Workers,
     folder: Path | None = None,
     progress: Callable[[int], None] = lambda done: None,
@@ -181,8 +178,7 @@ def sweep_parameters(
     Args:
         experiments: one for every point, as `load_points` returns them.
         points: where.
-        runs: at each point; seeds ``first_seed``, ``first_seed + 1``, ...
-        first_seed: the first of them.
+        seeds: at each point, a run each.
         workers: where the runs are computed.
         folder: finished runs are kept in here, a file per point, and taken from there instead of being run again.
         progress: called with how many runs of all have been done.
@@ -193,10 +189,8 @@ def sweep_parameters(
     quantities = common_quantities([quantities_in(e) for e in experiments])
     done: list[Mapping[str, NDArray[np.float64]]] = []
     if folder is not None:
-        try:
+        with located(f"--resume: {folder}", OSError):
             folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise HilError(f"--resume: {folder}: {error.strerror}") from error
     alone = ""
 
     cautions: dict[int, str] = {}
@@ -207,20 +201,17 @@ def sweep_parameters(
         )
 
     for number, experiment in enumerate(experiments):
-        before = number * runs
+        before = number * len(seeds)
         name = sha256("\n".join(points.changes(number)).encode()).hexdigest()[:16]
         store = SweepStore(folder / f"{name}.jsonl", experiment, columns_of(experiment)) if folder is not None else None
-        try:
-            with store or nullcontext():
-                found = run_sweep(
-                    experiment,
-                    range(first_seed, first_seed + runs),
-                    workers=workers,
-                    progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
-                    store=store,
-                )
-        except HilError as error:
-            raise HilError(f"{', '.join(points.changes(number))}: {error}") from error
+        with located(", ".join(points.changes(number)), HilError), store or nullcontext():
+            found = run_sweep(
+                experiment,
+                seeds,
+                workers=workers,
+                progress=lambda n, before=before: progress(before + n),  # type: ignore[misc]
+                store=store,
+            )
         if found.interrupted:
             return made(interrupted=found.interrupted)
         done.append(found.values)

@@ -16,7 +16,7 @@ from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
 from hil.compose import compose
 from hil.compose.judged import caution
-from hil.errors import HilError
+from hil.errors import HilError, exit_status
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
@@ -32,8 +32,7 @@ from hil.sweeps import Sweep, SweepStore
 from hil.sweeps.lockstep import measured_alone, run_batch, runs_per_batch, swept_at_once, view_of_batch
 
 MOST_JOBS = 512
-LAST_SEED = 2**63
-"""Seeds are below it."""
+LAST_SEED = 2**63 - 1
 
 
 def foreign_parts(loop: Loop) -> tuple[str, ...]:
@@ -73,7 +72,7 @@ def refuse_other_numbers(loop: Loop, alone_numbers: Mapping[str, float], sweep_n
             why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
             raise HilError(
                 f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
-                f"{alone_numbers['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; mend {why}"
+                f"{alone_numbers['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; correct {why}"
             )
 
 
@@ -149,6 +148,17 @@ def _row(run: Run, loop: Loop, names: Sequence[str], seed: int) -> dict[str, flo
     return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
 
 
+def seeds_of(runs: int, first_seed: int = 0, *, least: int = 1) -> range:
+    """Return the seeds of so many runs.
+
+    Raises:
+        HilError: fewer runs than the least that mean something, or seeds that no log can hold.
+    """
+    if runs < least or first_seed < 0 or first_seed + runs - 1 > LAST_SEED:
+        raise HilError(f"runs: {runs}, first_seed: {first_seed}; expected at least {least}, and seeds from 0 to 2^63 - 1")
+    return range(first_seed, first_seed + runs)
+
+
 def here(jobs: int) -> Workers:
     """So many processes on this machine, -1 for one per core.
 
@@ -212,7 +222,7 @@ def run_sweep(
                 reached = interval.half_width <= until[1].half_width
                 interval = interval._replace(level=until[1].level)
     except KeyboardInterrupt as e:
-        interrupted = getattr(e, "status", 130)  # what is done is worth having
+        interrupted = exit_status(e)  # what is done is worth having
         done |= {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]

@@ -133,9 +133,9 @@ def within(interval: Interval) -> str | None:
 
 
 def as_plain(interval: Interval) -> dict[str, float | int | None]:
-    """Return mean, ends and number of runs as JSON has them: no ends where the interval is infinitely wide."""
+    """Return mean, ends and number of runs as JSON has them: no mean of no run, no ends of an infinite interval."""
     low, high = (interval.low, interval.high) if interval.bounded else (None, None)
-    return {"n": interval.n, "mean": interval.value, "low": low, "high": high}
+    return {"n": interval.n, "mean": interval.value if interval.n else None, "low": low, "high": high}
 
 
 def ends_of(interval: Interval) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from design.monte_carlo import Workers
 from design.monte_carlo.confidence import Interval
 from hil.compose import compose
 from hil.design_questions.trigger_gains import Candidate, TriggerQuestion
-from hil.errors import HilError
+from hil.errors import HilError, Terminated
 from hil.experiment import Experiment, load_experiment
 from hil.measure.signals import signals_of
 from hil.measure.tracking import without_sense
@@ -125,9 +125,7 @@ def run_candidate(question: TriggerQuestion, candidate: Candidate, runs: int = R
     verdict = compose(experiment).verdict
     sweep = run_sweep(experiment, range(runs), workers=Workers(backend="serial"))
     if sweep.interrupted:
-        interrupt = KeyboardInterrupt()
-        interrupt.status = sweep.interrupted  # type: ignore[attr-defined]
-        raise interrupt
+        raise Terminated(sweep.interrupted - 128)
     state, reason, ends = ("undecided", "no verdict", None) if verdict is None else (
         verdict.state, verdict.reason, verdict.details.get("ends_within")
     )  # fmt: skip

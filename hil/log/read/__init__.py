@@ -15,7 +15,7 @@ from typing import Any, Final
 from mcap.opcode import Opcode
 from mcap.records import Channel
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.log import Logged, decode_events
 from hil.log.read.mcap_file import Columns, Content, open_mcap, start_instant
 from hil.log.read.mcap_walk import MESSAGE_PAYLOAD_AT, Budget, Checksums, DamagedRecord, Record, TornFile, walk
@@ -168,10 +168,8 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
                 raise HilError(f"{path}: {error}; save its intact records with: hil recover {path}") from error
         except HilError as error:
             raise HilError(f"{path}: {error}") from error
-    try:
+    with located(path, HilError):
         return reading.run()
-    except HilError as error:
-        raise HilError(f"{path}: {error}") from error
 
 
 EVENT_COST: Final = 8
@@ -272,10 +270,8 @@ def _schema(content: Content, channel: Channel) -> Schema:
     if found is None or found.encoding != "ros2msg" or channel.message_encoding != "cdr":
         other = "" if "hilrig" in content.metadata else "is an MCAP file, but not a log of hilrig: "
         raise HilError(f"{other}topic {channel.topic}: expected a ros2msg schema and CDR messages")
-    try:
+    with located(f"topic {channel.topic}: unknown schema", ValueError):
         return Schema.from_text(found.name, found.data.decode())
-    except ValueError as error:
-        raise HilError(f"topic {channel.topic}: unknown schema: {error}") from error
 
 
 def _attached_json(content: Content, name: str) -> dict[str, Any]:

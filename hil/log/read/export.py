@@ -30,7 +30,7 @@ from zipfile import ZIP_DEFLATED, ZipFile
 import numpy as np
 from numpy.lib import format as npy
 
-from hil.errors import HilError, nearest
+from hil.errors import HilError, located, nearest
 from hil.files import written_whole
 from hil.log.append_column import pieces
 from hil.log.read import Run
@@ -158,10 +158,8 @@ def _can_log(run: Run, paths: Sequence[Path], topics: Sequence[str], replace: bo
     from transport.links.python_can import can, with_mf4
 
     target = paths[0]
-    try:
+    with located(target, HilError):
         wanted = can_topics(run, topics)
-    except HilError as error:
-        raise HilError(f"{target}: {error}") from None
     if target.suffix == ".trc" and (has := beyond_classic(run, wanted)):
         raise HilError(f"{target}: python-can writes classic frames only as .trc, and this log has {has}; export .asc instead")
     if target.suffix == ".mf4" and find_spec("asammdf") is None:

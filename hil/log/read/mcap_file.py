@@ -20,7 +20,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.files import open_regular
 from hil.log.append_column import ROWS, AppendColumn, pieces, release
 from hil.log.read import mcap_walk
@@ -42,16 +42,14 @@ def open_mcap(path: Path, descriptor: int | None = None) -> Iterator[tuple[Binar
     Raises:
         HilError: if it cannot be read, is no regular file (a device has no end), is empty, or begins otherwise.
     """
-    try:
-        with open_regular(path, "an MCAP log", descriptor=descriptor, buffering=1 << 18) as file:
-            head = file.read(len(mcap_walk.MAGIC))
-            if not head:
-                raise HilError(f"{path}: is empty, expected an MCAP log")
-            if head != mcap_walk.MAGIC:
-                raise HilError(f"{path}: is no MCAP file: byte 0 begins {head!r}, expected {mcap_walk.MAGIC!r}")
-            yield file, os.fstat(file.fileno()).st_size
-    except OSError as error:
-        raise HilError(f"{path}: cannot be read: {error.strerror or error}") from error
+    log = open_regular(path, "an MCAP log", descriptor=descriptor, buffering=1 << 18)
+    with located(f"{path}: cannot be read", OSError), log as file:
+        head = file.read(len(mcap_walk.MAGIC))
+        if not head:
+            raise HilError(f"{path}: is empty, expected an MCAP log")
+        if head != mcap_walk.MAGIC:
+            raise HilError(f"{path}: is no MCAP file: byte 0 begins {head!r}, expected {mcap_walk.MAGIC!r}")
+        yield file, os.fstat(file.fileno()).st_size
 
 
 LATEST_START_NS = 1 << 62  # the year 2116
@@ -167,10 +165,8 @@ class Columns:
         """
         if not self._messages:
             return
-        try:
+        with located(f"topic {self._topic}", HilError):
             found = assemble(self.schema, self._messages, payload_at=MESSAGE_PAYLOAD_AT, time_at=MESSAGE_TIME_AT)
-        except HilError as error:
-            raise HilError(f"topic {self._topic}: {error}") from error
         self._messages = []
         found[TIME_FIELD] -= self._start_ns
         self.records += len(found)

@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.files.toml_text import toml_lines
 from transport.errors import FieldError
 from transport.law_fit import LawFit
@@ -99,10 +99,8 @@ def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[s
         notes.append("each direction is half of a round trip, by choice: that they are equal, and independent, is assumed")
     found = {}
     for name, way in ways.items():
-        try:
+        with located(f"{recording.source}: {name}", FieldError):
             found[name] = PacketRecord(sent_s=way.sent_s, latency_s=way.difference_s, until_s=way.until_s)
-        except FieldError as error:
-            raise HilError(f"{recording.source}: {name}: {error.field}: {error.message}") from error
     return found, tuple(notes)
 
 

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 from msgspec.structs import replace
 
-from hil.errors import HilError, nearest
+from hil.errors import located, nearest
 from hil.log import PACKET_SLOT, SLOT, Curve, Logged, MissingTopic, Topic, f64, floats, i32, i64, u8
 from hil.log.records import STATUS, Channel, Field, Schema
 
@@ -207,10 +207,8 @@ def channels(logged: Logged) -> dict[str, Channel]:
     """
     found = {}
     for number, topic in enumerate((each for each in TOPICS.values() if each.logged(logged)), 1):
-        try:
+        with located(f"log topic {topic.name}", ValueError, advice="signals need names that differ"):
             schema = Schema(name=topic.schema_name(logged), fields=topic.fields(logged))
-        except ValueError as error:
-            raise HilError(f"log topic {topic.name}: {error}; signals need names that differ") from None
         found[topic.name] = Channel(id=number, topic=topic.name, schema=schema)
     return found
 

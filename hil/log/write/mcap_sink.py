@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.log import to_json
 from hil.log.records import EVENT_SCHEMA, EVENT_SCHEMA_NAME, EVENTS_TOPIC, Channel
 from hil.log.write import PayloadWriter, Record, Sink
@@ -75,10 +75,8 @@ class McapSink(Sink):
         self._ids: dict[str, int] = {}
         self._channels = channels
         self.kept = ColumnBuffer(channels, self._ids, keep or {}, self.path.parent)
-        try:
+        with located(f"log {self.path}: cannot be created", OSError):
             self._disk = _Disk(self.path)
-        except OSError as error:
-            raise HilError(f"log {self.path}: cannot be created: {error.strerror or error}") from error
         self._writer = McapWriter(
             self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent,
             room=0 if now is None else 2 * REAL_FLUSH_BYTES,
@@ -182,12 +180,10 @@ class McapSink(Sink):
         """Return a descriptor of the file for reading it back, whatever becomes of its name; the caller closes it.
 
         Raises:
-            HilError: there is no descriptor to be had.
+            HilError: no descriptor is available.
         """
-        try:
+        with located(f"log {self.path}: cannot be read back", OSError):
             return self._disk.duplicate()
-        except OSError as error:
-            raise HilError(f"log {self.path}: cannot be read back: {error.strerror or error}") from error
 
     def gone(self) -> str | None:
         """Return what happened to the file's name while the log was open, None if it still names the log."""

@@ -26,7 +26,7 @@ from urllib.parse import parse_qs
 
 import msgspec
 
-from hil.errors import HilError
+from hil.errors import HilError, located
 from hil.log import plain
 from hil.pages.live.about import Window, controllers_of, picture
 from hil.pages.live.desk import Desk, Wish
@@ -78,10 +78,8 @@ class LivePage(ThreadingHTTPServer):
         self.refused = 0
         self.closed = False
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
-        try:
+        with located(f"--port {port}", OSError, advice="--port 0 takes a free one"):
             super().__init__((HOST, port), Handler)
-        except OSError as error:
-            raise HilError(f"--port {port}: {error.strerror}; --port 0 takes a free one") from error
         self._thread = threading.Thread(target=self.serve_forever, kwargs={"poll_interval": 0.1}, name="live page", daemon=True)
         self._thread.start()
 
@@ -272,7 +270,7 @@ class Handler(BaseHTTPRequestHandler):
             raise Refused(HTTPStatus.FORBIDDEN, "X-Hil-Token: missing or wrong, so this browser only watches; open the whole URL")
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal() or len(length) > 9 or int(length) > MOST_BYTES:
-            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a wish has {MOST_BYTES} bytes at most, and says how many")
+            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request has {MOST_BYTES} bytes at most, and states its length")
         try:
             number = self.server.desk.take(msgspec.json.decode(self.rfile.read(int(length)), type=Wish))
         except (HilError, ValueError, RecursionError) as error:

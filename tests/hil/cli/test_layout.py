@@ -84,6 +84,6 @@ def test_a_log_of_a_probe_has_no_layout(cli: Hil, viewer: str) -> None:
 def test_a_layout_replaces_nothing_unasked(cli: Hil) -> None:
     Path("x.json").write_text("mine")
     status, _, err = cli("layout", "foxglove", "dc-motor-hinf", "-o", "x.json")
-    assert status == 2 and "exists already; choose another -o or add --force" in err and Path("x.json").read_text() == "mine"
+    assert status == 2 and "exists already; choose another name or add --force" in err and Path("x.json").read_text() == "mine"
     assert cli("layout", "foxglove", "dc-motor-hinf", "-o", "x.json", "--force")[0] == 0
     assert "Plot!0" in json.loads(Path("x.json").read_text())["configById"]

@@ -72,7 +72,7 @@ def test_words_that_cannot_be_meant_are_refused(
         (lambda: hil.simulate(compose(load_experiment("dc-motor-h2")), duration="1 s"), "a composed loop takes no changes"),
         (lambda: hil.simulate(compose(load_experiment("dc-motor-h2")), **{"plant.gain": 1.0}), "a composed loop takes no"),
         (lambda: hil.sweep(load_experiment("dc-motor-h2"), grid={"plant.gain": [1.0, 2.0]}), "give its name or path"),
-        (lambda: hil.sweep("dc-motor-h2", runs=0), "runs: 0, first_seed: 0; expected at least one run"),
+        (lambda: hil.sweep("dc-motor-h2", runs=0), "runs: 0, first_seed: 0; expected at least 1"),
         (lambda: hil.sweep("dc-motor-h2", first_seed=-1), "first_seed: -1"),
         (lambda: hil.assert_probability("dc-motor-h2", bool, at_least=0.5, most_runs=0), "most_runs: 0, first_seed: 0; expected"),
         (lambda: hil.assert_probability("dc-motor-h2", bool, at_least=0.5, first_seed=-1), "first_seed: -1; expected at least"),

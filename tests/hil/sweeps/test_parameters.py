@@ -84,7 +84,7 @@ def three_seconds(changes: list[str]) -> hil.Experiment:
 
 def test_every_point_has_the_numbers_of_a_sweep_of_its_own() -> None:
     points = grid(["plant.gain=150,170"])
-    found = sweep_parameters(load_points(three_seconds, points), points, runs=3, workers=HERE)
+    found = sweep_parameters(load_points(three_seconds, points), points, seeds=range(3), workers=HERE)
     for columns, gain in zip(found.columns, (150, 170)):
         alone = hil.sweep("dc-motor-hinf", runs=3, jobs=1, duration=3, **{"plant.gain": gain})
         assert columns["seed"].tolist() == [0, 1, 2] and np.array_equal(columns["sse"], alone.values["sse"])
@@ -114,7 +114,7 @@ def test_what_was_done_is_not_done_again(tmp_path: Path, monkeypatch: pytest.Mon
     points = grid(["plant.gain=150,170"])
 
     def sweep() -> parameters.ParameterSweep:
-        return sweep_parameters(load_points(three_seconds, points), points, runs=2, workers=HERE, folder=tmp_path)
+        return sweep_parameters(load_points(three_seconds, points), points, seeds=range(2), workers=HERE, folder=tmp_path)
 
     first = sweep()
     monkeypatch.setattr("hil.sweeps.seeds.run_seeds", lambda loop, seeds: pytest.fail("ran again"))
