@@ -14,67 +14,53 @@ from typing import Any
 import click
 
 from hil.cli.guard import Guard, signals_as_exceptions
-from hil.errors import HilError, Terminated, is_message, nearest
+from hil.errors import HilError, exit_status, is_message, nearest
 from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
 from hil.plugins.user_modules import WATCH, ProcessState, refuse_shadowed_packages
 
 COMMANDS = {
-    "run": "Run an experiment, log it, print its summary.",
-    "list": "List experiments and plug-ins.",
-    "show": "Print the file of a shipped experiment.",
-    "new": "Write a plant, controller, law, measure or experiment of your own.",
-    "check": "Check a plug-in, and say what it has earned.",
-    "laws": "Show the network laws of an experiment: stationary law, burst lengths.",
-    "report": "Make a self-contained page from a log.",
-    "live": "Watch a run in the browser, and change it there.",
-    "replay": "Verify a log, ask another controller, or put its frames on a bus.",
-    "recover": "Rebuild an indexed log from a torn one.",
-    "export": "Write a log's frames or signals in other formats.",
-    "layout": "Make a layout of Foxglove, Lichtblick or PlotJuggler for a log.",
-    "can": "Bound the response times of the messages on a CAN bus.",
-    "dbc": "Print the DBC of the frames, make a C codec of it, decode a CAN log.",
-    "sweep": "Run an experiment for many seeds on all cores.",
-    "compare": "Compare experiments under common random numbers.",
-    "rig": "Run only the rig of an experiment, and wait for a controller on a link.",
-    "controller": "Run only the controller of an experiment, on a link.",
-    "design": "Solve a design and certify it.",
-    "solve": "Solve the gains of an experiment and store them beside it.",
-    "identify": "Estimate a plant from logs, or a network law from packets.",
-    "problems": "Show a set of problems, and run a controller against it.",
-    "probe": "Measure a real link with our own frames, and log every round trip.",
-    "stiffness-map": "Map how stiff a virtual wall may be, certified.",
-    "reproduce": "Put the thesis's numbers beside computed ones.",
-    "discover": "Say which rigs and controllers are there on zenoh links.",
-    "keys": "Make keys and certificates for a link that lets one controller command.",
-    "vcan": "Run a command where a real vcan0 exists.",
-    "bench": "Measure timing, links and designs on this machine.",
-    "schema": "Print the JSON Schema of experiment files.",
-    "completion": "Let the shell complete commands, experiments and keys.",
-    "guide": "Print a page of the guide.",
-    "licences": "List what is installed, and under which licence.",
-    "doctor": "Check what this machine offers, with the remedy.",
+    "run": ("run:run", "Run an experiment, log it, print its summary."),
+    "list": ("list:command", "List experiments and plug-ins."),
+    "show": ("list:show", "Print the file of a shipped experiment."),
+    "new": ("new:new", "Write a plant, controller, law, measure or experiment of your own."),
+    "check": ("new:check", "Check a plug-in, and say what it has earned."),
+    "laws": ("laws:command", "Show the network laws of an experiment: stationary law, burst lengths."),
+    "report": ("log_files:report", "Make a self-contained page from a log."),
+    "live": ("run:live", "Watch a run in the browser, and change it there."),
+    "replay": ("log_files:replay", "Verify a log, ask another controller, or put its frames on a bus."),
+    "recover": ("log_files:recover", "Rebuild an indexed log from a torn one."),
+    "export": ("log_files:export", "Write a log's frames or signals in other formats."),
+    "layout": ("log_files:layout", "Make a layout of Foxglove, Lichtblick or PlotJuggler for a log."),
+    "can": ("can:can", "Bound the response times of the messages on a CAN bus."),
+    "dbc": ("can:dbc", "Print the DBC of the frames, make a C codec of it, decode a CAN log."),
+    "sweep": ("sweep:command", "Run an experiment for many seeds on all cores."),
+    "compare": ("compare:compare", "Compare experiments under common random numbers."),
+    "rig": ("one_end:rig", "Run only the rig of an experiment, and wait for a controller on a link."),
+    "controller": ("one_end:controller", "Run only the controller of an experiment, on a link."),
+    "design": ("design:command", "Solve a design and certify it."),
+    "solve": ("list:solve", "Solve the gains of an experiment and store them beside it."),
+    "identify": ("identify:command", "Estimate a plant from logs, or a network law from packets."),
+    "problems": ("compare:problems", "Show a set of problems, and run a controller against it."),
+    "probe": ("bench:probe", "Measure a real link with our own frames, and log every round trip."),
+    "stiffness-map": ("design_wall:stiffness_map", "Map how stiff a virtual wall may be, certified."),
+    "reproduce": ("reproduce:command", "Put the thesis's numbers beside computed ones."),
+    "discover": ("one_end:discover", "Say which rigs and controllers are there on zenoh links."),
+    "keys": ("one_end:keys", "Make keys and certificates for a link that lets one controller command."),
+    "vcan": ("can:vcan", "Run a command where a real vcan0 exists."),
+    "bench": ("bench:bench", "Measure timing, links and designs on this machine."),
+    "schema": ("list:schema", "Print the JSON Schema of experiment files."),
+    "completion": ("completion:command", "Let the shell complete commands, experiments and keys."),
+    "guide": ("guide:guide", "Print a page of the guide."),
+    "licences": ("guide:licences", "List what is installed, and under which licence."),
+    "doctor": ("doctor:command", "Check what this machine offers, with the remedy."),
 }
-
-_SHARED_FILES = {
-    "rig": "one_end", "controller": "one_end", "discover": "one_end", "keys": "one_end",
-    "report": "log_files", "recover": "log_files", "export": "log_files", "layout": "log_files",
-    "replay": "log_files", "run": "run", "live": "run",
-    "show": "list", "schema": "list", "solve": "list",
-    "can": "can", "dbc": "can", "vcan": "can",
-    "new": "new", "check": "new",
-    "bench": "bench", "probe": "bench",
-    "guide": "guide", "licences": "guide",
-    "compare": "compare", "problems": "compare",
-    "stiffness-map": "design_wall",
-}  # fmt: skip
-"""Files of several commands, each a function of the command's name; elsewhere it is ``command`` in a file of its name."""
+"""Name of a command to the function that it is, in a file of this folder, and one line about it. A new command is a line here."""
 
 
 def command_of(name: str) -> click.Command:
     """Import the file of a command of `COMMANDS`, and return it."""
-    own = name not in _SHARED_FILES
-    module = import_module(f"hil.cli.{_SHARED_FILES.get(name, name)}")
-    command: click.Command = getattr(module, "command" if own else name.replace("-", "_"))
+    file, function = COMMANDS[name][0].split(":")
+    command: click.Command = getattr(import_module(f"hil.cli.{file}"), function)
     return command
 
 
@@ -120,7 +106,7 @@ class LazyGroup(click.Group):
             if at is None:
                 raise
             print("\nhil: interrupted", file=sys.stderr)
-            sys.exit(at.status if isinstance(at, Terminated) else 130)
+            sys.exit(exit_status(at))
         except click.exceptions.NoArgsIsHelpError:
             raise
         except click.UsageError as e:
@@ -135,7 +121,7 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
-            formatter.write_dl([*COMMANDS.items()])
+            formatter.write_dl([(name, about) for name, (_, about) in COMMANDS.items()])
 
     def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command | None, list[str]]:
         try:
@@ -174,7 +160,7 @@ def guarded_main() -> Any:
 
 
 def main(args: list[str] | None = None) -> Any:
-    """Run the command line; turn errors that the user can mend into a message and status 2."""
+    """Run the command line; turn errors of the user into a message and status 2."""
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
@@ -198,7 +184,7 @@ def main(args: list[str] | None = None) -> Any:
             return cli.main(args, prog_name="hil", standalone_mode=True, color=False if plain else None)
     except KeyboardInterrupt as e:  # between the last line of a command and the end of this process
         print("\nhil: interrupted", file=sys.stderr)
-        sys.exit(e.status if isinstance(e, Terminated) else 130)
+        sys.exit(exit_status(e))
     except OSError as e:
         status = 2
         if e.errno in (errno.EMFILE, errno.ENFILE):

@@ -51,6 +51,6 @@ def test_shipped_controller_and_plant_keep_their_contracts(name: str) -> None:
 
 @pytest.mark.parametrize("name", registry.names("hil.laws"))
 def test_law_keeps_its_contract(name: str) -> None:
-    law: Any = parse_plugin("hil.laws", name, LAWS[name])
+    law: Any = parse_plugin("hil.laws", name, LAWS.get(name, ()))
     said = check_law(prepare(law))
     assert said[0].endswith("it can run in a loop")
