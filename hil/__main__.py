@@ -1,4 +1,4 @@
-"""``hil``, and ``python -m hil``: heed signals first, then import the command line."""
+"""``hil``, and ``python -m hil``: handle signals first, then import the command line."""
 
 from __future__ import annotations
 

@@ -40,14 +40,14 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 
 
 @bench.command()
-@click.option("--duration", type=Duration(), default="20s", show_default=True, help="Of the sessions over each link.")
-@click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Sessions that share these.")
+@click.option("--duration", type=Duration(), default="20s", show_default=True, help="Length of the sessions over each link.")
+@click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of sessions that share it.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
-              help="Experiment; several are measured in turns [dc-motor-1khz].")  # fmt: skip
+              help="Experiment; several are measured alternately [dc-motor-1khz].")  # fmt: skip
 @click.option("--set", "sets", multiple=True, metavar="PATH=VALUE", help="Change a field, such as timing.idle=awake.")
 @click.option("--affinity", "affinities", multiple=True, type=click.Choice(get_args(Affinity)),
-              help="CPUs of rig and controller; several are measured in turns.")  # fmt: skip
+              help="CPUs of rig and controller; several are measured alternately.")  # fmt: skip
 @click.option("--live", is_flag=True, help="Instead: lateness with no, one and three readers of the live page.")
 @json_option("Print JSON.")
 def timing(
@@ -100,7 +100,7 @@ def _live(duration: float, turns: int, link: str, experiment: str) -> None:
 
 @bench.command()
 @click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
-@click.option("--duration", type=Duration(), default="10s", show_default=True, help="On each link.")
+@click.option("--duration", type=Duration(), default="10s", show_default=True, help="Length of the measurement on each link.")
 @click.option("--can", "buses", is_flag=True, help="Instead: CAN buses, with the bus model off and on.")
 @json_option("Print JSON.")
 def links(rate: float, duration: float, buses: bool) -> None:
@@ -205,7 +205,7 @@ def probe(
             answer(end)
     if rate * seconds > MOST_FRAMES:
         raise HilError(f"--seconds: {rate * seconds:.0f} frames, at most {MOST_FRAMES}; lower --rate")
-    path = check_output(output or Path("link.mcap"), fresh=not force, remedy="choose another -o or add --force")
+    path = check_output(output or Path("link.mcap"), force=force)
     standard_output_is_free()
     with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
         trips, one_clock, again = probe(end, rate, seconds, watch.counted)

@@ -103,7 +103,7 @@ def _swallowed(frame: FrameType | None, *, always: bool = False) -> bool:
 
 
 STOPS_S: Final = 1.0
-"""From a signal to the end of a command that does not heed it."""
+"""From a signal to the end of a command that does not react to it."""
 LEAVES_S: Final = 5.0
 """From the end of a command to the end of its threads and exit functions."""
 CLOSES_S: Final = 10.0
@@ -215,7 +215,7 @@ def _leave(status: int, asked: int, page: mmap.mmap, module: str) -> NoReturn:
         code = code or int(bool(reason))
     elif asked:
         code = 128 + asked
-        reason = f"it did not heed {signal.Signals(asked).name} for {STOPS_S:g} s, and was killed" if status < 0 else ""
+        reason = f"it did not react to {signal.Signals(asked).name} for {STOPS_S:g} s, and was killed" if status < 0 else ""
     elif status < 0:
         reason = f"the command was killed by {signal.Signals(-status).name} before it was done"
     else:

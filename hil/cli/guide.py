@@ -88,7 +88,7 @@ def guide(topic: str | None) -> None:
 @click.command()
 @json_option()
 def licences() -> None:
-    """List every installed package with its version and licence; those that ask something of who passes them on come first."""
+    """List every installed package with its version and licence; licences with conditions for redistribution come first."""
     rows = bill()
     answer({"packages": rows}, _show_licences, rows)
 

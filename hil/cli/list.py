@@ -205,9 +205,9 @@ def schema() -> None:
 def solve(experiments: tuple[str, ...]) -> None:
     """Solve the gains of every EXPERIMENT and store them in gains/NAME.json beside its file.
 
-    What is solved differs from machine to machine in its last digits. With the file beside it an experiment has the same
+    Solved gains differ from machine to machine in their last digits. With the file beside it an experiment has the same
     bits on every machine. The file holds the digest of its problem: after a change of plant, network or request the
-    gains are solved where they run, the summary says so, and this command stores them anew.
+    gains are solved where they run, the summary says so, and this command stores the new ones.
 
     Exit status 2 where an experiment asks for no design, or no gains meet its request.
     """

@@ -29,11 +29,11 @@ PARTS = ("plant", "controller", "law", "measure", "experiment")
 @click.argument("part", type=click.Choice(PARTS))
 @click.argument("name")
 @click.option("-o", "--output", "folder", type=click.Path(file_okay=False, path_type=Path), default=Path("."),
-              help="Folder to write to; made where it is not there. The working folder by default.")  # fmt: skip
+              help="Folder to write to, made if needed; the working folder by default.")  # fmt: skip
 @click.option("--language", type=click.Choice(["python", "c"]),
               help="controller: a program of its own in this language, for `hil rig EXPERIMENT`.")  # fmt: skip
 @click.option("--for", "rig", type=EXPERIMENT, metavar="EXPERIMENT",
-              help="With --language: the rig of the program, and the gains that it has. By default dc-motor-hinf.")  # fmt: skip
+              help="With --language: the experiment whose rig and gains the program has. By default dc-motor-hinf.")  # fmt: skip
 @click.option("--link", "kind", type=click.Choice(["can", "zenoh"]), help="With --language: the link. Default: can.")
 @click.option("--keyed", is_flag=True, help="With --language: every packet has a message authentication code.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
@@ -56,11 +56,11 @@ def new(
     if keyword.iskeyword(module) or _is_taken(module):
         raise HilError(f"NAME: {name!r}: Python has a module or a word of this name; take another: hil new {part} my_{module}")
     if language is None and (keyed or kind is not None):
-        raise HilError("--link and --keyed: of a program, with --language python or c; a plug-in runs on any link")
+        raise HilError("--link and --keyed: only for a program (--language python or c); a plug-in runs on any link")
     if language is None and rig is not None:
-        raise HilError("--for: of a program, with --language python or c; a plug-in runs in the experiment that names it")
+        raise HilError("--for: only for a program (--language python or c); a plug-in runs in the experiment that names it")
     if language is not None and part != "controller":
-        raise HilError(f"--language: of a controller, not of a {part}: hil new controller {module} --language {language}")
+        raise HilError(f"--language: for a controller, not for a {part}: hil new controller {module} --language {language}")
     of, note = None, ""
     if language is None:
         files = files_of(part, module)
@@ -72,7 +72,7 @@ def new(
     there = [path for path in texts if path.exists() or path.is_symlink()]
     if there and not force:
         own = module in there[0].name
-        remedy = "choose another name" if own else "it is another program's, of other packets; choose another folder with -o"
+        remedy = "choose another name" if own else "it is of another program, with other packets; choose another folder with -o"
         raise HilError(f"{there[0]}: exists already; {remedy}, or add --force")
     made_folder(folder)
     for path, text in texts.items():
@@ -161,8 +161,8 @@ def _is_taken(module: str) -> bool:
 def check(group: str, kind: str, sets: tuple[str, ...], experiment: str) -> None:
     """Check a plug-in and say what it has earned: hil check laws my_module:Mine --parameter p=0.3
 
-    KIND is the name of an installed plug-in or module:Class of a file in this folder; of a link it is a URI. What is not kept is
-    one message and exit status 2.
+    KIND is the name of an installed plug-in or module:Class of a file in this folder; of a link it is a URI. A rule that
+    is broken gives one message and exit status 2.
     """
     from hil.plugins.user_plugins import words
     from plants.errors import PlantError

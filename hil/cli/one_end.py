@@ -36,7 +36,7 @@ def rig(ctx: click.Context, /, experiment: str, wait: float | None, **options: o
     """Run the rig of EXPERIMENT alone, in real time, and wait for a controller on the link.
 
     The controller is `hil controller EXPERIMENT` elsewhere, or a program of your own: hil new controller NAME --language python
-    --for EXPERIMENT. The same as `hil run --clock real --external` with all the time that it takes.
+    --for EXPERIMENT. It is `hil run --clock real --external` without a limit to the waiting.
     """
     from hil.cli.run import LONGEST_WAIT_S, run
 
@@ -146,7 +146,7 @@ def issue(folder: Path, name: str, hosts: tuple[str, ...], days: int) -> None:
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.argument("names", nargs=-1, required=True)
 def revoke(folder: Path, names: tuple[str, ...]) -> None:
-    """Let NAMES in no more: a list in FOLDER, which both ends need beside their ca.pem. Links that are open stay open."""
+    """Revoke NAMES: write a list in FOLDER that both ends need beside their ca.pem. Links that are open stay open."""
     from hil.files.keys import revoke_names
 
     print(visible(str(revoke_names(folder, names))))
@@ -159,7 +159,7 @@ def revoke(folder: Path, names: tuple[str, ...]) -> None:
 @keys.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 def signing(folder: Path) -> None:
-    """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub is for who checks them."""
+    """Make a pair of keys that sign logs: FOLDER/signing.key is secret, FOLDER/signing.pub checks the signatures."""
     from hil.files.signature import make_signing_key
 
     key, public = (quote(visible(str(path))) for path in make_signing_key(folder))

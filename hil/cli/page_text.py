@@ -163,7 +163,7 @@ def print_summary(summary: dict[str, Any]) -> None:
             f"{bus['errors']} destroyed")  # fmt: skip
         if bus["stated_load"] > 1:
             needed = f"the messages need {100 * bus['stated_load']:.1f} % of it"
-            row("", f"{needed}: the lower ones are not sent, or ever later", "red")
+            row("", f"{needed}: those of low priority are not sent, or ever later", "red")
         for each in bus["messages"]:
             if each["node"] in bus["own_nodes"]:
                 row(f"  {each['name']}", f"{each['can_id']:#x}, waited {number(each['waited_ms'])} ms, at most "

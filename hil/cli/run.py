@@ -101,7 +101,7 @@ def let_go(path: Path) -> None:
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
 @click.option("--sign", "sign", type=click.Path(path_type=Path), metavar="KEY",
               help="Sign the log with this key (hil keys signing); the signature stands in FILE.mcap.sig.")  # fmt: skip
-@click.option("--signals", metavar="URI", help="Publish named signals over zenoh at zenoh:tcp/127.0.0.1:7448, say.")
+@click.option("--signals", metavar="URI", help="Publish named signals over zenoh, such as zenoh:tcp/127.0.0.1:7448.")
 @click.option("--external", is_flag=True, help="Start no controller: your own program answers on the link (or: hil rig).")
 @click.option("--wait", type=Duration(), help="How long to wait for it; 120 s by default.")
 @click.option("--require-valid-timing", is_flag=True, help="Exit with 4 if the timing of the run is not valid.")
@@ -148,7 +148,7 @@ def run(
     if clock == "virtual" and (link is not None or external):
         raise HilError("--link and --external need --clock real: virtual time runs in one process, without a link")
     if wait is not None and not external:
-        raise HilError("--wait goes with --external: for so long the rig waits for a program of your own")
+        raise HilError("--wait: only with --external; it is how long the rig waits for your program")
     if wait is not None and not 0.0 < wait <= LONGEST_WAIT_S:
         raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
     on = link_of(rig_of(checked), link) if clock == "real" else None
@@ -216,7 +216,7 @@ def run(
 @click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True, metavar="EXPERIMENT [EXPERIMENT] | LOG.mcap")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
 @click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True,
-              help="real: as the link's processes keep time; takes fewer changes.")  # fmt: skip
+              help="real: separate processes keep time; takes fewer changes.")  # fmt: skip
 @click.option("--link", metavar="URI", help="Link in real time.")
 @click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
 @click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
@@ -224,10 +224,10 @@ def run(
 @click.option("--paused", is_flag=True, help="Pause before slot 0, until the page resumes.")
 @click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page, on 127.0.0.1; any that is free by default.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page on 127.0.0.1; a free one by default.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
 @click.option("--force", is_flag=True, help="Replace the file of -o.")
-@click.option("--folder", metavar="DIR", help="Of a LOG: where own modules stand: they are run.")
+@click.option("--folder", metavar="DIR", help="Of a LOG: folder of own modules, which are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
 @foxglove_option
 @json_option("Print the summary as one JSON object, with --script.")

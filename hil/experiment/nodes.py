@@ -31,8 +31,8 @@ class TrafficTable(Table, frozen=True, kw_only=True):
         can_id: 11 bits, or 29 where ``extended``.
         period: from one to the next.
         offset: when the first one is due.
-        jitter: each is queued later than it is due by up to so much, drawn anew each time.
-        length: bytes of data; random bytes, drawn anew each time.
+        jitter: each is queued later than it is due by up to so much, drawn again each time.
+        length: bytes of data; random bytes, drawn again each time.
         data: instead, the bytes themselves in hexadecimal.
         extended: identifier of 29 bits.
         fd: CAN FD; with the data bit rate where the bus has one.
@@ -154,7 +154,7 @@ class ClockTable(Table, frozen=True, kw_only=True):
         every: slots from one packet to the next.
         phase: slot of the first one, from 0.
         random_phase: drawn once a run instead, any phase as likely as another.
-        jitter: every packet is late by 0 to this many slots, drawn anew each time; less than ``every``.
+        jitter: every packet is late by 0 to this many slots, drawn again each time; less than ``every``.
     """
 
     every: int = 1

@@ -62,7 +62,7 @@ def bus_page(found: BusAnalysis) -> Page:
         note="Met: whether its deadline is. Delayed by: how many messages win over it, and the last three of them; beside these "
         "one frame of any other may be on the bus already. A message with a dash for its bound has none.",
     )  # fmt: skip
-    full = f"The messages need {100 * found.load:.1f} % of the bus: the lower ones are not sent, or ever later."
+    full = f"The messages need {100 * found.load:.1f} % of the bus: those of low priority are not sent, or ever later."
     rate = f"{found.bitrate:,} bit/s" + (f", data {found.dbitrate:,} bit/s" if found.dbitrate else "")
     return Page(
         f"CAN bus: {found.name}",

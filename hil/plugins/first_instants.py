@@ -22,7 +22,7 @@ def leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
 
 
 def heed_signals() -> None:
-    """Let every signal that ends a command end this process at once, but for those that are handled or ignored."""
+    """Let every signal that ends a command end this process at once, except those that are handled or ignored."""
     for number in ENDING:
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
             signal.signal(number, leave_at_once)

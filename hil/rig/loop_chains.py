@@ -243,7 +243,7 @@ def waiting_chance(sc: DelayChain, waited: Sequence[int], outputs: Sequence[Sequ
     r"""Return c and the node that is waited for longest: none of its packets has come by slot k with a probability like c^k.
 
     c is the spectral radius of the chain within the modes in which the node's sample is held: without a first packet it is in
-    these but for the first slots.
+    these except for the first slots.
 
     Args:
         sc: the chain of the ages of all nodes.

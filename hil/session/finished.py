@@ -228,7 +228,7 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
     summary["controller_counters"] = controller_counters(run)
     refused = (summary["link_counters"] or {}).get("refused", 0)
     if refused:
-        problems["refused"] = f"{refused} packets or peers on the link were refused: they had not the key or the name"
+        problems["refused"] = f"{refused} packets or peers on the link were refused: they lacked the key or the name"
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
 

@@ -49,7 +49,7 @@ def start(wanted: Wanted) -> list[str]:
             return way(wanted)
         except RunnerError as why:
             missing.append(f"{name}: {why}")
-    raise RunnerError("\n".join(["no vcan0 could be had", *(line for why in missing for line in why.split("\n"))]))
+    raise RunnerError("\n".join(["no vcan0 is available", *(line for why in missing for line in why.split("\n"))]))
 
 
 def ways(wanted: Wanted) -> list[tuple[str, Start]]:

@@ -83,7 +83,7 @@ def page(figures: tuple[Path, ...], output: Path | None) -> None:
     from tests.bench.page import page_of, section_of
 
     if output is not None:
-        check_output(output)
+        check_output(output, force=True)
     machines = []
     for path in figures:
         try:

@@ -24,7 +24,7 @@ FEW = 60
 PARTS = 4
 SHORT = "duration=0.2 s"
 WORK_S = 60.0
-"""Of one input: gains of some experiments are solved anew, in some seconds."""
+"""Of one input: gains of some experiments are solved again, in some seconds."""
 
 NUMBERS = (0, -1, 1, 1e-300, 1e-99, 1e-12, 1e-9, 1e9, 1e20, 1e29, 1e31, 1e80, 1e160, 1e308, -1e308)
 WITH_DEFAULTS = (

@@ -77,7 +77,7 @@ def test_a_script_changes_a_run_in_real_time_at_the_slots_of_virtual_time(tmp_pa
     ("path", "value", "why"),
     [
         ("controller", {"kind": "h2"}, "controller: does not change in real time: the controller is a process of its own"),
-        ("plant.gain", 150.0, "plant.gain: does not change in real time: the plant tabulates other equations anew"),
+        ("plant.gain", 150.0, "plant.gain: does not change in real time: the plant tabulates other equations"),
         ("limits.input", [1.0], "limits.input: does not change in real time"),
     ],
 )

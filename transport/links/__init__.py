@@ -25,7 +25,7 @@ LOOK_S: Final = 0.02
 
 
 class TransportError(Exception):
-    """A link that cannot be had; the message names the link, what is wrong and how to mend it."""
+    """A link that cannot be opened or used; the message names the link, what is wrong and what helps."""
 
 
 class LinkCounters(Struct):

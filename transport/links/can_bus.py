@@ -100,7 +100,7 @@ class HilBus(can.BusABC):
         dbitrate, data_bitrate: data bit rate of CAN FD, likewise.
         berr_reporting: with ``timed``, whether an error frame comes for every destroyed frame too, as the option of ``ip link``.
         restart_ms: with ``timed``, from bus-off to when recovery begins, ms, as the option of ``ip link``; None or 0: it stays
-            off until it joins anew.
+            off until it joins again.
         kwargs: other timings are taken and ignored.
 
     Raises:

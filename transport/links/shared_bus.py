@@ -196,7 +196,7 @@ class SharedBus:
         others_changed: called while the bus is locked, before `ended`, when time that passed here has changed the error state
             of another participant.
 
-    A participant that is off the bus stays off until it joins anew, or asks to `restart`.
+    A participant that is off the bus stays off until it joins again, or asks to `restart`.
 
     Raises:
         TransportError: the file cannot be had.

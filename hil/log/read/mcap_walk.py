@@ -158,7 +158,7 @@ def parse_attachment(record: Record) -> Attachment:
     """Parse an attachment, and check it against its CRC, which mcap's own reader leaves out.
 
     Raises:
-        DamagedRecord: if it cannot be had whole.
+        DamagedRecord: if it cannot be read whole.
     """
     attachment: Attachment = parse(Attachment.read, record)
     crc = int.from_bytes(record.body[-4:], "little")
@@ -214,7 +214,7 @@ def unpack_chunk(record: Record, budget: Budget) -> bytes:
         budget: of the file.
 
     Raises:
-        DamagedRecord: if it cannot be had whole.
+        DamagedRecord: if it cannot be read whole.
         TooLarge: if the budget is used up.
     """
     chunk = parse(Chunk.read, record)

@@ -87,7 +87,7 @@ def read_own_log(path: Path) -> Recording:
         raise HilError(f"{path}: resolved.json: period: missing, expected seconds")
     nodes = run.arrays[SC.name]
     if "node" in (nodes.dtype.names or ()) and len(np.unique(nodes["node"])) > 1:
-        raise HilError(f"{path}: several sensor nodes; a law is that of one")
+        raise HilError(f"{path}: several sensor nodes; a law is fitted to one")
     ways = {way: _emulated(f"{path}: {topic}", run.arrays[topic], period) for way, topic in ((THERE, SC.name), (BACK, CA.name))}
     notes = (f"{path}: the emulated network of a run, and no measured one: {run.metadata.get('experiment', '?')}",)
     return Recording(source=str(path), ways=ways, clocks=1, notes=notes)

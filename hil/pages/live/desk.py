@@ -97,7 +97,7 @@ CERTIFIED_LEAD_S: Final = 0.3
 """How far ahead of the run a change is armed; if its slot began meanwhile, twice as far, or twice as far as the run has come."""
 SPEEDS: Final = (1e-3, 1e3)
 WATCHES: Final = "of a log, and with hil run --live, the page only watches; hil live EXPERIMENT takes changes"
-PACED: Final = "the clock on the wall paces a run in real time; hil live in virtual time holds, steps and goes at another speed"
+PACED: Final = "the wall clock paces a run in real time; in virtual time hil live pauses, steps and changes the speed"
 
 
 class Wish(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -175,7 +175,7 @@ class Desk:
             self._pace(wish)
             return 0
         if wish.do in ("check", "apply") and wish.path == END:
-            raise HilError(f"path: {END!r} is no field; the wish to end a run is its own")
+            raise HilError(f"path: {END!r} is no field; the request to end a run is its own")
         if wish.do == "restart" and not (wish.seed is None or 0 <= wish.seed < 2**63):
             raise HilError(f"seed: {wish.seed}, expected a whole number from 0 on")
         number = next(self._numbers)

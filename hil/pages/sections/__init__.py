@@ -86,7 +86,7 @@ def check_section(plug_in: object, view: RunView) -> list[str]:
 
 
 def drawn(plug_in: DrawsSection, view: RunView) -> Section | None:
-    """Return the section of a plug-in as plain data; a section that says what went wrong where that cannot be had.
+    """Return the section of a plug-in as plain data; a section that says what went wrong where it draws none.
 
     Args:
         plug_in: a class of the user's own; whatever it raises or returns, the page is made.

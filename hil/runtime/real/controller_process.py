@@ -83,7 +83,7 @@ def serve(
         changes_fd: brings changes; the changed loop itself says from which slot on they act.
 
     Raises:
-        TransportError: the link cannot be had, or the rig has another controller.
+        TransportError: the link cannot be opened, or the rig has another controller.
     """
     warm_up_controller(loop)
     node = ControlNode(loop)

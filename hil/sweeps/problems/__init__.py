@@ -51,7 +51,7 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return str(folder() / self.experiment) if self.experiment.endswith(".toml") else self.experiment
 
     def load(self, controller: str | None = None) -> Experiment:
-        """Return the experiment, at rest but for one pulse, with another controller where one is given.
+        """Return the experiment, at rest except for one pulse, with another controller where one is given.
 
         Raises:
             HilError: the controller does not fit.

@@ -52,10 +52,10 @@ def test_every_part_is_written_runs_and_passes_its_own_tests(cli: Hil, tmp_path:
         (("plant", "cart\n"), "expected lower-case letters"),
         (("plant", "cart", "-o", "b/" * 3000), "no path to a file: File name too long"),
         (("part", "x"), "is not one of"),
-        (("plant", "cart", "--language", "c"), "of a controller, not of a plant"),
-        (("controller", "pd", "--keyed"), "with --language python or c"),
-        (("controller", "pd", "--link", "can"), "with --language python or c"),
-        (("controller", "pd", "--for", "omni-1khz"), "--for: of a program, with --language python or c"),
+        (("plant", "cart", "--language", "c"), "for a controller, not for a plant"),
+        (("controller", "pd", "--keyed"), "only for a program (--language python or c)"),
+        (("controller", "pd", "--link", "can"), "only for a program (--language python or c)"),
+        (("controller", "pd", "--for", "omni-1khz"), "--for: only for a program (--language python or c)"),
         (("controller", "pd", "--language", "c", "--link", "zenoh"), "use --link can, or python"),
         (("controller", "pd", "--language", "c", "--for", "nosuch"), "no experiment 'nosuch'"),
     ],
@@ -108,7 +108,7 @@ def test_two_programs_of_one_folder_share_the_codes_of_their_packets_if_they_are
     assert (status, err) == (0, "") and "wrote two.c" in out and "packet_codes.h" not in out
     Path("packet_codes.h").write_text("of other packets")
     status, _, err = cli("new", "controller", "three", *words)
-    assert status == 2 and "packet_codes.h: exists already; it is another program's" in err and not Path("three.c").exists()
+    assert status == 2 and "packet_codes.h: exists already; it is of another program" in err and not Path("three.c").exists()
 
 
 def test_files_that_exist_are_kept_without_force(cli: Hil) -> None:

@@ -47,7 +47,7 @@ def test_no_number_is_cut_on_a_narrow_terminal(cli: Hil, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--runs", "0"], "'--runs': 0 is not in the range x>=1"),
+        (["--runs", "0"], "'--runs': 0 is not a whole number of at least 1"),
         (["--first-seed", "-1"], "'--first-seed': -1"),
         (["--first-seed", "9223372036854775807", "--runs", "2"], "seeds from 0 to 2^63 - 1"),
         (["--jobs", "0"], "jobs: 0"),

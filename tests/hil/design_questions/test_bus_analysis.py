@@ -67,7 +67,7 @@ def test_bounds_say_what_they_assume_of_errors() -> None:
         (["sae.csv"], "sae.csv says no bit rate, such as 500k"),
         (["sae.csv", "--bitrate", "501k"], "--bitrate: 501000 bit/s: no whole part of 80000000 Hz; the nearest possible is "),
         (["dc-motor-hinf"], "dc-motor-hinf: no medium of kind 'can'"),
-        (["dc-motor-busy-can", "--bitrate", "500k"], "--bitrate: an experiment says it itself"),
+        (["dc-motor-busy-can", "--bitrate", "500k"], "--bitrate: an experiment has its own"),
     ],
 )
 def test_what_cannot_be_analysed_is_refused(words: list[str], said: str, sae: Path) -> None:

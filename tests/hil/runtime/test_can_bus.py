@@ -128,7 +128,7 @@ def test_more_traffic_than_the_bus_carries_runs_and_the_motor_is_not_received(ca
     done = simulated_session(compose(experiment, certify=False), 0)
     run = done.run
     print_summary(done.summary)
-    assert " % of it: the lower ones are not sent, or ever later" in " ".join(capsys.readouterr().out.split())
+    assert " % of it: those of low priority are not sent, or ever later" in " ".join(capsys.readouterr().out.split())
     found = bus_of(view_of(run, experiment))
     assert found is not None and found.stated_load > 1 and found.load > 0.99
     assert {each.name: each.bound_ms is None for each in found.messages} == {"flood": True, "motor": True, "controller": True}

@@ -146,7 +146,7 @@ def test_two_logs_that_share_no_frame_or_too_many_are_refused(tmp_path: Path, mo
 @pytest.mark.parametrize(
     ("lacks", "said"),
     [("/network/ca", "has no packets; expected a log of `hil probe` or of a run"), ("period", "period: missing, expected"),
-     ("one node", "several sensor nodes; a law is that of one")],
+     ("one node", "several sensor nodes; a law is fitted to one")],
 )  # fmt: skip
 def test_a_log_that_has_no_packets_of_one_way_is_refused(lacks: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     run = hil.run("dc-motor-two-nodes" if lacks == "one node" else "dc-motor-hinf", duration=1).run
