@@ -259,6 +259,21 @@ class Medium(Table, frozen=True, kw_only=True):
     traffic_file: str = ""
     recorded: tuple[str, ...] = ()
 
+    def in_words(self) -> str:
+        """Return what its nodes share.
+
+        >>> Medium(kind="can", nodes=("a",), bitrate=500_000, dbitrate=2_000_000).in_words()
+        'CAN FD bus, 500 and 2000 kbit/s'
+        >>> Medium(kind="can-arbitration", nodes=("a", "b"), loss=0.1).in_words()
+        'CAN arbitration, loss 0.1'
+        """
+        if self.kind == "can":
+            rates = " and ".join(f"{rate / 1000:g}" for rate in (self.bitrate, self.dbitrate) if rate)
+            words = f"CAN{' FD' if self.dbitrate else ''} bus, {rates} kbit/s"
+        else:
+            words = {"round-robin": "turns in order", "random": "random turns", "can-arbitration": "CAN arbitration"}[self.kind]
+        return words + (f", loss {self.loss:g}" if self.loss else "")
+
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
         kind, nodes = values.get("kind"), values.get("nodes", ("",))

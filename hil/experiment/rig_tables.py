@@ -113,6 +113,17 @@ class Fault(Table, frozen=True, kw_only=True, rename={"lasts": "for"}):
             return "the CAN bus" if self.can_id is None else f"the frames {self.can_id:#x} of the CAN bus"
         return "the controller" if self.kind == RESTART else f"node {self.node!r}" if self.node else f"network.{self.link}"
 
+    @property
+    def text(self) -> str:
+        """What it is, in words.
+
+        >>> Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca").text
+        'cut of network.ca for 0.5 s'
+        """
+        words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", BIT_ERRORS: "bit errors on",
+                 RESTART: "restart of"}  # fmt: skip
+        return f"{words.get(self.kind, f'{self.kind} of')} {self.where} for {self.lasts:g} s"
+
     def slots(self, period_s: float) -> tuple[int, int]:
         """Return the first slot, and the one in which it is over.
 

@@ -14,7 +14,6 @@ import numpy.typing as npt
 from msgspec import Struct
 from msgspec.structs import replace
 
-from hil.experiment.nodes import Medium
 from hil.log import CHANGE
 from hil.log.append_column import AppendColumn, pieces
 from hil.log.run import Run
@@ -188,32 +187,16 @@ def _stated_paths(view: RunView) -> tuple[NetworkPath, ...]:
         *(
             NetworkPath(
                 side="sc", node=sensor.name, law=sensor.law, kind=sensor.law_kind,
-                medium=next((medium_in_words(shared.table) for shared in rig.media if number in shared.nodes), ""),
+                medium=next((shared.table.in_words() for shared in rig.media if number in shared.nodes), ""),
                 draws=None if sc is None else draws_of(sc, number),
             )
             for number, sensor in enumerate(rig.sensors)
         ),
         NetworkPath(
-            side="ca", node="", law=rig.ca_law, kind=rig.ca_kind, medium="" if bus is None else medium_in_words(bus.table),
+            side="ca", node="", law=rig.ca_law, kind=rig.ca_kind, medium="" if bus is None else bus.table.in_words(),
             draws=ca,
         ),
     )  # fmt: skip
-
-
-def medium_in_words(medium: Medium) -> str:
-    """Return in words what nodes share in turns.
-
-    >>> medium_in_words(Medium(kind="can", nodes=("a",), bitrate=500_000, dbitrate=2_000_000))
-    'CAN FD bus, 500 and 2000 kbit/s'
-    >>> medium_in_words(Medium(kind="can-arbitration", nodes=("a", "b"), loss=0.1))
-    'CAN arbitration, loss 0.1'
-    """
-    if medium.kind == "can":
-        rates = " and ".join(f"{rate / 1000:g}" for rate in (medium.bitrate, medium.dbitrate) if rate)
-        words = f"CAN{' FD' if medium.dbitrate else ''} bus, {rates} kbit/s"
-    else:
-        words = {"round-robin": "turns in order", "random": "random turns", "can-arbitration": "CAN arbitration"}[medium.kind]
-    return words + (f", loss {medium.loss:g}" if medium.loss else "")
 
 
 def law_kinds(run: Run) -> dict[str, str]:

@@ -10,7 +10,7 @@ from msgspec import Struct
 from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
-from transport.medium.faulted import FaultInterval
+from transport.medium.faulted import LOSES, FaultInterval
 
 if TYPE_CHECKING:
     from hil.rig import RigSpec
@@ -88,7 +88,7 @@ def beyond_the_end(e: Experiment) -> str:
     'fault[0].at: 9 s lies beyond the end of the run (5 s): the cut of network.sc for 1 s never happens'
     """
     return "; ".join(
-        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {fault_text(fault)} never happens"
+        f"fault[{i}].at: {fault.at:g} s lies beyond the end of the run ({e.duration:g} s): the {fault.text} never happens"
         for i, fault in enumerate(e.fault)
         if fault.slots(float(e.period))[0] >= e.slots
     )
@@ -120,7 +120,7 @@ def whole_again(e: Experiment, rig: RigSpec, ages: tuple[int, int, int]) -> floa
             continue
         why = "it lasts to the end of the run" if end >= e.slots else outlasts(fault, rig)
         if why:
-            return f"of fault[{i}], the {fault_text(fault)}, {why}"
+            return f"of fault[{i}], the {fault.text}, {why}"
         over = max(over, end)
     for first, slots in starves(no_commands(e, *ages[:2]), *ages):
         if slots >= e.limits.watchdog_slots:
@@ -161,7 +161,7 @@ def no_commands(e: Experiment, youngest: int = 0, oldest: int = 0) -> list[tuple
     intervals = []
     for fault in e.fault:
         first, end = fault.slots(float(e.period))
-        if first < e.slots and fault.link == "ca" and fault.kind in ("cut", "corrupt", "bus-off"):
+        if first < e.slots and fault.link == "ca" and fault.kind in LOSES:
             intervals.append((first, end))
         if first < min(end, e.slots) and (fault.kind == RESTART or (fault.link == "ca" and fault.kind == "bus-off")):
             intervals.append((first + oldest, end + youngest))
@@ -222,15 +222,3 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
             if _reaches(fault, name):
                 nodes[i].append(interval)
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
-
-
-def fault_text(fault: Fault) -> str:
-    """Return what a fault is, in words.
-
-    >>> from hil.experiment import Seconds
-    >>> fault_text(Fault(at=Seconds(3), lasts=Seconds(0.5), kind="cut", link="ca"))
-    'cut of network.ca for 0.5 s'
-    """
-    words = {"corrupt": "flipped bits on", "freeze": "frozen values on", "bus-off": "bus-off of", BIT_ERRORS: "bit errors on",
-             RESTART: "restart of"}  # fmt: skip
-    return f"{words.get(fault.kind, f'{fault.kind} of')} {fault.where} for {fault.lasts:g} s"

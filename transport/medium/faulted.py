@@ -15,7 +15,8 @@ FaultKind = Literal["cut", "corrupt", "freeze", "bus-off"]
 REMEMBERED: Final = 4096
 """Lost packets of a node whose slot is kept: an age law may name them again."""
 
-_FATES: Final = {"bus-off": OFF_BUS, "cut": CUT, "corrupt": CORRUPTED}  # of two at once, the first
+LOSES: Final = {"bus-off": OFF_BUS, "cut": CUT, "corrupt": CORRUPTED}
+"""Kinds by which nothing arrives, and the fate of what would have; of two at once, the first."""
 _ARRIVED: Final = frozenset((DELIVERED, DISORDERED, DUPLICATED, REPEATED))
 
 
@@ -78,7 +79,7 @@ class FaultyPath:
         """
         draws, arrivals = delivery
         broken, lost = self._broken(k), self._lost
-        fate = next((code for kind, code in _FATES.items() if kind in broken), None)
+        fate = next((code for kind, code in LOSES.items() if kind in broken), None)
         gone: dict[int, int] = {}
         for reason, g in [(draw.reason, draw.packet_slot) for draw in draws if draw.reason in _ARRIVED]:
             if fate is not None:

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from hil.experiment.rig_tables import RESTART, Fault
 from hil.rig.loop import Loop
-from hil.rig.schedules import fault_text
 from hil.rig.sensors import Sensor, SharedMedium
 from hil.runtime.nodes import begun, rng_for
 from hil.runtime.nodes.journal import Journal
@@ -166,9 +165,9 @@ class FaultInjector:
         """
         for i, (first, end, fault) in enumerate(self._faults):
             if k == first:
-                kind, message, severity = f"fault: {fault.kind}", fault_text(fault), "warning"
+                kind, message, severity = f"fault: {fault.kind}", fault.text, "warning"
             elif k == end and fault.kind != RESTART:
-                kind, message, severity = f"fault over: {fault.kind}", f"{fault_text(fault)}: over", "info"
+                kind, message, severity = f"fault over: {fault.kind}", f"{fault.text}: over", "info"
             else:
                 continue
             journal.event(
