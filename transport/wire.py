@@ -42,6 +42,9 @@ from hashlib import sha256
 from struct import Struct
 from typing import Final, NamedTuple
 
+HELLO: Final = 0xFFFFFFFF
+"""Seq of the rig's hello (is a controller there?), which is answered before slot 0 and never counted."""
+
 MORE: Final = 1
 """Sensor flag: further frames of the same slot follow."""
 EMPTY: Final = 2

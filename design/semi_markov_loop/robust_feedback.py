@@ -43,10 +43,7 @@ from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem, NormBounded
 from design.semi_markov_loop.certificate import JumpCertificate, Method, check_stabilisable
 from design.semi_markov_loop.sojourn_grid import Cell, refine, require_inverse
-from design.semi_markov_loop.stability import analyse
-
-CONDITION = 1e4
-"""Largest condition number of X that is searched (X >= I, X <= CONDITION I)."""
+from design.semi_markov_loop.stability import CONDITION, analyse
 
 
 def feedback_program(

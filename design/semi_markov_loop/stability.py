@@ -40,7 +40,7 @@ from design.semi_markov_loop.second_moments import exact_certificate
 from design.semi_markov_loop.sojourn_grid import Cell, along_cells, refine
 
 CONDITION = 1e4
-"""Largest condition number of the Lyapunov matrices that is searched (P >= I, P <= CONDITION I)."""
+"""Largest condition number of the Lyapunov matrices, or of X, that is searched (P >= I, P <= CONDITION I)."""
 
 
 def stability_inequalities(

@@ -78,7 +78,7 @@ def _static(path: Path) -> dict[str, Any]:
 
     Nothing that the file names is run: no module of one's own, no FMU.
     """
-    from hil.experiment import MAX_BYTES
+    from hil.experiment.check import MAX_BYTES
     from hil.experiment.rig_tables import Limits
     from hil.experiment.tables import Experiment, Links, Report, Timing
     from hil.files import read_regular

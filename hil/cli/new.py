@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.list import GROUPS
 from hil.cli.terminal import Working, answer, json_option, print_each_folded, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
     from hil.cli.new_external import ExternalController
 
-GROUPS = ("plants", "controllers", "laws", "links", "measures")
 PERIOD_S = 0.01
 """Period at which a plant is checked, s."""
 PARTS = ("plant", "controller", "law", "measure", "experiment")

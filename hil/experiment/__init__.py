@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import ExperimentError, HilError, nearest
-from hil.experiment.check import Checker
+from hil.experiment.check import MAX_BYTES, Checker
 from hil.experiment.table import Seconds as Seconds
 from hil.experiment.table_check import infinite_faults
 from hil.experiment.tables import Experiment as Experiment
@@ -21,7 +21,6 @@ from hil.files import read_regular
 from hil.files.toml_text import DEEPEST, parse_toml
 from hil.plugins import registry
 
-MAX_BYTES = 1_000_000
 FIRST: typing.Final = "dc-motor-hinf"
 """The experiment to begin with: Chapter 7's, certified, the example of every page of the guide."""
 _SHIPPED = Path(__file__).parents[1] / "experiments"

@@ -9,9 +9,9 @@ from typing import Any
 
 from hil.runtime.clock import monotonic_ns
 from transport import ControlPacket, Link, SensorPacket, encode_control, encode_sensor, memory_pair
-from transport.links.authentication import HELLO, AuthenticatedLink, cmac
+from transport.links.authentication import AuthenticatedLink, cmac
 from transport.packets import EMPTY
-from transport.wire import with_tag
+from transport.wire import HELLO, with_tag
 
 Row = dict[str, Any]
 PACKETS: dict[str, Callable[[int], bytes]] = {

@@ -22,9 +22,9 @@ from transport import (
     memory_pair,
     open_link,
 )
-from transport.links.authentication import HELLO, SILENCE_S, AuthenticatedLink, cmac, read_key
+from transport.links.authentication import SILENCE_S, AuthenticatedLink, cmac, read_key
 from transport.packets import EMPTY, packet_size
-from transport.wire import tag_of, with_tag
+from transport.wire import HELLO, tag_of, with_tag
 
 KEY = bytes(range(16))
 

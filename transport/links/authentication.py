@@ -36,7 +36,7 @@ from msgspec.structs import replace
 
 from transport.links import LOOK_S, BusStatus, Closing, Link, LinkCounters, OnBus, OneOfARole, Role, TransportError
 from transport.links.private_directory import read_bounded, read_secret
-from transport.wire import CONTROL, SENSOR, TAG_BYTES, Tagged, tag_of, with_tag
+from transport.wire import CONTROL, HELLO, SENSOR, TAG_BYTES, Tagged, tag_of, with_tag
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate
@@ -62,7 +62,6 @@ def cryptography_needed() -> Iterator[None]:
         raise TransportError(message) from None
 
 
-HELLO: Final = 0xFFFFFFFF
 SILENCE_S: Final = 1.0
 _SKIPPED: Final = 64
 """So many refused packets are passed over in one call, lest a flood of them holds it for ever."""

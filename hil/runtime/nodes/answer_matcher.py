@@ -8,10 +8,9 @@ from math import isinf, isnan
 from typing import Final, Literal
 
 from design.controllers import row_count
-from hil.runtime.nodes.controller_node import HELLO
 from hil.runtime.nodes.journal import Journal
 from transport.packets import SELECTIONS, ControlPacket, decode
-from transport.wire import echo
+from transport.wire import HELLO, echo
 
 FLOOD: Final = 64
 FLOOD_NS: Final = 50_000_000

@@ -13,7 +13,7 @@ from hil.rig.loop import Loop
 from hil.runtime.nodes import SEGMENT, before
 from hil.runtime.nodes.controller_input import EverySample, NewestSample, controller_input
 from transport.packets import EMPTY, MORE, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control
-from transport.wire import echo
+from transport.wire import HELLO, echo
 
 SILENCE_NS: Final = 1_000_000_000
 """A rig from which a packet came within this time keeps its controller."""
@@ -151,8 +151,6 @@ class Questions:
         self.begun = True
         return True
 
-
-HELLO: Final = 0xFFFFFFFF  # seq of the rig's hello (is a controller there?), answered before slot 0 and never counted
 
 _new: Final = tuple.__new__  # without the Python constructor: in five files 6 % of an interpreted virtual slot
 

@@ -21,13 +21,13 @@ from hil.rig.loop import Loop
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes import Wire
 from hil.runtime.nodes.answer_matcher import AnswerMatcher
-from hil.runtime.nodes.controller_node import HELLO, ControlNode
+from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from hil.runtime.virtual import DirectExchange
 from transport.links import Closing, Link, LinkCounters
 from transport.packets import EMPTY, SELECTIONS, ControlPacket, SensorPacket, decode, encode_control, encode_sensor
-from transport.wire import echo
+from transport.wire import HELLO, echo
 
 
 class LocalLink(Closing):

@@ -11,9 +11,9 @@ from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.rig.loop import Loop
 from hil.runtime.nodes import SEGMENT, Wire, before, session_wire
-from hil.runtime.nodes.controller_node import HELLO, NEAR, SILENCE_NS, ControlNode, Questions, Refusals
+from hil.runtime.nodes.controller_node import NEAR, SILENCE_NS, ControlNode, Questions, Refusals
 from transport.packets import EMPTY, MORE, ControlPacket, SensorPacket, decode, encode_sensor
-from transport.wire import echo
+from transport.wire import HELLO, echo
 
 PERIOD_NS = 50_000_000
 

@@ -20,7 +20,7 @@ from hil.log.topics import channels_of
 from hil.log.write import MemorySink
 from hil.rig.loop import Loop
 from hil.runtime.nodes import session_wire
-from hil.runtime.nodes.controller_node import HELLO, ControlNode
+from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.real.exchange import (
     MOST_FRAMES,
@@ -37,7 +37,7 @@ from hil.runtime.slot import Slot
 from hil.runtime.virtual import simulate
 from transport.links.memory import MemoryLink
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
-from transport.wire import echo
+from transport.wire import HELLO, echo
 
 MS = 1_000_000
 WIRE = session_wire(bytes(16), 1000)
