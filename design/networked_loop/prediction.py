@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,6 +29,7 @@ import numpy.typing as npt
 
 from design.controllers import Selection
 from design.errors import FieldError
+from design.jump_linear.coupled_lyapunov import factors_of, mean, transposed_factors
 from design.jump_linear.higher_moments import monomials, power_entries
 from design.networked_loop import check_gains, check_held, steady_state
 from design.networked_loop.affine_loop import LoopStructure
@@ -179,7 +181,7 @@ class _Recursion:
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
         self._moves: dict[tuple[object, ...], Callable[[Array], Array]] = {}
-        self._followed = _following(structure.transition, sc.matrix, ca.matrix)
+        self._followed = _following(structure.transition)
         self.M: Array = np.empty(0)
 
     def aim(self, offset: Array) -> None:
@@ -217,7 +219,7 @@ class _Recursion:
             if silent:
                 self._silence(affine, self.tau > k, hold, rows)
             self._moves[key] = self._move(affine, self.period_s * np.array(counted, dtype=np.float64))
-        self.M = self._followed(self._moves[key](self.M)).reshape(self.M.shape)
+        self.M = self._followed(self._moves[key](self.M))
 
     def _move(self, affine: Array, weights: Array) -> Callable[[Array], Array]:
         """Return what takes the moments of every mode through xi <- A xi, s <- s + weight |e|^2."""
@@ -304,12 +306,12 @@ def sparse(matrix: Array) -> Any:
     return csr_array(matrix)
 
 
-def _following(transition: Array, sc: Array, ca: Array) -> Callable[[Array], Array]:
-    """Return what takes moments (N, ...) to the next slot's modes: where a mode is any pair of both chains', chain by chain."""
+def _following(transition: Array) -> Callable[[Array], Array]:
+    """Return what takes moments (N, ...) to the next slot: where its modes are those of two chains together, chain by chain."""
     followed = sparse(transition.T)
-    if not isinstance(followed, np.ndarray) or not np.array_equal(transition, np.kron(sc, ca)):
+    if not isinstance(followed, np.ndarray):
         return lambda M: np.asarray(followed @ M)
-    return lambda M: np.asarray(ca.T @ (sc.T @ M.reshape(len(sc), -1)).reshape(len(sc), len(ca), -1))
+    return partial(mean, transposed_factors(factors_of(transition)))
 
 
 def _signal(values: npt.ArrayLike, width: int, name: str, length: int | None) -> Array:

@@ -243,9 +243,9 @@ def share_interval(count: int, runs: int) -> tuple[float, float]:
     >>> [round(v, 4) for v in share_interval(0, 1000)]
     [0.0, 0.0053]
     """
-    from scipy.stats import binomtest
+    from transport.law_fit.proportions import clopper_pearson
 
-    low, high = binomtest(count, runs).proportion_ci(LEVEL)
+    low, high = clopper_pearson(np.array(count), np.array(runs), 1.0 - LEVEL)
     return float(low), float(high)
 
 
