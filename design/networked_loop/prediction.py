@@ -181,6 +181,7 @@ class _Recursion:
         self.aim(np.zeros(self.p))
         self.closed = structure.matrices(gains)
         self._moves: dict[tuple[object, ...], Callable[[Array], Array]] = {}
+        self._powers: dict[bytes, tuple[Any, Any]] = {}
         self._followed = _following(structure.transition)
         self.M: Array = np.empty(0)
 
@@ -237,8 +238,10 @@ class _Recursion:
 
     def _entries(self, A: Array, weights: Array) -> tuple[Array, ...]:
         """Rows, columns and values of what `_move` does in one mode."""
-        row, column, value = power_entries(A, 2)
-        found, at = [power_entries(A, 4)], self.product.max() + 1
+        if A.tobytes() not in self._powers:
+            self._powers[A.tobytes()] = power_entries(A, 2), power_entries(A, 4)
+        (row, column, value), whole = self._powers[A.tobytes()]
+        found, at = [whole], self.product.max() + 1
         error = np.flatnonzero(self.square)
         for weight in weights:
             last, own = at + len(self.square), weight * self.square[error]
