@@ -110,7 +110,7 @@ def run(
 
 @checked_arguments
 def report(
-    source: Session | Comparison | ParameterSweep | str | Path,
+    source: Session | Comparison | Sweep | ParameterSweep | str | Path,
     *,
     output: str | Path | None = None,
     force: bool = False,
@@ -120,8 +120,8 @@ def report(
     """Make one self-contained HTML page of a run: its sections, and those that the experiment's plug-ins draw.
 
     Args:
-        source: a session, or the file of a log; a comparison or a sweep over parameters, whose page needs ``output``; a folder of
-            logs, whose page lists them all, and each has a page of its own.
+        source: a session, or the file of a log; a comparison or a sweep, whose page needs ``output``; a folder of logs, whose
+            page lists them all, and each has a page of its own.
         output: the page, a file; beside the log by default, with the ending ``.html``, and ``index.html`` for a folder.
         force: replace a file that is there already and is no page; a page always is replaced.
         figures: a folder in which every plot is written as SVG and PDF too.
@@ -133,22 +133,26 @@ def report(
     Raises:
         HilError: the log cannot be read, or the page or the figures cannot be written.
     """
-    from hil.pages.many_runs import compare_page, parameter_page
+    from hil.pages.many_runs import compare_page, parameter_page, sweep_page
     from hil.pages.paper import write_figures
     from hil.pages.run_page import render_report, report_runs
     from hil.pages.sections import sections_of
 
-    many = isinstance(source, Comparison | ParameterSweep)
+    many = isinstance(source, Comparison | Sweep | ParameterSweep)
     in_folder = isinstance(source, str | Path) and Path(source).is_dir()
     for name, value in (("figures", figures), ("folder", folder)):
         if value is not None and (many or in_folder):
             what = "many runs" if many else "a folder"
             raise HilError(f"report: {name}: belongs to the page of a run, {what} has output='page.html' alone")
-    if isinstance(source, Comparison | ParameterSweep):
+    if isinstance(source, Comparison | Sweep | ParameterSweep):
         if output is None:
             raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
         target = check_page(Path(output), force=force, remedy="choose another output=..., or add force=True")
-        write_output(target, compare_page(source) if isinstance(source, Comparison) else parameter_page(source))
+        if isinstance(source, Sweep):
+            page = sweep_page(source)
+        else:
+            page = compare_page(source) if isinstance(source, Comparison) else parameter_page(source)
+        write_output(target, page)
         return (target,)
     if isinstance(source, str | Path) and in_folder:
         return report_runs(Path(source), None if output is None else Path(output), force=force)

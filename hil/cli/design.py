@@ -234,16 +234,19 @@ def _show(design: Design, document: dict[str, Any]) -> None:
         last = "+" if row % lasted == lasted - 1 else ""
         return f"d {row // lasted}, slot {row % lasted + 1}{last}" if lasted > 1 else f"row {row}"
 
+    several = design.gains[0, 0].size > 1  # numbers in a cell
+    wide = max(len(f"{v:.5g}") for v in design.gains.ravel()) if several else 0
     stays = [(tau, at) for tau, count in enumerate(sc.sojourns) for at in range(1, count + 1)]
     rows = [
         [
             f"{tau}, slot {at}{'+' if at == sc.sojourns[tau] else ''}" if len(stays) > len(sc.sojourns) else f"{tau}",
-            *("  ".join(f"{v:.5g}" for v in gain.ravel()) for gain in gains),
+            *("  ".join(f"{v:>{wide}.5g}" for v in gain.ravel()) for gain in gains),
         ]
         for (tau, at), gains in zip(stays, design.gains, strict=True)
     ]
     heads = ["tau", *map(heading, range(design.gains.shape[1]))]
-    print_table(Table(title=f"gains K[tau][row], row by {design.selection!r}", columns=heads, rows=rows))
+    order = "; in a row all outputs for the first input, then the next" if several else ""
+    print_table(Table(title=f"gains K[tau][row], row by {design.selection!r}{order}", columns=heads, rows=rows))
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),

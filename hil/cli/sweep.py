@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 @click.option("--grid", "grids", type=CHANGE, multiple=True, metavar="KEY=A,B,...", help="Run at all combinations of them.")
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="Number of points of a Latin hypercube over the ranges.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="With --grid or --range: a page.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write a page with the distributions.")
 @click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="Write a row per run.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @click.option(
@@ -75,7 +76,7 @@ def command(
     from design.monte_carlo import Workers
     from hil.cli.sweep_parameters import as_points, csv_of, end_interrupted, points_of, run_points
     from hil.experiment import load_experiment
-    from hil.files import check_output, write_output
+    from hil.files import check_output, check_page, write_output
     from hil.measure.signals import with_unit
     from hil.sweeps import SweepStore, statistics
     from hil.sweeps.seeds import columns_of, here, run_sweep, seeds_of
@@ -99,7 +100,7 @@ def command(
         )  # fmt: skip
         return
     if output is not None:
-        raise HilError("-o: a page is made with --grid or --range only; --csv FILE writes the numbers of every run")
+        check_page(output, force=force)
     if table is not None:
         check_output(table, force=force)  # now, and not after the work
     checked = load_experiment(experiment, sets)
@@ -136,7 +137,11 @@ def command(
         }
     if table is not None:
         write_output(table, csv_of(as_points(found)), replace=force)
-    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, table)
+    if output is not None and out["runs"]:
+        from hil.pages.many_runs import sweep_page
+
+        write_output(output, sweep_page(found))
+    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, (table, output))
     end_interrupted(found.interrupted, resume, "FILE")
     if rule is not None and not found.reached:
         sys.exit(1)
@@ -180,14 +185,14 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         return metric, StopRule(half_width=number, statistic=statistic or "mean", level=level)  # type: ignore[arg-type]
 
 
-def _show(out: dict[str, Any], titles: dict[str, str], table: Path | None) -> None:
+def _show(out: dict[str, Any], titles: dict[str, str], written: Sequence[Path | None]) -> None:
     print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
     if out["runs"]:
         _show_metrics(out, titles)
     else:
         print("no run ended, so there is nothing to show")
-    if table is not None:
-        print(f"csv: {visible(table)}")
+    for path in filter(None, written):
+        print(f"written: {visible(path)}")
 
 
 def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:

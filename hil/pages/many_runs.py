@@ -1,4 +1,4 @@
-"""Pages of many runs: a comparison of experiments, a sweep over parameters."""
+"""Pages of many runs: of one experiment, a comparison of experiments, a sweep over parameters."""
 
 from __future__ import annotations
 
@@ -14,19 +14,22 @@ from hil.measure.signals import with_unit
 from hil.pages import Band, BarGroup, Bars, Block, Figure, Matrix, Section, Series, Table, Text
 from hil.pages.html import capital
 from hil.pages.html.page import Page
-from hil.sweeps import statistics
+from hil.sweeps import Sweep, statistics
 from hil.sweeps.comparison import Comparison
 from hil.sweeps.parameters import ParameterSweep
 from hil.sweeps.points import numbers_of
 from hil.sweeps.shown import SHORTER, axis_for, ends_of, within
 
+DIFFERENCE = ("difference", "95 % interval")
+
 
 def compare_page(comparison: Comparison) -> str:
     """Return the page: empirical distribution functions per metric, one curve per experiment, and the table.
 
-    It shows the paired differences, too.
+    It shows the paired differences, too, where there are several.
     """
     found, names = comparison.values, list(comparison.values)
+    several = len(names) > 1
     sections = []
     for quantity in comparison.quantities:
         metric, title = quantity.name, quantity.title
@@ -54,20 +57,27 @@ def compare_page(comparison: Comparison) -> str:
                 sync=None,
             ),
             Table(
-                columns=("experiment", "runs", "mean", "sd", "5 %", "50 %", "95 %", "difference", "95 % interval"),
-                rows=rows,
-                note=f"differences are against {names[0]}, run by run on the same delays",
+                columns=("experiment", "runs", "mean", "sd", "5 %", "50 %", "95 %", *DIFFERENCE[: 2 * several]),
+                rows=[row[: 7 + 2 * several] for row in rows],
+                note=f"differences are against {names[0]}, run by run on the same delays" if several else "",
             ),
         )
         sections.append(Section(title=title, blocks=blocks))
     sections.insert(0, _answer(comparison))
-    stopped = ", ".join(f"{name}: {int(found[name]['stopped'].sum())}" for name in names)
+    stopped = ", ".join(f"{name}: " * several + str(int(found[name]["stopped"].sum())) for name in names)
     return Page(
-        "Comparison of experiments",
+        "Comparison of experiments" if several else names[0],
         sections,
-        subtitle=", ".join(names),
-        facts=(("runs of each", str(comparison.runs)), ("stopped by safety", stopped)),
+        subtitle=", ".join(names) if several else "many runs",
+        facts=(("runs of each" if several else "runs", str(comparison.runs)), ("stopped by safety", stopped)),
     ).html()
+
+
+def sweep_page(sweep: Sweep) -> str:
+    """Return the page of many runs of one experiment: the numbers, and the distribution of each."""
+    name, said, runs = sweep.experiment, sweep.caution, int(sweep.values["seed"].size)
+    cautions = {name: said} if said else {}
+    return compare_page(Comparison(runs=runs, values={name: sweep.values}, quantities=sweep.quantities, cautions=cautions))
 
 
 def _shares(found: Mapping[str, NDArray[np.float64]]) -> list[Series]:
@@ -91,10 +101,12 @@ def _answer(comparison: Comparison) -> Section:
     """The verdicts in words, and one table of the quantities: how many runs have it, mean, difference, interval."""
     verdicts = tuple(Text(text=comparison.verdict(name)) for name in list(comparison.values)[1:])
     none = comparison.measured()[1]
+    several = len(comparison.values) > 1
     table = Table(
-        columns=("metric", "experiment", "runs", "mean", "difference", "95 % interval"),
-        rows=[[*row[:-1], _in_one_line(row[-1])] for row in comparison.rows()],
-        note=f"Differences are against {comparison.first}, run by run on the same delays. Runs: those that have the number."
+        columns=("metric", "experiment", "runs", "mean", *DIFFERENCE[: 2 * several]),
+        rows=[[*row[:-1], _in_one_line(row[-1])][: 4 + 2 * several] for row in comparison.rows()],
+        note=f"Differences are against {comparison.first}, run by run on the same delays. " * several
+        + "Runs: those that have the number."
         + "".join(f" {capital(each)}." for each in (none, SHORTER if comparison.stopped else "") if each),
     )  # fmt: skip
     cautions = tuple(Text(text=f"{name}: {caution}") for name, caution in comparison.cautions.items())

@@ -180,8 +180,10 @@ def test_a_tile_has_the_title_and_the_unit_of_the_page() -> None:
     assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "</b> %</div>" in html
 
 
-def test_pages_of_many_runs_are_written_once(comparison: hil.Comparison, over_gain: hil.ParameterSweep, tmp_path: Path) -> None:
-    for source in (comparison, over_gain):
+def test_pages_of_many_runs_are_written_once(
+    comparison: hil.Comparison, sweep: hil.Sweep, over_gain: hil.ParameterSweep, tmp_path: Path
+) -> None:
+    for source in (comparison, sweep, over_gain):
         page = tmp_path / f"{type(source).__name__}.html"
         assert hil.report(source, output=page) == (page,) and page.read_text().lower().startswith("<!doctype html")
         hil.report(source, output=page)  # a page is replaced, another file only where it is asked for

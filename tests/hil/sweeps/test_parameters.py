@@ -160,7 +160,6 @@ def test_a_point_whose_mean_converges_badly_says_so(tmp_path: Path, capsys: pyte
         (["--grid", "period=1,2", "--range", "period=1:2"], "one or the other"),
         (["--range", "plant.gain=1:2"], "belong together"),
         (["--points", "3"], "belong together"),
-        (["-o", "x.html"], "with --grid or --range only; --csv"),
         (["--grid", "plant.gain=150", "--until", "sse=1"], "--until"),
     ],
 )
