@@ -67,9 +67,18 @@ class Ends(NamedTuple):
     output: float
 
 
-class _Motion(NamedTuple):
-    """What z and the rest do: b, W, M, and H + Delta M + F; of C x and every x_i what they have of z, and beside it."""
+class LimitedMotion(NamedTuple):
+    """What z and the rest do under a limited command.
 
+    Attributes:
+        limit: L, largest command that acts.
+        b, W, M: of z, see the module.
+        apart: H + Delta M + F.
+        by_itself, rest: of C x and every x_i what they have of z, and beside it, (1 + n,).
+        filtered, unfiltered: the same behind the filter of z.
+    """
+
+    limit: float
     b: float
     W: float
     M: float
@@ -79,76 +88,64 @@ class _Motion(NamedTuple):
     filtered: Array
     unfiltered: Array
 
-    def bounds(self, z: float, limit: float) -> Ends:
-        """Return where the loop ends whose integrator ends within z."""
+    def ends_in_every_order(self, gains: Array) -> Ends:
+        """Return where the loop ends, whatever the order of its delays.
+
+        Args:
+            gains: every gain that may act, of one sign.
+
+        Raises:
+            DesignError: the gains do not lead back to 0; in words.
+        """
+        if not gains.size or not (self.b * gains < 0.0).all():
+            raise DesignError("not every gain leads the integrator back")
+        D = self.apart + self.W / (abs(self.b) * float(np.abs(gains).min()))
+        return self._ends(D + self.M)
+
+    def ends_in_mean(self, gains: Array, chances: Array) -> Ends:
+        """Return within which root mean squares the loop ends.
+
+        Args:
+            gains: the gain that acts in each state of a chain, (N,).
+            chances: its transition probabilities, or upper bounds of them, (N, N).
+
+        Raises:
+            DesignError: in the mean the gains lead away, or nothing was found; in words.
+        """
+        if len(gains) > MOST_STATES:
+            raise DesignError(f"{len(gains)} states say which gain acts, at most {MOST_STATES}")
+        limit, back, size = self.limit, self.b * gains < 0.0, np.abs(gains)
+        if not back.any():
+            raise DesignError("no gain leads the integrator back")
+        found = np.inf
+        for beyond in np.geomspace(0.1, 2.0, 14) * limit / float(size[back].max()):
+            D = max(self.apart + beyond, self.M)
+            drift = self.W + abs(self.b) * np.where(back, -np.minimum(limit, size * (D - self.apart)), limit)
+            for eta in np.geomspace(0.02, 4.0, 16) / self.M:
+                found = min(found, *(_mean_square(drift, chances, D, eta, self.M, g) for g in (0.5, 0.8, 0.9, 0.95, 0.99)))
+        if not np.isfinite(found):
+            raise DesignError("in the mean no drift towards 0 was found")
+        return self._ends(float(np.sqrt(found)))
+
+    def _ends(self, z: float) -> Ends:
+        """Where the loop ends whose integrator ends within z."""
         each = np.minimum(self.by_itself * z + self.rest, self.filtered * z + self.unfiltered)
-        return Ends(self.W / (abs(self.b) * limit), each[1:], float(each[0]))
+        return Ends(self.W / (abs(self.b) * self.limit), each[1:], float(each[0]))
 
 
-def ends_in_every_order(
-    A: Array, B: Array, C: Array, *, limit: float, gains: Array, delay: int, pushes: Array, adds: float
-) -> Ends:  # fmt: skip
-    """Return where a saturating loop around an integrator ends, whatever the order of its delays.
+def limited_motion(A: Array, B: Array, C: Array, *, limit: float, delay: int, pushes: Array, adds: float) -> LimitedMotion:
+    """Return what a loop around an integrator does whose command saturates.
 
     Args:
         A, B, C: (n, n), (n, 1), (1, n), the plant at the sample period.
         limit: L, largest command that acts.
-        gains: every gain that may act, of one sign.
         delay: Delta, largest age of the sample behind a command that acts, in slots.
         pushes: (n, q), what signals of size 1 move the state by in a slot.
         adds: F, largest error of a sample.
 
     Raises:
-        DesignError: the plant is no single integrator beside a stable part, the gains do not lead back to 0, or what pushes is as
-            strong as the command; in words.
+        DesignError: the plant is no single integrator beside a stable part, or what pushes is as strong as the command; in words.
     """
-    motion = _motion(A, B, C, limit, delay, pushes, adds)
-    if not gains.size or not (motion.b * gains < 0.0).all():
-        raise DesignError("not every gain leads the integrator back")
-    D = motion.apart + motion.W / (abs(motion.b) * float(np.abs(gains).min()))
-    return motion.bounds(D + motion.M, limit)
-
-
-def ends_in_mean(
-    A: Array, B: Array, C: Array, *, limit: float, gains: Array, chances: Array, delay: int, pushes: Array, adds: float
-) -> Ends:  # fmt: skip
-    """Return within which root mean squares a saturating loop around an integrator ends.
-
-    Args:
-        A, B, C, limit, delay, pushes, adds: as above.
-        gains: the gain that acts in each state of a chain, (N,).
-        chances: its transition probabilities, or upper bounds of them, (N, N).
-
-    Raises:
-        DesignError: as above, or in the mean the gains lead away, or nothing was found; in words.
-    """
-    motion = _motion(A, B, C, limit, delay, pushes, adds)
-    if len(gains) > MOST_STATES:
-        raise DesignError(f"{len(gains)} states say which gain acts, at most {MOST_STATES}")
-    back, size = motion.b * gains < 0.0, np.abs(gains)
-    if not back.any():
-        raise DesignError("no gain leads the integrator back")
-    found = np.inf
-    for beyond in np.geomspace(0.1, 2.0, 14) * limit / float(size[back].max()):
-        D = max(motion.apart + beyond, motion.M)
-        drift = motion.W + abs(motion.b) * np.where(back, -np.minimum(limit, size * (D - motion.apart)), limit)
-        for eta in np.geomspace(0.02, 4.0, 16) / motion.M:
-            found = min(found, *(_mean_square(drift, chances, D, eta, motion.M, g) for g in (0.5, 0.8, 0.9, 0.95, 0.99)))
-    if not np.isfinite(found):
-        raise DesignError("in the mean no drift towards 0 was found")
-    return motion.bounds(float(np.sqrt(found)), limit)
-
-
-def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g: float) -> float:
-    """The bound of E z^2 by one family c, inf where it does not serve."""
-    c = np.linalg.solve(np.eye(len(drift)) - np.exp(eta * drift)[:, None] * chances / g, np.ones(len(drift)))
-    if not c.min() > 0.0:  # with c > 0 the inverse has no entry below 0, and the family falls by g
-        return np.inf
-    Q = max(float(np.exp(eta * M) * (chances @ c).max() / ((1.0 - g) * c.min())), 1.0)
-    return float((D + (1.0 + np.log(Q)) / eta) ** 2 + 1.0 / eta**2)
-
-
-def _motion(A: Array, B: Array, C: Array, limit: float, delay: int, pushes: Array, adds: float) -> _Motion:
     n = len(A)
     l, v = integrator(A, C)
     b, W = float(l @ B[:, 0]), float(np.abs(l @ pushes).sum())
@@ -160,7 +157,16 @@ def _motion(A: Array, B: Array, C: Array, limit: float, delay: int, pushes: Arra
     rest = _sums(S, aside @ np.hstack([limit * B, pushes]), rows)
     filtered = np.abs(rows @ (v + aside @ B[:, 0] / b)) + _sums(S, aside @ B, rows @ (S - np.eye(n))) / abs(b)
     unfiltered = _sums(S, aside @ (pushes - np.outer(B[:, 0], l @ pushes) / b), rows)
-    return _Motion(b, W, M, float(rest[0]) + delay * M + adds, np.abs(rows @ v), rest, filtered, unfiltered)
+    return LimitedMotion(limit, b, W, M, float(rest[0]) + delay * M + adds, np.abs(rows @ v), rest, filtered, unfiltered)
+
+
+def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g: float) -> float:
+    """The bound of E z^2 by one family c, inf where it does not serve."""
+    c = np.linalg.solve(np.eye(len(drift)) - np.exp(eta * drift)[:, None] * chances / g, np.ones(len(drift)))
+    if not c.min() > 0.0:  # with c > 0 the inverse has no entry below 0, and the family falls by g
+        return np.inf
+    Q = max(float(np.exp(eta * M) * (chances @ c).max() / ((1.0 - g) * c.min())), 1.0)
+    return float((D + (1.0 + np.log(Q)) / eta) ** 2 + 1.0 / eta**2)
 
 
 def integrator(A: Array, C: Array) -> tuple[Array, Array]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -80,19 +79,19 @@ def ends_from_anywhere(
         return verdict
     if loop.sc.holds.any() or loop.ca.holds.any():  # what is held has no largest age
         return verdict
-    from design.networked_loop.saturated_integrator import ends_in_every_order, ends_in_mean, integrator
+    from design.networked_loop.saturated_integrator import integrator, limited_motion
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     delay = int(loop.sc.delay.max() + loop.ca.delay.max())
-    known: Any = {"limit": float(limits[0]), "delay": delay, "pushes": pushes, "adds": float(adds[0])}
     try:
+        motion = limited_motion(A, B, C, limit=float(limits[0]), delay=delay, pushes=pushes, adds=float(adds[0]))
         try:
-            ends, surely = ends_in_every_order(A, B, C, gains=table_of(loop, controller)[..., :p], **known), True
+            ends, surely = motion.ends_in_every_order(table_of(loop, controller)[..., :p]), True
         except DesignError:
             if loop.sc.open or loop.ca.open:
                 return verdict
             gains, chances = _acting(closed, integrator(A, C)[1], int(loop.ca.delay.max()))
-            ends, surely = ends_in_mean(A, B, C, gains=gains, chances=chances, **known), False
+            ends, surely = motion.ends_in_mean(gains, chances), False
     except (DesignError, np.linalg.LinAlgError):
         return verdict
     signal = loop.plant.outputs[0]

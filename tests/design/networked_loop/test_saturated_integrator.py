@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 
 from design.errors import DesignError
-from design.networked_loop.saturated_integrator import Ends, ends_in_every_order, ends_in_mean
+from design.networked_loop.saturated_integrator import Ends, limited_motion
 
 Array = NDArray[np.float64]
 LIMIT, GAINS, DELAY = 0.058, np.array([-0.198, -0.1232, -0.0747]), 3
@@ -25,7 +25,7 @@ PUSHES = 0.006 * B
 
 def ends(limit: float = LIMIT, gains: Array = GAINS, delay: int = DELAY, pushes: Array = PUSHES, adds: float = 0.0019,
          plant: tuple[Array, Array, Array] = (A, B, C)) -> Ends:  # fmt: skip
-    return ends_in_every_order(*plant, limit=limit, gains=gains, delay=delay, pushes=pushes, adds=adds)
+    return limited_motion(*plant, limit=limit, delay=delay, pushes=pushes, adds=adds).ends_in_every_order(gains)
 
 
 def furthest(x: Array, order: str, seed: int = 0) -> Array:
@@ -89,7 +89,7 @@ def test_what_the_argument_does_not_carry_is_refused(change: dict[str, object], 
 def in_mean(share: float, wrong: float = 0.05, pushes: Array = PUSHES) -> Ends:
     """One gain leads back, one leads away in so large a share of the slots, whatever came before."""
     gains, chances = np.array([-0.198, wrong]), np.array([[1.0 - share, share]] * 2)
-    return ends_in_mean(A, B, C, limit=LIMIT, gains=gains, chances=chances, delay=DELAY, pushes=pushes, adds=0.0019)
+    return limited_motion(A, B, C, limit=LIMIT, delay=DELAY, pushes=pushes, adds=0.0019).ends_in_mean(gains, chances)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
@@ -115,5 +115,5 @@ def test_in_the_mean_a_loop_that_drifts_away_has_no_bound() -> None:
         with pytest.raises(DesignError, match="no drift towards 0"):
             in_mean(share)
     with pytest.raises(DesignError, match="no gain leads"):
-        ends_in_mean(A, B, C, limit=LIMIT, gains=-GAINS, chances=np.full((3, 3), 1 / 3), delay=3, pushes=PUSHES, adds=0.0)
+        limited_motion(A, B, C, limit=LIMIT, delay=3, pushes=PUSHES, adds=0.0).ends_in_mean(-GAINS, np.full((3, 3), 1 / 3))
     assert ends().output < in_mean(0.0).output < 1.5 * ends().output
