@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from design.jump_linear import MJLS, STABILITY_MARGIN
-from design.jump_linear.second_moment import Array, backward, cost_once, expect, mean_square_radius
+from design.jump_linear.second_moment import EIG_DENSE_LIMIT, Array, backward, cost_once, expect, mean_square_radius
 from design.jump_linear.stability_proof import BUDGET, OPEN, side_of_one
 from design.verdict import State
 
@@ -130,10 +130,7 @@ def certify_system(
         if not (np.isfinite(P).all() and np.isfinite(S).all()):  # too near 1 for the solver, or too many modes: nothing is proved
             side = side_of_one(A, worst) if radius < CLEAR else side
             P, S = np.zeros_like(P), np.zeros_like(S)
-        lyapunov = -_largest(backward(A, worst, P) - P)
-        positivity = -_largest(-P)
-        scale = float(np.abs(P).max() * max(1.0, float((np.abs(A).sum(axis=2) ** 2).max())))
-        rounding = 4.0 * system.order * system.modes * float(np.finfo(float).eps) * scale
+        lyapunov, positivity, rounding = _margins(A, worst, P)
         energy = B.transpose(0, 2, 1) @ expect(transition, S) @ B + D.transpose(0, 2, 1) @ D
         h2 = float(np.sqrt(max(0.0, float(np.einsum("i,ijj->", alpha, energy)))))
         gap = backward(A, transition, S) + weight - S
@@ -145,7 +142,12 @@ def certify_system(
         tail_radius = side.bound if tail_radius is not None and np.isnan(tail_radius) else tail_radius
     if side.stable is not None and np.isnan(radius) and (side.stable or between is None):
         radius, bound = side.bound, "at most" if side.stable else "at least"
-    state, reason = _judge(A, radius, bound, tail_radius, growth, stable, between, large)
+    state, reason = _judge(system, radius, bound, tail_radius, growth, stable, between, large)
+    if state == "undecided" and reason.endswith(ROUNDED) and (alike := in_like_units(system)) is not None:
+        return certify_system(
+            alike, selection=selection, output=output, initial=initial, initial_law=initial_law, between=between, stays=stays,
+            hinf=hinf,
+        )  # fmt: skip
     if hinf and h2 is not None and stable:
         from design.jump_linear.bounded_real import bounded_real_margin, hinf_norm
 
@@ -176,13 +178,62 @@ def too_large(modes: int, order: int) -> str:
     )
 
 
+ROUNDED = "too close to 1 for floating point"
+
+
+def _margins(A: Array, transition: Array, P: Array) -> tuple[float, float, float]:
+    """By how much (7.17) falls at P, the smallest eigenvalue of P, and a bound of the rounding error of both."""
+    scale = float(np.abs(P).max() * max(1.0, float((np.abs(A).sum(axis=2) ** 2).max())))
+    rounding = 4.0 * A.shape[-1] * len(A) * float(np.finfo(float).eps) * scale
+    return -_largest(backward(A, transition, P) - P), -_largest(-P), rounding
+
+
+def in_like_units(system: MJLS) -> MJLS | None:
+    """Return a system with every state in a unit in which its row and its column are alike; None where they are already."""
+    from scipy.linalg import matrix_balance
+
+    A, B, C, _, _ = system.matrices
+    unit = matrix_balance(np.abs(A).sum(axis=0), permute=False, separate=True)[1][0]
+    if (unit == 1.0).all():
+        return None
+    return replace(system, A=A * unit / unit[:, None], B=B / unit[:, None], C=C * unit)
+
+
+def grows(A: Array, transition: Array, radius: float) -> bool:
+    r"""Whether a second-moment radius above 1 is no rounding: eigenvalues that are nearly equal are moved far by it.
+
+    .. math:: P_i - s^{-1} A_i' \textstyle\sum_j p_{ij} P_j A_i > 0, \qquad P \not\ge 0
+
+    proves that the radius is at least s, as in `design.jump_linear.stability_proof`, which decides for the largest systems.
+
+    Args:
+        A: (N, n, n) mode matrices.
+        transition: (N, N) transition probabilities, or lower bounds of them.
+        radius: as it was computed.
+    """
+    if len(A) > 1 and A.shape[0] * A.shape[1] * (A.shape[1] + 1) // 2 > EIG_DENSE_LIMIT:
+        return side_of_one(A, transition, near=False).stable is False
+    for share in (0.5, 0.1, 0.9):
+        one = A / np.sqrt(radius**share)
+        try:
+            P = cost_once(one, transition, np.broadcast_to(np.eye(A.shape[-1]), A.shape))
+        except np.linalg.LinAlgError:  # singular
+            continue
+        if np.isfinite(P).all():
+            falls, least, rounding = _margins(one, transition, P)
+            if falls > rounding and least < -rounding:
+                return True
+    return False
+
+
 def _judge(
-    A: Array, radius: float, bound: str, tail_radius: float | None, growth: float | None, stable: bool,
+    system: MJLS, radius: float, bound: str, tail_radius: float | None, growth: float | None, stable: bool,
     between: tuple[Array, Array] | None, large: str,
 ) -> tuple[State, str]:
     """What follows from the radii and the margins, in words."""
     if large:
         return "undecided", large
+    A, _, _, _, transition = system.matrices
     tail = "" if tail_radius is None else f", {tail_radius:.6g} over the bounds of the tail that is cut"
     size = f"{bound} {radius:.6g}".lstrip()
     if stable:
@@ -190,6 +241,8 @@ def _judge(
     least = radius if between is None else mean_square_radius(A, between[0])
     if least > 1.0 + STABILITY_MARGIN:
         size = size if between is None else f"{least:.6g}"
+        if not bound and not grows(A, transition if between is None else between[0], least):
+            return "undecided", f"the second-moment radius is {size} as it is computed: {ROUNDED}"
         return "refused", f"the loop is not mean-square stable: the second-moment radius is {size}, expected below 1"
     if growth is not None and growth > 1.0 + STABILITY_MARGIN:
         return "refused", (
@@ -202,7 +255,7 @@ def _judge(
             "numbers in all did not decide"
         )
     if tail_radius is None or (radius < 1.0 and tail_radius < 1.0):
-        return "undecided", f"the second-moment radius is {radius:.9g}{tail}: too close to 1 for floating point"
+        return "undecided", f"the second-moment radius is {radius:.9g}{tail}: {ROUNDED}"
     return "undecided", (
         f"the tail of a sojourn law decides: the second-moment radius is {radius:.6g} where it is cut{tail}, expected below 1"
     )

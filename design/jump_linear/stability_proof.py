@@ -203,13 +203,14 @@ class Side(NamedTuple):
 OPEN = Side(None, float("nan"), 0.0, 0.0, 0.0)
 
 
-def side_of_one(A: Array, transition: Array, budget: int = BUDGET) -> Side:
+def side_of_one(A: Array, transition: Array, budget: int = BUDGET, *, near: bool = True) -> Side:
     """Return on which side of 1 the second-moment radius lies, with a bound of it.
 
     Args:
         A: (N, n, n) mode matrices.
         transition: (N, N) transition probabilities, or bounds of them.
         budget: numbers of all products together.
+        near: look for a bound that is near to a radius above 1, too.
     """
     found, scale, left = OPEN, 1.0, budget // A.size
     for _ in range(SEARCHES):
@@ -217,7 +218,7 @@ def side_of_one(A: Array, transition: Array, budget: int = BUDGET) -> Side:
         left -= spent
         if side.stable is False:
             found = side._replace(bound=scale * side.bound)
-        if scale == 1.0 and side.stable:
+        if scale == 1.0 and (side.stable or (side.stable is False and not near)):
             return side
         if left <= 0 or (scale > 1.0 and side.stable is False) or (not side.stable and not growth > 1.0 + 1e-6):
             return found

@@ -42,8 +42,10 @@ import numpy.typing as npt
 from design.errors import DesignError
 
 Array = npt.NDArray[np.float64]
-EQUAL = 1e-9
+EQUAL = 1e-11
 """An eigenvalue as near to 1 counts as an integrator's."""
+SHOWN = 1e-9
+"""Share of its terms above which a sum counts as not 0, whatever the units of the states are."""
 SETTLED = 1e-3
 """Row sum of |S^J| up to which J slots of a stable part are summed one by one."""
 MOST_SLOTS = 20_000
@@ -171,12 +173,16 @@ def _mean_square(drift: Array, chances: Array, D: float, eta: float, M: float, g
 
 def integrator(A: Array, C: Array) -> tuple[Array, Array]:
     """Return l and v of the simple eigenvalue 1; a DesignError where there is none."""
-    left, sizes, right = np.linalg.svd(A - np.eye(len(A)))
-    if sizes[-1] > EQUAL * max(sizes[0], 1.0):
-        raise DesignError("the plant does not integrate")
-    v, l = right[-1], left[:, -1]
+    found = []
+    for matrix in (A, A.T):
+        rates, modes = np.linalg.eig(matrix)
+        at = int(np.abs(rates - 1.0).argmin())
+        if not abs(rates[at] - 1.0) <= EQUAL:
+            raise DesignError("the plant does not integrate")
+        found.append(np.real(modes[:, at]))
+    v, l = found
     seen, kept = float(C[0] @ v), float(l @ v)
-    if abs(seen) <= EQUAL or abs(kept) <= EQUAL:
+    if abs(seen) <= SHOWN * float(np.abs(C[0]) @ np.abs(v)) or abs(kept) <= SHOWN * float(np.abs(l) @ np.abs(v)):
         raise DesignError("the plant integrates more than once, or its output does not show it")
     v = v / seen
     return l / float(l @ v), v

@@ -38,7 +38,7 @@ def can() -> None:
 @click.option("--dbitrate", metavar="RATE", help="Data bit rate of TRAFFIC, as 2M.")
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
-@click.option("--errors", type=click.IntRange(0), help="Errors that may come at once; the bounds allow for them.")
+@click.option("--errors", type=click.IntRange(1), help="Errors that may come at once; the bounds allow for them.")
 @click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further errors.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
@@ -131,7 +131,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     from hil.experiment import load_experiment
     from hil.measure.bus_load import bus_of
     from hil.measure.view import view_of
-    from hil.rig.can_bus import analysed, can_bus_of, rates_of
+    from hil.rig.can_bus import analysed, can_bus_of, is_disturbed, rates_of
     from hil.runtime.virtual import simulate
 
     experiment = load_experiment(target, sets, duration=str(seconds))
@@ -143,8 +143,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
         raise HilError(f"{experiment.name}: recorded frames have no period, and no bound follows from them; hil run measures")
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
-    disturbed = bus.table.bit_error_rate > 0.0 or any(fault.kind in ("bit-errors", "bus-off") for fault in experiment.fault)
-    messages = analysed(loop.rig, bus, loop.rows)
+    messages, disturbed = analysed(loop.rig, bus, loop.rows), is_disturbed(bus.table, experiment.fault)
     return analyse(experiment.name, messages, rates_of(bus.table), worst, seconds, errors, disturbed=disturbed)
 
 

@@ -218,7 +218,7 @@ def _judge(place: Place) -> Judged:
     from hil.design_questions.loop_on_bus import Judged
     from hil.measure.summary import summarise
     from hil.measure.view import view_of
-    from hil.rig.can_bus import CONTROLLER, analysed, can_bus_of, own_packets, rates_of
+    from hil.rig.can_bus import CONTROLLER, analysed, can_bus_of, is_disturbed, own_packets, rates_of
     from hil.runtime.virtual import simulate
     from transport.can_analysis import response_times
 
@@ -229,7 +229,8 @@ def _judge(place: Place) -> Judged:
     fd = bus.table.dbitrate is not None
     last = {packet.first + len(packet.sizes(fd=fd)) - 1: packet for packet in own}
     found = response_times(analysed(loop.rig, bus, loop.rows), rates_of(bus.table))
-    own_bounds = [b for b in found if not (b.message.extended or bus.table.bit_error_rate) and b.message.identifier in last]
+    disturbed = is_disturbed(bus.table, loop.experiment.fault)
+    own_bounds = [b for b in found if not (b.message.extended or disturbed) and b.message.identifier in last]
     bounds = {last[b.message.identifier].sender: b for b in own_bounds}
     ms = {name: None if b.response_ns is None else b.response_ns / 1e6 for name, b in bounds.items()}
     summary = summarise(view_of(simulate(loop, place.experiment.seed), loop.experiment, loop.rig))

@@ -8,11 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.errors import HilError
-from hil.experiment.rig_tables import BIT_ERRORS
 from hil.log.append_column import pieces
 from hil.log.topics import BUS, EXTENDED
 from hil.measure.view import RunView
-from hil.rig.can_bus import CONTROLLER, analysed, bus_nodes, can_bus_of, own_packets, rates_of
+from hil.rig.can_bus import CONTROLLER, analysed, bus_nodes, can_bus_of, is_disturbed, own_packets, rates_of
 from transport.can_analysis import bus_load, response_times
 
 
@@ -120,8 +119,8 @@ def bus_of(view: RunView) -> BusLoad | None:
     answers = sum(each.length for each in counted.values() if names[each.node] == CONTROLLER)
     rows = answers // (4 * len(rig.inputs)) or None
     stated = {(each.extended, each.identifier): each for each in analysed(rig, bus, rows)}
-    faulty = view.experiment is not None and any(fault.kind in (BIT_ERRORS, "bus-off") for fault in view.experiment.fault)
-    bounds = {} if medium.bit_error_rate or medium.recorded or faulty else {
+    disturbed = is_disturbed(medium, () if view.experiment is None else view.experiment.fault)
+    bounds = {} if medium.recorded or disturbed else {
         each.message.name: each.response_ns for each in response_times([*stated.values()], rates)
     }  # fmt: skip
     span = int(records["idle_ns"][-1])

@@ -5,13 +5,14 @@ Of a bus that takes time: who is on it, what travels there, and how long that ma
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
 
 from design.controllers import row_count
 from hil.experiment.nodes import Medium, TrafficTable
+from hil.experiment.rig_tables import BIT_ERRORS, Fault
 from hil.rig import RigSpec
 from hil.rig.sensors import Sensor, SharedMedium, first_identifiers
 from transport.can_bus_model import BitRates, CanFrame
@@ -113,7 +114,8 @@ class OwnPacket(Struct, frozen=True, kw_only=True):
         path: where the experiment says its identifier.
         first: identifier of the first frame.
         values: 32-bit floats in a packet.
-        period_ns: from one packet to the next, at least.
+        period_ns: from one packet to the next.
+        jitter_ns: by how much its clock may be late.
     """
 
     sender: str
@@ -121,6 +123,7 @@ class OwnPacket(Struct, frozen=True, kw_only=True):
     first: int
     values: int
     period_ns: int
+    jitter_ns: int = 0
 
     def sizes(self, *, fd: bool) -> list[int]:
         """Return the bytes of each of its frames."""
@@ -134,6 +137,16 @@ def can_bus_of(rig: RigSpec) -> SharedMedium | None:
     return next((shared for shared in rig.media if shared.table.kind == "can"), None)
 
 
+def is_disturbed(medium: Medium, faults: Sequence[Fault]) -> bool:
+    """Return whether bits on a bus are disturbed, or nodes are off it, so that bounds without errors do not hold.
+
+    Args:
+        medium: the bus.
+        faults: on the time line.
+    """
+    return medium.bit_error_rate > 0.0 or any(fault.kind in (BIT_ERRORS, "bus-off") for fault in faults)
+
+
 def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[OwnPacket]:
     """Return what the rig's own nodes send on the bus: its sensor nodes by number, then the controller.
 
@@ -144,9 +157,13 @@ def own_packets(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> lis
     """
     found = []
     for sensor in (rig.sensors[number] for number in sorted(bus.nodes)):
-        values, period_ns = len(sensor.outputs) * sensor.buffer, sensor.clock.every * rig.period_ns
-        path = path_of(sensor)
-        found.append(OwnPacket(sender=sensor.name, path=path, first=sensor.can_id, values=values, period_ns=period_ns))
+        values, clock, path = len(sensor.outputs) * sensor.buffer, sensor.clock, path_of(sensor)
+        found.append(
+            OwnPacket(
+                sender=sensor.name, path=path, first=sensor.can_id, values=values, period_ns=clock.every * rig.period_ns,
+                jitter_ns=clock.jitter * rig.period_ns,
+            )
+        )  # fmt: skip
     if bus.table.control:
         given = rig.links.control_can_id
         first = derived(rig.framing.base, rig.framing.fd).control[0] if given is None else given
@@ -215,7 +232,8 @@ def analysed(rig: RigSpec, bus: SharedMedium, rows: int | None = None) -> list[P
             name = packet.sender if not i else f"{packet.sender}, frame {i + 1}"
             found.append(
                 PeriodicMessage(
-                    name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, fd=fd, bitrate_switch=fd
+                    name=name, identifier=packet.first + i, length=size, period_ns=packet.period_ns, jitter_ns=packet.jitter_ns,
+                    fd=fd, bitrate_switch=fd,
                 )
             )  # fmt: skip
     return found + [periodic_message(message, medium) for message in medium.traffic]

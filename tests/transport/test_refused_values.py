@@ -47,7 +47,7 @@ def law(*rows: object) -> PacketLaw:
     [
         (message, {"period_ns": 0}, "period_ns"),
         (message, {"jitter_ns": -1}, "jitter_ns"),
-        (ErrorBursts, {"burst": -1, "interval_ns": 1}, "burst"),
+        (ErrorBursts, {"burst": 0, "interval_ns": 1}, "burst"),
         (ErrorBursts, {"interval_ns": 0}, "interval_ns"),
         (traffic, {"period_ns": 0}, "period_ns"),
         (traffic, {"offset_ns": -1}, "offset_ns"),
@@ -83,7 +83,7 @@ def test_a_value_out_of_range_is_refused_with_its_field(make: Make, values: dict
     ("make", "values"),
     [
         (message, {"period_ns": 1, "jitter_ns": 0}),
-        (ErrorBursts, {"burst": 0, "interval_ns": 1}),
+        (ErrorBursts, {"burst": 1, "interval_ns": 1}),
         (traffic, {"offset_ns": 0, "jitter_ns": 0}),
         (frame_bounds, {"length": 0}),
         (frame_bounds, {"length": 64, "fd": True, "bitrate_switch": True}),

@@ -104,19 +104,19 @@ class ErrorBursts:
     """At most ``burst`` errors at once, and one more in every ``interval_ns``.
 
     Args:
-        burst: errors that may come at any instant.
+        burst: errors that may come at any instant, 1 or more: also a single error comes at any instant.
         interval_ns: between two further ones.
 
     Raises:
-        ValueError: a negative number, or no interval.
+        ValueError: no error, or no interval.
     """
 
     burst: int = 1
     interval_ns: int
 
     def __post_init__(self) -> None:
-        if self.burst < 0:
-            raise FieldError("burst", f"{self.burst} is negative")
+        if self.burst < 1:
+            raise FieldError("burst", f"{self.burst}, expected 1 or more")
         if self.interval_ns <= 0:
             raise FieldError("interval_ns", f"{self.interval_ns}, expected more than 0")
 

@@ -154,6 +154,25 @@ def test_stable_hangs_on_the_margin_of_the_inequality_and_not_on_the_radius():
     assert "floating point" in found.reason
 
 
+def test_eigenvalues_that_rounding_moves_over_1_refuse_nothing():
+    """Eight equal factors in coordinates of small whole numbers, exact in binary: an eigenvalue 0.99 comes out as 1.04."""
+    mix = np.eye(8)
+    for i, j in ((0, 3), (5, 2), (7, 1), (4, 6), (2, 7), (1, 0)):
+        mix[i] += mix[j]
+    for factor, states in ((0.99, {"undecided", "certified"}), (1.5, {"refused"})):
+        A = mix @ (np.round(factor * 2**16) / 2**16 * np.eye(8) + np.diag(np.ones(7), 1)) @ np.round(np.linalg.inv(mix))
+        found = certify_loop(A, np.eye(8)[:, 7:], np.eye(8)[:1], [[1.0]], [[1.0]], np.zeros((1, 1, 1, 1)), "constant")
+        assert found.mean_square_radius > 1.0 and found.state in states
+
+
+def test_units_of_the_states_decide_nothing():
+    """A position in um beside a speed in m/s: at 1e6 the margins in these units are lost in rounding."""
+    for unit in (1.0, 1e6):
+        A, B = [[1.005, 0.01 * unit], [0.0, 0.905]], [[5e-5 * unit], [0.0095]]
+        found = certify_loop(A, B, [[1.0, 0.0]], [[1.0]], [[1.0]], [[[[-10.0 / unit]]]], "constant")
+        assert found.state == "certified" and found.mean_square_radius == pytest.approx(0.9876425, abs=1e-6)
+
+
 def test_a_wrong_solution_of_the_inequality_proves_nothing(monkeypatch):
     right = certificate.cost_once
     loop = (*MOTOR, LAMBDA, PI, PRINTED_H2, "generated")

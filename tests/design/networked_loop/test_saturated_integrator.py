@@ -75,6 +75,7 @@ def test_what_it_leans_on_changes_it() -> None:
         ({"gains": -GAINS}, "not every gain leads"),
         ({"limit": 0.0059}, "as strong as the limited command"),
         ({"plant": (0.99 * A, B, C)}, "does not integrate"),
+        ({"plant": (np.array([[1.0001, 300.0], [0.0, 0.9]]), B, C)}, "does not integrate"),  # unstable, in um and m/s
         ({"plant": (np.array([[1.0, 0.05], [0.0, 1.0]]), B, C)}, "more than once"),
         ({"plant": (np.eye(2), B, np.array([[1.0, 1.0]]))}, "not stable"),
         ({"plant": (np.diag([1.0, 1.01]), B, C)}, "not stable"),

@@ -49,6 +49,15 @@ def test_an_experiment_is_run_and_analysed() -> None:
     assert own["motor"]["bound_ms"] == 39.656 and 0 < own["controller"]["measured_ms"] < own["controller"]["bound_ms"]
 
 
+def test_a_late_clock_of_a_sensor_node_counts_in_the_bounds_of_what_it_delays() -> None:
+    """Two of its packets come 50 ms apart instead of 100, and the last message waits for both of them."""
+    below = (f'{{can_id={0x10 + i}, data="0000000000000000", period="100 ms", offset="50 ms"}}' for i in range(5))
+    sets = ("nodes.motor.clock={every=2, jitter=1}", "nodes.motor.can_id=1", "media.bus.bitrate=10000", "media.bus.control=false")
+    words = [word for each in (*sets, f"media.bus.traffic=[{','.join(below)}]") for word in ("--set", f"network.{each}")]
+    found = json.loads(run("dc-motor-busy-can", "--duration", "4", *words, "--json"))["messages"]
+    assert all(0 < each["measured_ms"] <= each["bound_ms"] for each in found) and found[-1]["measured_ms"] > 78
+
+
 def test_bounds_say_what_they_assume_of_errors() -> None:
     """Random bit errors at any rate leave no bound; with --errors nodes must stay error active."""
     words = ["dc-motor-busy-can", "--duration", "1", "--set", "network.media.bus.bit_error_rate=1e-4"]
