@@ -204,7 +204,7 @@ CONSTRAINTS = (
         "by tuning these matrices",
         (
             says("(4.23) for the gains found", "general.verdict", "certified"),
-            above("margin of its inequalities, computed again", "margin", 0),
+            above("margin of its inequalities, computed anew", "margin", 0),
         ),
         computed="{general.verdict}, margin {margin:.3g}, gain norm {norm:.3g}",
         basis=f"Gamma_11 = 1, Gamma_12 = [0.01 0], Gamma_22 = -0.001 I; with Gamma_22 = -{TIGHT:g} I the answer is '{{tight}}'",
