@@ -151,12 +151,13 @@ def test_stopped_controller_trips_the_watchdog_and_does_not_outlive_the_session(
     until(lambda: gone(pid), "the controller's end", ROOM_S)
 
 
-def test_killed_rig_ends_the_session_and_keeps_the_log(session: Running) -> None:
+@pytest.mark.parametrize(("number", "how"), [(signal.SIGKILL, "killed by SIGKILL"), (signal.SIGTERM, "ended with status 143")])
+def test_killed_rig_ends_the_session_and_keeps_the_log(session: Running, number: int, how: str) -> None:
     controller = session.child("controller")
-    os.kill(session.child("rig"), signal.SIGKILL)
+    os.kill(session.child("rig"), number)
     status, summary = session.finish()
     assert status == 1
-    assert "SIGKILL" in summary["problems"]["rig_lost"]
+    assert how in summary["problems"]["rig_lost"]
     assert len(read_run(session.log).arrays["/plant/state"]) > 3
     until(lambda: gone(controller), "the controller's end", ROOM_S)
 

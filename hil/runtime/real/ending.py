@@ -77,6 +77,8 @@ class StopSignals:
 
 NO_CONTROLLER: Final = 3
 """The rig: no controller answered."""
+STOPPED: Final = 128 + signal.SIGTERM
+"""The rig: SIGTERM ended it; of the session, or sent to this process alone."""
 FAILED: Final = 4
 """The rig: a part of the loop failed in the run, as an event of the log says."""
 ENDED: Final = 5

@@ -26,7 +26,7 @@ from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, failure_of
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, failure_of
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
 from hil.runtime.slot import Slot
 from plants.errors import PlantError
@@ -140,7 +140,7 @@ def main(job: Job) -> None:
     """Run one job.
 
     Raises:
-        SystemExit: `ENDED`; `FAILED` where a part of the loop did; `NO_CONTROLLER` if no controller answered.
+        SystemExit: `ENDED`; `STOPPED`; `FAILED` where a part of the loop did; `NO_CONTROLLER` if no controller answered.
     """
     try:
         _run(job)
@@ -209,7 +209,7 @@ def _run(job: Job) -> None:
         )
         sink.close()
         leave_real_time()
-        _leave(FAILED if failed else ENDED)
+        _leave(FAILED if failed else STOPPED if stopped else ENDED)
 
 
 def _leave(status: int) -> NoReturn:

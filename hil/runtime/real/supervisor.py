@@ -33,7 +33,7 @@ from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, go_ahead_of_others, leave_to_loop, rig_process
 from hil.runtime.real.child import Child, end_all, is_stopped
 from hil.runtime.real.controller_process import ControllerReport
-from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, StopSignals
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, StopSignals
 from transport.links.private_directory import bus_directory, clear_dead_channels
 
 SHORTEST_S: Final = 1.0
@@ -274,7 +274,7 @@ def run_real(
             raise HilError(f"no controller answered on {link.uri} within {hello_s:g} s")
         why = outcome.rig_lost or outcome.controller.failed or outcome.controller_lost or rig.how()
         raise HilError(f"{why} before the run began; see its message above, if any")
-    if status not in (ENDED, FAILED):
+    if status not in (ENDED, FAILED) and (status != STOPPED or signals.seen is None):
         outcome.rig_lost = outcome.rig_lost or rig.how()
     return outcome
 
