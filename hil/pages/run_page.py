@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -188,7 +190,7 @@ def runs_page(folder: str, runs: Sequence[LoggedRun]) -> str:
     titles = [title for title, _ in common.most_common(MOST_NUMBERS)]
     rows: list[list[Cell]] = []
     for run in runs:
-        name = Link(label=run.name, href=run.page) if run.page else run.name
+        name = Link(label=run.name, href=quote(os.fsencode(run.page))) if run.page else run.name
         verdict = Badge(label="not read", state="bad") if run.failure else run.verdict
         rows.append([name, *run.cells, verdict, *(run.numbers.get(title) for title in titles)])
     table = Table(columns=["log", "experiment", "seed", "clock", "verdict", *titles], rows=rows, wide=True, searched=True)

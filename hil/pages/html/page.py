@@ -35,6 +35,9 @@ SHORT_CELL = 40
 
 AMOUNT = re.compile(r"[-−+]?\d.{0,40}")
 
+UNSEEN = re.compile(r"[\0-\b\v\f\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]")
+"""Control characters, and those that turn the direction of a text: they are shown, and in data they are its JSON."""
+
 LONG_TABLE = 40
 """Rows above which a table scrolls in its own box."""
 
@@ -81,7 +84,7 @@ class Page:
             f"script-src {_digest(library)} {_digest(script)}"
         )
         links = "".join(f'<a href="#s{i}">{escape(s.title)}</a>' for i, s in enumerate(self.sections))
-        return (
+        text = (
             '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
             f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
             '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -94,6 +97,7 @@ class Page:
             f'<script type="application/json" id="hil-data">{payload.json()}</script>\n'
             f"<script>{library}</script>\n<script>{script}</script>\n</body>\n</html>\n"
         )
+        return UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def _header(page: Page) -> str:

@@ -12,6 +12,7 @@ import pytest
 from hil.pages import BarGroup, Bars, Figure, Histogram, Matrix, Scene, Section, Series, Shape, Table, Tile
 from hil.pages.html.page import Page
 from hil.pages.html.svg import draw_bars
+from hil.pages.run_page import LoggedRun, runs_page
 from tests.hil.pages.whole_pages import GOOD, SECTIONS
 
 HOSTILE = '</script><script>alert("x")</script><img src=x onerror=alert(1)>&"\''
@@ -55,6 +56,13 @@ def test_hostile_text_adds_no_element_and_no_attribute() -> None:
     harmless, hostile = elements(page_with_every_block("a" * len(HOSTILE))), elements(page_with_every_block(HOSTILE))
     assert [tag for tag, _ in hostile] == [tag for tag, _ in harmless]
     assert [sorted(a) for _, a in hostile] == [sorted(a) for _, a in harmless]
+
+
+def test_control_characters_and_directions_are_shown_and_not_obeyed() -> None:
+    page = page_with_every_block("a\x1b\u202eb")
+    assert not set("\x1b\u202e") & set(page) and "<h1>a\\u001b\\u202eb</h1>" in page
+    logs = runs_page("runs", [LoggedRun(name=name, page=name, numbers={}) for name in ("javascript:f#1?.html", "\udce9.html")])
+    assert [a["href"] for tag, a in elements(logs) if tag == "a"][1:] == ["javascript%3Af%231%3F.html", "%E9.html"]
 
 
 def test_no_text_ends_the_scripts_data_or_opens_a_comment_in_it() -> None:
