@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from design.jump_linear.bounded_real import hinf_norm as hinf_norm
     from design.jump_linear.certificate import Certificate as Certificate
     from design.jump_linear.certificate import certify_system as certify_system
-    from design.lmi.exact import prove as prove
+    from design.lmi import prove as prove
     from design.networked_loop.affine_loop import LoopStructure as LoopStructure
     from design.networked_loop.certify import certify_loop as certify_loop
     from design.networked_loop.certify import lower_bounds as lower_bounds

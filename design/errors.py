@@ -1,9 +1,11 @@
-"""The one error root of the package: a design that cannot be, with the number that decides it."""
+"""The one error root of the package: a design that cannot be, with the number that decides it; a package that is missing."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
 
 
 class DesignError(Exception):
@@ -25,6 +27,32 @@ class NotStable(DesignError):
 
 class NotInstalled(DesignError):
     """A package of an extra is not there: nothing was asked of the theory."""
+
+
+INSTALL = "pip install 'hilrig[design]'"
+
+
+def solver(package: str) -> Any:
+    """Return a package of the extra ``design``: cvxpy, Clarabel, SCS or python-control.
+
+    Args:
+        package: as it is imported.
+
+    Raises:
+        NotInstalled: it is not installed, with the command that installs it.
+    """
+    try:
+        return import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] != package:
+            raise
+        raise NotInstalled(f"this needs {package}, which is not installed: {INSTALL}") from None
+
+
+def check_solvers() -> None:
+    """Raise NotInstalled where one of them is missing: before long work, and not in its midst."""
+    for package in ("cvxpy", "clarabel", "scs", "control"):
+        solver(package)
 
 
 class TooLarge(DesignError):

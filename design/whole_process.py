@@ -50,7 +50,7 @@ def _libraries(_modules: int) -> Any:
 
 
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-"""Signals that ask a process to end; `hil.plugins.first_instants`, which imports no package of ours, has them too."""
+"""Signals that ask a process to end; `hil.errors`, which imports no package of ours, has them too."""
 
 
 @contextmanager

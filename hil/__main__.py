@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def main() -> Any:
     """Entry point of the console command ``hil``."""
     try:
-        from hil.plugins.first_instants import heed_signals
+        from hil.errors import heed_signals
 
         heed_signals()
         gc.disable()  # until `collect_garbage_again`: to look for garbage among modules takes a tenth of a short run

@@ -1,9 +1,17 @@
-"""The one error root of ``hil``; the command line turns it into a message and an exit status."""
+"""How hil and its commands end: the one error root, which the command line turns into a message and an exit status; and signals.
+
+The import of a command takes a tenth of a second, in which Python answers a signal by a traceback: these are its first instants.
+"""
 
 from __future__ import annotations
 
+import gc
+import os
+import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from types import FrameType
+from typing import Final, NoReturn
 
 
 class HilError(Exception):
@@ -116,3 +124,37 @@ def unknown_name(what: str, name: object, known: Iterable[str]) -> UnknownName:
     """
     names = list(known)
     return UnknownName(f"no {what} is called {str(name)!r}{nearest(name, names) or '.'} There are: {', '.join(names) or 'none'}")
+
+
+ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+"""Signals that ask a command to end."""
+
+
+def leave_at_once(number: int, _frame: FrameType | None) -> NoReturn:
+    """End this process with the status of a signal; for while there is nothing to take down.
+
+    Args:
+        number: the signal.
+    """
+    os._exit(128 + number)
+
+
+def heed_signals() -> None:
+    """Let every signal that ends a command end this process at once, except those that are handled or ignored."""
+    for number in ENDING:
+        if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
+            signal.signal(number, leave_at_once)
+
+
+def pass_over_signals() -> None:
+    """Let no signal end this process any more: its work is done, its status stands, and Python takes its handlers away."""
+    for number in ENDING:
+        if callable(signal.getsignal(number)):
+            signal.signal(number, signal.SIG_IGN)
+
+
+def collect_garbage_again() -> None:
+    """Let Python look for garbage again, where `hil` started without, and never among what its modules left."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()

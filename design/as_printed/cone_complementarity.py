@@ -20,10 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from design.errors import DesignError
+from design.errors import DesignError, solver
 from design.jump_linear.bounded_real import solve_bounded_real
 from design.jump_linear.second_moment import Resolvent, expect
-from design.lmi import solver
 from design.processes.delay_chain import Array
 from design.tracking import TrackingProblem
 from design.tracking.loop_objective import LoopObjective, check_plant, stabilising

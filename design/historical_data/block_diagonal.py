@@ -22,10 +22,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from design.errors import Infeasible
+from design.errors import Infeasible, solver
 from design.historical_data import Array, DelayedPlant, LiftedLoop
 from design.historical_data.sensor_schedule import Mask
-from design.lmi import solver
 
 MARGIN = 1e-6
 

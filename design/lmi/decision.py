@@ -15,9 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from design.errors import Infeasible, check_above_zero
-from design.lmi import solver
-from design.lmi.exact import ExactProof, Rebuildable, as_float, as_fraction, prove, prove_inequalities, rounded
+from design.errors import Infeasible, check_above_zero, solver
+from design.lmi import ExactProof, Rebuildable, as_float, as_fraction, prove, prove_inequalities, rounded
 from design.lmi.program import LmiProgram, LmiSolution, verify
 
 TIME_LIMIT_S = 3.0

@@ -5,7 +5,7 @@ same function is evaluated
 
 - on a basis of all its variables at once (a leading batch axis) to read off its coefficients,
 - on the returned matrices, whose eigenvalues are the verdict (never the solver's status),
-- on matrices of ``fractions.Fraction`` for an exact proof (``design.lmi.exact``).
+- on matrices of ``fractions.Fraction`` for an exact proof (``design.lmi``).
 
 Clarabel solves min q'x with b - A x in a product of positive semidefinite triangles: upper ones, column by column, off-diagonals
 times sqrt(2). A verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here). Where that leaves a
@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
-from design.errors import FieldError
-from design.lmi import solver
+from design.errors import FieldError, solver
 
 FloatArray = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]

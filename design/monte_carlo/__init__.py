@@ -168,7 +168,7 @@ def spread(
     The runs are cut into chunks by their number, always at the same places. A chunk is computed the same way wherever it is
     computed, so no split into jobs can change a bit of the result: not by vector units that treat the ends of an array
     differently, not by an iteration that stops when all members of a batch have converged. Draws and motions use plain operations
-    alone (`design.processes.elementary`), so that processors of different instruction sets agree, too.
+    alone (`design.processes`), so that processors of different instruction sets agree, too.
 
     Closing the iterator (or Ctrl-C) cancels what has not begun.
 

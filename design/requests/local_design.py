@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import LinearLaw
-from design.errors import DesignError, check_above_zero
-from design.lmi import solver
+from design.errors import DesignError, check_above_zero, solver
 
 LocalMethod = Literal["lqr", "lqg", "hinf"]
 Array = npt.NDArray[np.float64]

@@ -24,7 +24,7 @@ from design.errors import FieldError, check_at_least_zero
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 
 if TYPE_CHECKING:  # nothing of a solver
-    from design.lmi.exact import Lift
+    from design.lmi import Lift
     from design.lmi.program import Array
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
+from design.lmi import Lift, as_float
 from design.lmi.decision import Attenuation
-from design.lmi.exact import Lift, as_float
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import FloatArray, JumpSystem
@@ -39,7 +39,7 @@ class JumpCertificate:
         gamma: L2 gain bound.
         spectral_radius: of the per-jump second-moment operator (``exact`` only).
         matrices: the solution by name.
-        rebuild: the inequalities, in floats or in fractions (``design.lmi.exact``).
+        rebuild: the inequalities, in floats or in fractions (``design.lmi``).
         gain: the gains that were analysed.
         assumptions: what the verdict rests on.
         solver: who found the matrices.

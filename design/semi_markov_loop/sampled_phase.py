@@ -58,7 +58,7 @@ from functools import partial
 
 import numpy as np
 
-from design.lmi.exact import as_float
+from design.lmi import as_float
 from design.lmi.program import Array, LmiProgram, LmiSolution, symmetric_blocks, symmetric_part, transpose
 from design.semi_markov_loop import DelayedJumpSystem, FloatArray, NormBounded
 from design.semi_markov_loop.period_moments import TooLarge, factors, held_flow, svec_size

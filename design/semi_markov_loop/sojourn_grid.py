@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from design.controllers.scheduled_gain import ScheduledGain, tabulated
 from design.errors import FieldError
-from design.lmi.exact import Lift, as_float
+from design.lmi import Lift, as_float
 from design.lmi.program import Inequality, LmiProgram, add_schur_rows, symmetric_blocks
 from design.processes.partitions import Partition, check_partition
 from design.processes.semi_markov import FaultDetection, SemiMarkov

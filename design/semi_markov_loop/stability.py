@@ -20,8 +20,8 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError, check_at_least_zero
+from design.lmi import Lift, as_float
 from design.lmi.decision import VerifyWith, decide
-from design.lmi.exact import Lift, as_float
 from design.lmi.program import (
     Array,
     Inequality,

@@ -144,8 +144,8 @@ def laws(source: Source, **changes: Any) -> Laws:
     Raises:
         HilError: if the experiment cannot be read.
     """
+    from hil.rig import rig_of
     from hil.rig.named_files import with_law_files
-    from hil.rig.normal_form import rig_of
 
     checked = with_law_files(checked_experiment(source, None, None, changes))
     period_s = float(checked.period)

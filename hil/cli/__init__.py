@@ -14,8 +14,7 @@ from typing import Any
 import click
 
 from hil.cli.guard import Guard, signals_as_exceptions
-from hil.errors import HilError, exit_status, is_message, nearest
-from hil.plugins.first_instants import collect_garbage_again, pass_over_signals
+from hil.errors import HilError, collect_garbage_again, exit_status, is_message, nearest, pass_over_signals
 from hil.plugins.user_modules import WATCH, ProcessState, refuse_shadowed_packages
 
 COMMANDS = {

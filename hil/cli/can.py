@@ -177,7 +177,7 @@ def dbc(
 
 def _text(experiment: str | None, link: str | None, sets: tuple[str, ...]) -> str:
     from hil.experiment import load_experiment
-    from hil.rig.normal_form import rig_of
+    from hil.rig import rig_of
     from hil.rig.session_link import rig_dbc
     from transport import dbc_path
     from transport.links import TransportError

@@ -47,7 +47,7 @@ class OverHistory(Protocol):
 
 def experiment_over_history(subject: str) -> Experiment | None:
     """Return the experiment of a name with several sensor nodes, or with gains over historical data; None for any other name."""
-    from hil.rig.normal_form import rig_of
+    from hil.rig import rig_of
 
     if subject in names("hil.plants") or ":" in subject:
         return None
@@ -57,7 +57,7 @@ def experiment_over_history(subject: str) -> Experiment | None:
 
 def show_historical(experiment: Experiment, orders: bool, spread: bool) -> None:
     """Print what gains over historical data cost."""
-    from hil.design_questions.historical_bounds import judge_historical
+    from hil.certify.historical_loop import judge_historical
 
     with located(experiment.name, ValueError), Working(f"{experiment.name}: what its gains cost"):
         found = judge_historical(compose(experiment), orders=orders, spread=spread)

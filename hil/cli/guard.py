@@ -23,8 +23,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import Any, Final, NoReturn
 
-from hil.errors import Terminated
-from hil.plugins.first_instants import ENDING, leave_at_once
+from hil.errors import ENDING, Terminated, leave_at_once
 from hil.plugins.user_modules import ProcessState
 
 LONGEST_IMPORT_S: Final = 0.8

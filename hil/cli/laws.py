@@ -43,8 +43,8 @@ def command(
     if output is not None or force:
         raise HilError("-o: belongs to --from-bus; hil show prints an experiment with its laws")
     from hil.experiment import load_experiment
+    from hil.rig import rig_of
     from hil.rig.named_files import with_law_files
-    from hil.rig.normal_form import rig_of
     from transport.law_tests.analysis import analyse_law
     from transport.laws.delay_states import mode_transitions
 

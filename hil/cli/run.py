@@ -20,8 +20,7 @@ from design.whole_process import signals_later
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Within, foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, answer, json_option, visible, wants_json
-from hil.errors import HilError
-from hil.plugins.first_instants import collect_garbage_again
+from hil.errors import HilError, collect_garbage_again
 
 if TYPE_CHECKING:
     from hil.experiment import Experiment
@@ -137,7 +136,7 @@ def run(
     """
     from hil.cli.page_text import print_summary
     from hil.experiment import load_experiment
-    from hil.rig.normal_form import rig_of
+    from hil.rig import rig_of
     from hil.rig.session_link import link_of
     from hil.session import run_session
 

@@ -34,12 +34,11 @@ from hil.experiment.table_check import fault_at
 from hil.plugins.registry import OBJECT
 from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
-from hil.rig import RigSpec
+from hil.rig import RigSpec, in_words_of_parts, rig_of
 from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, chains_for, labels_of, without_held
 from hil.rig.loop import Gains, Loop
 from hil.rig.named_files import with_named_files
-from hil.rig.normal_form import in_words_of_parts, rig_of
 from plants.errors import PlantError
 from plants.parts.protocols import JumpPlant
 from transport.errors import NotKnown

@@ -21,9 +21,9 @@ from hil.certify import UNTIL_ALL_CAME
 from hil.compose import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
+from hil.rig import rig_of
 from hil.rig.loop import Loop, digest_of
 from hil.rig.loop_chains import ANY_PHASE
-from hil.rig.normal_form import rig_of
 from hil.rig.schedules import SCHEDULES, outlasts
 from plants.parts.protocols import GoesOn, JumpPlant, Plant
 

@@ -96,10 +96,10 @@ def target_of(
     Raises:
         HilError: several sensor nodes, or a network that is no chain of delays.
     """
+    from hil.rig import rig_of
     from hil.rig.bus_delays import bus_chains
     from hil.rig.can_bus import can_bus_of
     from hil.rig.delay_chains import chains_of
-    from hil.rig.normal_form import rig_of
 
     rig = rig_of(experiment)
     if len(rig.sensors) > 1:

@@ -20,12 +20,11 @@ from hil.experiment.table import Seconds
 from hil.files.toml_text import toml_lines
 from hil.log.recordings import class_text, fit_document, law_text
 from hil.log.topics import APPLIED, BUS, ROWS
-from hil.rig import RigSpec
+from hil.rig import RigSpec, rig_of
 from hil.rig.bus_delays import BusDelays, bus_delays, chain_of_ages
 from hil.rig.can_bus import CONTROLLER, can_bus_of, own_packets
 from hil.rig.loop import Loop
 from hil.rig.named_files import with_traffic_files
-from hil.rig.normal_form import rig_of
 from hil.rig.sensors import SharedMedium
 from transport.can_bus_model import BASE_MOST
 from transport.errors import FieldError, NotKnown

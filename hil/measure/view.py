@@ -18,8 +18,7 @@ from hil.log.records import TIME_FIELD
 from hil.log.run import Run
 from hil.log.topics import inputs_among
 from hil.measure.signals import Followed, Signals, bare, tracked_among
-from hil.rig import RigSpec
-from hil.rig.normal_form import rig_of
+from hil.rig import RigSpec, rig_of
 from plants.errors import PlantError
 
 MEASUREMENT, REFERENCE = topics.MEASUREMENT.name, topics.REFERENCE.name

@@ -28,9 +28,8 @@ from pathlib import Path
 from types import FunctionType, ModuleType
 from typing import Any, Final, NamedTuple, Protocol
 
-from hil.errors import HilError
+from hil.errors import ENDING, HilError
 from hil.files import read_regular
-from hil.plugins.first_instants import ENDING
 
 STREAMS: Final = {0: "standard input", 1: "standard output", 2: "standard error"}
 

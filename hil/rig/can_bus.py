@@ -13,7 +13,6 @@ from msgspec import Struct
 from design.controllers import row_count
 from hil.experiment.nodes import Medium, TrafficTable
 from hil.experiment.rig_tables import BIT_ERRORS, Fault
-from hil.rig import RigSpec
 from hil.rig.sensors import Sensor, SharedMedium, first_identifiers
 from transport.can_bus_model import BitRates, CanFrame
 from transport.links.can_identifiers import FRAGMENTS, LARGEST, derived, identifiers_text
@@ -21,6 +20,7 @@ from transport.links.traits import CanFraming, LinkTraits
 from transport.wire import control_length, frame_length, sensor_length
 
 if TYPE_CHECKING:
+    from hil.rig import RigSpec
     from transport.can_analysis import PeriodicMessage
     from transport.can_bus_model import Periodic
 

@@ -23,7 +23,7 @@ from hil.errors import ForeignVerdict
 from hil.experiment import Experiment
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains
-from hil.rig.piecewise import Piecewise
+from hil.rig.schedules import Piecewise
 
 if TYPE_CHECKING:
     from design.controllers import Controller

@@ -1,8 +1,9 @@
-"""What happens in which slot of a rig: the faults on its time line."""
+"""What happens in which slot of a rig: signals that change, a reference, a disturbance; and the faults on its time line."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from msgspec import Struct
@@ -105,7 +106,7 @@ def whole_again(e: Experiment, rig: RigSpec, ages: tuple[int, int, int]) -> floa
         ages: smallest and largest age of a command that the network law draws, and the largest that a packet has rows for.
 
     >>> from hil.experiment import load_experiment
-    >>> from hil.rig.normal_form import rig_of
+    >>> from hil.rig import rig_of
     >>> cut = "fault=[{at=3,for=0.5,kind='cut',link='ca'}]"
     >>> for slots in (12, 11):
     ...     e = load_experiment("dc-motor-hinf", [cut, f"limits.watchdog_slots={slots}"])
@@ -222,3 +223,24 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
             if _reaches(fault, name):
                 nodes[i].append(interval)
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
+
+
+class Piecewise:
+    """Values by slot: that of the last change.
+
+    Args:
+        start: value until the first change.
+        changes: slot to the value from there on.
+
+    >>> signal = Piecewise((0.0,), {2: (1.0,)})
+    >>> [signal.at(k) for k in range(4)]
+    [(0.0,), (0.0,), (1.0,), (1.0,)]
+    """
+
+    def __init__(self, start: tuple[float, ...], changes: Mapping[int, tuple[float, ...]]) -> None:
+        self._edges = sorted(changes)
+        self._values = [start, *(changes[k] for k in self._edges)]
+
+    def at(self, k: int) -> tuple[float, ...]:
+        """Return the value in slot k."""
+        return self._values[bisect_right(self._edges, k)]

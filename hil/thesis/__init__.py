@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from design.lmi import check_solvers
+from design.errors import check_solvers
 from hil.errors import HilError, unknown_name
 from hil.notebook import Result, data_frame
 from hil.pages import Bars, Figure, Histogram

@@ -10,11 +10,10 @@ import numpy as np
 from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_attenuation, meets_printed_condition
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
-from design.controllers.wall_pattern import Patch, Pattern, square_rows
+from design.controllers.wall_pattern import Patch, Pattern, material_chain, square_rows
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.condition import damping_needed
-from design.passivity.material_chain import material_chain
 from design.passivity.synthesis import ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion
 from hil.compose import compose

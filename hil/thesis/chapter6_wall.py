@@ -16,11 +16,10 @@ from scipy.stats import chi2
 from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_condition, printed_distortion
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
 from design.controllers.wall import MATERIALS, Contact, Wall
-from design.controllers.wall_pattern import square_rows
+from design.controllers.wall_pattern import boundaries, material_chain, memory_statistic, paced_chain, square_rows, true_chain
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity import HeldDevice
 from design.passivity.certificate import lags
-from design.passivity.material_chain import boundaries, material_chain, memory_statistic, paced_chain, true_chain
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion, felt_n_per_m, sparing
 from hil.compose import compose

@@ -27,7 +27,7 @@ from design.historical_data import DelayedPlant
 from design.identification import LEAST_SAMPLES, Record
 from design.identification.output_error import identify_axis
 from design.jump_linear import MJLS
-from design.lmi.exact import prove, prove_inequalities
+from design.lmi import prove, prove_inequalities
 from design.monte_carlo.confidence import deviation_interval, mean_interval
 from design.monte_carlo.jump_loop import JumpLoop
 from design.monte_carlo.markov_batch import simulate_mjls

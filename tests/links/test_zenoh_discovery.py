@@ -11,7 +11,7 @@ import zenoh
 
 from hil.cli.one_end import discover as command
 from hil.experiment import load_experiment
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.rig.session_link import about_rig
 from tests.hil.cli.conftest import run_main
 from tests.ports import free_port

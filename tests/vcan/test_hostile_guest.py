@@ -138,7 +138,7 @@ def test_a_signal_at_any_instant_ends_it_with_its_status_and_without_a_traceback
     draw = Random(int(number))
     begun = "import os; os.write(1, b'begun\\n'); import runpy; runpy.run_module('hil', run_name='__main__')"
     for _ in range(5):
-        command = [sys.executable, "-c", f"import signal, hil.plugins.first_instants as f; f.heed_signals(); {begun}"]
+        command = [sys.executable, "-c", f"import signal, hil.errors as f; f.heed_signals(); {begun}"]
         words = ["vcan", "--backend", "uml", "--", "sh", "-c", "trap '' INT TERM HUP QUIT; while :; do sleep 0.1; done"]
         with subprocess.Popen([*command, *words], cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
                               stderr=subprocess.PIPE, text=True) as process:  # fmt: skip

@@ -22,7 +22,7 @@ from hil.log.append_column import AppendColumn, pieces
 from hil.log.read import Run
 from hil.log.records import TIME_FIELD
 from hil.log.topics import BUS, CONTROL, EXTENDED, FD, FRAME_TOPICS, REMOTE, SENSOR, SWITCH, TIMING
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.rig.session_link import no_link
 
 if TYPE_CHECKING:

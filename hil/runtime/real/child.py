@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import IO, Final
 
-from hil.plugins.first_instants import collect_garbage_again
+from hil.errors import collect_garbage_again
 from hil.runtime.clock import monotonic_ns
 
 PYTHON: Final = (sys.executable, "-P")

@@ -22,7 +22,7 @@ from hil.log.read.can_log import measured_frames
 from hil.log.run import Run
 from hil.log.topics import CONTROL, FRAME_TOPICS, SENSOR
 from hil.measure.summary import percentiles
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.nodes import Wire, before

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.lmi import decision, program
+from design.lmi import as_fraction, decision, program, prove
 from design.lmi.decision import decide, prove_certificate, second_opinion
-from design.lmi.exact import as_fraction, prove
 from design.lmi.program import Inequality, LmiProgram, symmetric_part
 
 A = np.array([[0.0, 1.0], [-2.0, -0.5]])

@@ -13,7 +13,7 @@ from design.as_printed import chapter3_gain, chapter3_process, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section
 from design.controllers.scheduled_gain import constant_gain
 from design.errors import Infeasible
-from design.lmi.exact import prove
+from design.lmi import prove
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import DelayedJumpSystem

@@ -18,7 +18,7 @@ from design.as_printed import (
 from design.as_printed.chapters_2_to_4 import detection_section, free_gains
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError, Infeasible
-from design.lmi.exact import prove
+from design.lmi import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop import JumpSystem

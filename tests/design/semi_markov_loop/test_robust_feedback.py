@@ -10,7 +10,7 @@ import pytest
 from design.as_printed import chapter2_process, chapter2_system
 from design.as_printed.chapters_2_to_4 import PrintedRequest
 from design.errors import FieldError, Infeasible
-from design.lmi.exact import prove
+from design.lmi import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem, VertexUncertainty

@@ -19,7 +19,7 @@ from design.as_printed import (
 )
 from design.as_printed.chapters_2_to_4 import printed_stability
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
-from design.lmi.exact import prove
+from design.lmi import prove
 from design.lmi.program import symmetric_part
 from design.processes.further_rates import BathtubRate, ColdStandbyRate, KOutOfNRate
 from design.processes.partitions import Partition, equal_probability, uniform

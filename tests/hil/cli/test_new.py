@@ -13,7 +13,7 @@ import pytest
 from hil.cli.guide import pages
 from hil.cli.new import PARTS, files_of
 from hil.experiment import load_experiment, shipped
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.rig.session_link import link_of
 from tests.hil.cli.conftest import Hil
 from tests.warm_hil import hil_command

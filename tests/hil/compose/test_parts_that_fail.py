@@ -10,7 +10,7 @@ import pytest
 
 import hil
 from design.controllers import LoopModel
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
 
 

@@ -10,11 +10,11 @@ import pytest
 from click.testing import CliRunner
 
 from design.requests.historical import HistoricalDesigned
+from hil.certify.historical_loop import judge_historical
 from hil.cli import cli
 from hil.cli.design_answers import experiment_over_history, historical_lines
 from hil.compose import compose
 from hil.design_questions import tracking_target
-from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment, shipped
 from hil.measure.cost import Cost

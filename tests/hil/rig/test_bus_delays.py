@@ -10,10 +10,10 @@ import pytest
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.log.topics import APPLIED, ROWS
+from hil.rig import rig_of
 from hil.rig.bus_delays import bus_chains, bus_delays, chain_of_ages
 from hil.rig.can_bus import can_bus_of
 from hil.rig.loop_chains import loop_chains
-from hil.rig.normal_form import rig_of
 from hil.runtime.virtual import simulate
 from transport.errors import NotKnown
 

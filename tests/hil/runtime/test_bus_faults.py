@@ -11,7 +11,7 @@ from hil.compose import compose
 from hil.errors import ExperimentError
 from hil.experiment import load_experiment
 from hil.log.read import Run
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.runtime.virtual import simulate
 from hil.session import simulated_session
 

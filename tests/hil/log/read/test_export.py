@@ -26,7 +26,7 @@ from hil.log.read import read_run
 from hil.log.read.can_log import measured_frames
 from hil.log.read.export import export
 from hil.log.run import Arrays, Run
-from hil.rig.normal_form import rig_of
+from hil.rig import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.virtual import simulate
 from hil.session import run_session

@@ -13,6 +13,7 @@ import pytest
 import hil
 import hil.compose as composing
 import hil.measure as measure
+import hil.rig as rig
 from hil.cli import main
 from hil.errors import HilError
 from hil.files import PAGE
@@ -22,7 +23,7 @@ from hil.pages import Badge, BarGroup, Bars, Figure, Marker, Section, Series, Te
 from hil.pages.html.page import Page
 from hil.pages.run_page import render_report
 from hil.pages.sections import plain_section
-from hil.rig import delay_chains, normal_form
+from hil.rig import delay_chains
 from hil.rig.loop import Loop
 from hil.session.replay import avatar
 from plants.dc_motor import DCMotor
@@ -146,7 +147,7 @@ def test_a_page_composes_once_and_asks_for_sensors_and_measures_once(monkeypatch
     counting(avatar, "compose")
     counting(measure, "measures_of")
     for name in ("sensors_of", "shared_media", "traits_of", "fault_schedule", "port_of"):
-        counting(normal_form, name)
+        counting(rig, name)
     counting(delay_chains, "chains_of")
     counting(network_paths, "draws_of")
     monkeypatch.setattr(paper, "ENDINGS", (".svg",))  # a PDF of it asks for nothing else

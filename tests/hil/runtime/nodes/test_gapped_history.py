@@ -15,13 +15,12 @@ from design.historical_data.guaranteed_cost import close_received
 from design.historical_data.sensor_schedule import mask_of
 from design.jump_linear.second_moment import forward
 from design.requests.historical import historical_of
-from hil.certify.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of, judge_historical
 from hil.compose import compose
-from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import load_experiment
+from hil.rig import rig_of
 from hil.rig.loop import Loop
-from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import SampleHistory
 from hil.runtime.virtual import simulate
 from transport.draws import DELIVERED

@@ -16,9 +16,8 @@ from design.historical_data import LiftedLoop, close
 from design.historical_data.cost_bounds import CostMoments, cost_moments
 from design.historical_data.sensor_schedule import phase_chain, phases_at_start, with_lost_turns
 from hil.api.experiment_source import load_experiment as experiment_of
-from hil.certify.historical_loop import delayed_plant_of
+from hil.certify.historical_loop import delayed_plant_of, judge_historical
 from hil.compose import compose
-from hil.design_questions.historical_bounds import judge_historical
 from hil.errors import HilError
 from hil.experiment import experiment_from_resolved, load_experiment
 from hil.experiment.nodes import TriggerTable
@@ -26,8 +25,8 @@ from hil.measure.cost import Cost
 from hil.measure.network_paths import loads
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
+from hil.rig import rig_of
 from hil.rig.loop import Loop
-from hil.rig.normal_form import rig_of
 from hil.runtime.nodes.controller_input import NewestSample, SampleHistory
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.sensor_node import trigger_of

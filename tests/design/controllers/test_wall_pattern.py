@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from design.controllers.wall_pattern import Patch, Pattern, square_rows
-from design.passivity.material_chain import boundaries, material_chain, memory_statistic, paced_chain, true_chain
+from design.controllers.wall_pattern import (
+    Patch,
+    Pattern,
+    boundaries,
+    material_chain,
+    memory_statistic,
+    paced_chain,
+    square_rows,
+    true_chain,
+)
 from tests.design.passivity.published import LAMBDA
 
 
