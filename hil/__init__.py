@@ -77,7 +77,7 @@ if not TYPE_CHECKING:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}{near}", name=name, obj=sys.modules[__name__])
         from importlib import import_module
 
-        import_module("hil.plugins.user_modules").refuse_shadowed_packages()
+        import_module("hil.plugins").refuse_shadowed_packages()
         return getattr(import_module(_HOMES[name]), name)
 
 

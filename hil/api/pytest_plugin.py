@@ -146,7 +146,7 @@ class Runner:
         Raises:
             hil.HilError: if the experiment cannot be run.
         """
-        from hil.plugins.user_modules import refuse_shadowed_packages
+        from hil.plugins import refuse_shadowed_packages
 
         refuse_shadowed_packages()
         from hil.api.experiment_source import check_kind, load_experiment
@@ -256,7 +256,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
     if report.when == "teardown" or not report.failed or rig is None:
         return
     from hil.errors import is_message
-    from hil.plugins.user_modules import OUR_FOLDERS
+    from hil.plugins import OUR_FOLDERS
 
     if call.excinfo is not None and is_message(call.excinfo.type):
         steps = call.excinfo.traceback

@@ -27,7 +27,7 @@ from hil.certify import (
 from hil.certify.conformance import tested
 from hil.certify.send_all_loop import certify_linear_law, certify_send_all
 from hil.errors import ForeignVerdict
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig import RigSpec
 from transport.laws import ChainLaw, SemiMarkovLaw
 

@@ -33,7 +33,7 @@ from hil.certify.motion_test import (
     random_inputs,
 )
 from hil.certify.stated_controller import answers_of
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig.loop import EQUAL, FreeMotion, OneStep
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 

@@ -24,7 +24,7 @@ from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
 from hil.certify.motion_test import SEED
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from plants.parts.protocols import HasOwnInputs, HasSensorNoise
 
 Array = NDArray[np.float64]

@@ -43,7 +43,7 @@ from hil.certify.answers_test import (
 )
 from hil.certify.motion_test import by_size
 from hil.certify.send_all_loop import laws_of
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig.loop import EQUAL, handed, looks_back
 
 if TYPE_CHECKING:

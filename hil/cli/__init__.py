@@ -15,7 +15,7 @@ import click
 
 from hil.cli.guard import Guard, signals_as_exceptions
 from hil.errors import HilError, collect_garbage_again, exit_status, is_message, nearest, pass_over_signals
-from hil.plugins.user_modules import WATCH, ProcessState, refuse_shadowed_packages
+from hil.plugins import WATCH, ProcessState, refuse_shadowed_packages
 
 COMMANDS = {
     "run": ("run:run", "Run an experiment, log it, print its summary."),

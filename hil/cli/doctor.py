@@ -23,7 +23,7 @@ import numpy as np
 from threadpoolctl import threadpool_info
 
 from hil.cli.terminal import answer, json_option, print_folded
-from hil.plugins.user_modules import REMEDY, shadows
+from hil.plugins import REMEDY, shadows
 from hil.runtime.real import processor
 from hil.vcan import what_would_run
 

@@ -24,7 +24,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from hil.errors import ENDING, Terminated, leave_at_once
-from hil.plugins.user_modules import ProcessState
+from hil.plugins import ProcessState
 
 LONGEST_IMPORT_S: Final = 0.8
 """After so long a signal is raised inside an import also: within a second, everything stops."""
@@ -169,7 +169,7 @@ class Guard:
         self._page[DONE] = 1  # last: what stands behind it is whole
 
     def stopping(self) -> None:
-        """Say that a signal was heeded; see `hil.plugins.user_modules`."""
+        """Say that a signal was heeded; see `hil.plugins`."""
         if self._page is not None:
             self._page[STOPPING] = 1
 

@@ -145,7 +145,7 @@ def _is_taken(module: str) -> bool:
     import sysconfig
     from importlib.machinery import PathFinder
 
-    from hil.plugins.user_modules import OURS
+    from hil.plugins import OURS
 
     installed = [sysconfig.get_path(scheme) for scheme in ("purelib", "platlib")]
     return module in {*sys.stdlib_module_names, *OURS, "hil", "conftest"} or PathFinder.find_spec(module, installed) is not None

@@ -154,7 +154,7 @@ def measures_with(experiment: str, sets: tuple[str, ...], own: tuple[str, ...]) 
         HilError: one that is no ``module:function``.
     """
     from hil.experiment import load_experiment
-    from hil.plugins.user_modules import is_own
+    from hil.plugins import is_own
 
     for name in own:
         if not is_own(name):

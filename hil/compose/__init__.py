@@ -31,8 +31,8 @@ from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import Experiment
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import fault_at
+from hil.plugins import is_own
 from hil.plugins.registry import OBJECT
-from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import Designer, FieldFault, GainsOnFile, GivesGains, NamedController, words
 from hil.rig import RigSpec, in_words_of_parts, rig_of
 from hil.rig.can_bus import can_bus_of

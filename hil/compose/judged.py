@@ -17,7 +17,7 @@ from hil.certify.conformance import NOISY, one_step
 from hil.certify.stated_controller import stated_by
 from hil.errors import ExperimentError
 from hil.experiment import Experiment
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import CANCELS, EQUAL, RUN_AGAIN, JumpStep, Loop, OneStep, Watched, digest_of

@@ -22,7 +22,7 @@ from hil.certify import limited_to_model
 from hil.certify.conformance import plant_check, tested, without_loop
 from hil.certify.send_all_loop import second_moment_verdict
 from hil.errors import HilError, located, nearest
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig import motion_of
 from plants.parts.protocols import Plant
 from transport.errors import NotKnown

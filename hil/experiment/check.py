@@ -20,9 +20,8 @@ from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_
 from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
 from hil.files import read_regular
 from hil.files.toml_text import parse_toml
-from hil.plugins import registry
+from hil.plugins import is_own, registry
 from hil.plugins.registry import OBJECT
-from hil.plugins.user_modules import is_own
 from hil.plugins.user_plugins import in_own_words, own_fault
 from plants.errors import PlantError
 from plants.parts.protocols import ReferencesFiles

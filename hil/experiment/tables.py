@@ -10,8 +10,7 @@ import msgspec
 from hil.experiment.nodes import Medium, Node, identifier_faults
 from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
 from hil.experiment.table import Seconds, Table, UnavailablePlugin, named_twice, not_negative, plain
-from hil.plugins import registry
-from hil.plugins.user_modules import written_in
+from hil.plugins import registry, written_in
 from transport.links import TransportError
 from transport.links.traits import KeyTable, traits_of
 

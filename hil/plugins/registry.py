@@ -1,6 +1,6 @@
 """Plug-ins by entry point: plants, controllers and network laws, the built-in ones registered like a user's.
 
-A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.plugins.user_modules`.
+A kind with a colon is no entry point but a class of the user's own file, see :mod:`hil.plugins`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from functools import cache
 from typing import Final, Literal
 
 from hil.errors import HilError, nearest
-from hil.plugins.user_modules import is_own, load_own, text_of, written_in
+from hil.plugins import is_own, load_own, text_of, written_in
 from transport.installed import Point, points, said_by
 
 Group = Literal["hil.plants", "hil.controllers", "hil.laws", "hil.links", "hil.measures"]

@@ -14,8 +14,8 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
+from hil.plugins import OUR_FOLDERS, text_of
 from hil.plugins.registry import Group
-from hil.plugins.user_modules import OUR_FOLDERS, text_of
 from plants.errors import PlantError
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from msgspec import Struct
 from hil.errors import nearest
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS, RESTART, Fault
-from transport.medium.faulted import LOSES, FaultInterval
+from transport.medium import LOSES, FaultInterval
 
 if TYPE_CHECKING:
     from hil.rig import RigSpec

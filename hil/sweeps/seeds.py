@@ -25,7 +25,7 @@ from hil.measure import Named, Quantity, each_output, in_one_row, measures_of, q
 from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps import Sweep, SweepStore

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from design.controllers import Known, MultiSampleController, Rows, RunningController, Sample
-from hil.plugins.user_modules import is_ours
+from hil.plugins import is_ours
 from hil.rig.loop import Loop, Running
 from hil.rig.sensors import Sensor
 from transport.packets import SensorPacket

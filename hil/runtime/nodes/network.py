@@ -12,8 +12,7 @@ from hil.runtime.nodes import begun, rng_for
 from hil.runtime.nodes.journal import Journal
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
 from transport.laws import NetworkLaw
-from transport.medium import Delivery, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
-from transport.medium.faulted import FaultedMedium, FaultyPath
+from transport.medium import Delivery, FaultedMedium, FaultyPath, IndependentChannels, Medium, OneWay, SampleClock, SplitMedium
 from transport.medium.independent import Impairment, impair
 from transport.packets import packet_size
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from hil.log import PLANT_FAILED, PLUG_IN_FAILED
-from hil.plugins.user_modules import WATCH
+from hil.plugins import WATCH
 from hil.plugins.user_plugins import user_failure
 from hil.rig.loop import Loop
 from plants.errors import PlantError

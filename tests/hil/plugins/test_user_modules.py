@@ -19,7 +19,7 @@ from hil.compose import compose
 from hil.experiment import shipped
 from hil.log.read import read_run
 from hil.measure.view import view_of
-from hil.plugins.user_modules import load_own, written_in
+from hil.plugins import load_own, written_in
 from hil.runtime.virtual import simulate
 from hil.session.replay.replay import changed_files, experiment_of
 from plants import DCMotor, LinearRun, Signal, StateSpace

@@ -7,8 +7,7 @@ import numpy as np
 from transport.draws import CORRUPTED, CUT, OFF_BUS
 from transport.laws.age import ConstantAge, MarkovAge
 from transport.laws.packet import PacketLaw
-from transport.medium import IndependentChannels, OneWay
-from transport.medium.faulted import FaultedMedium, FaultInterval, FaultKind, FaultyPath
+from transport.medium import FaultedMedium, FaultInterval, FaultKind, FaultyPath, IndependentChannels, OneWay
 from transport.medium.independent import Impairment, impair
 
 INTERVAL = (5, 8)
