@@ -175,20 +175,22 @@ class Window:
         return cls(first=begin, columns=max(-(-(end - begin) // slots), 1), slots=slots)
 
 
-def thinned(records: Records, field: str, window: Window) -> tuple[Array, Array]:
+def thinned(records: Records, field: str, window: Window, least: float = -np.inf) -> tuple[Array, Array]:
     """Return the smallest and the largest value of a field in every column, (columns,) each; NaN where there is none.
 
     Args:
         records: of a topic, in the order of slots, with the field ``slot``.
         field: of numbers.
         window: the columns.
+        least: a value below it is none.
     """
     low, high = np.full(window.columns, np.nan), np.full(window.columns, np.nan)
     edges = np.arange(window.columns + 1, dtype=np.int64) * window.slots + window.first
     places = np.searchsorted(records["slot"], edges)
     there = np.flatnonzero(places[1:] > places[:-1])
     if len(there):
-        values = np.asarray(records[field][places[0] : places[-1]], dtype=float)
+        values = np.array(records[field][places[0] : places[-1]], dtype=float)
+        values[values < least] = np.nan
         starts = places[:-1][there] - places[0]
         low[there], high[there] = np.fmin.reduceat(values, starts), np.fmax.reduceat(values, starts)
     return low, high
@@ -200,5 +202,6 @@ def picture(records: Mapping[str, Records], traces: Sequence[Trace], window: Win
     rows: list[Array] = []
     for trace in traces:
         found = records.get(trace.topic)
-        rows += [none, none] if found is None or not len(found) else thinned(found, trace.field, window)
+        least = 0.0 if trace.unit == "samples" else -np.inf  # an age before the first packet is -1
+        rows += [none, none] if found is None or not len(found) else thinned(found, trace.field, window, least)
     return np.array(rows, dtype="<f4").tobytes() if rows else b""

@@ -26,7 +26,7 @@ from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.log.read import read_run
 from hil.log.records import Field, Schema
-from hil.pages.live import Side, Tail, server
+from hil.pages.live import Side, Tail, Trace, server
 from hil.pages.live.about import Window, picture, thinned
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import Scripted, read_script
@@ -150,6 +150,8 @@ def test_a_spike_is_never_thinned_away() -> None:
     assert window.first + at * window.slots <= 1740 < window.first + (at + 1) * window.slots
     sparse, _ = thinned(records[::1000], "y", Window.over(0, 12_000, 12_000))
     assert np.count_nonzero(np.isfinite(sparse)) == 10
+    age = Trace(panel="delays", topic="/x", field="y", unit="samples")  # below 0: no packet has come yet
+    assert np.nanmin(np.frombuffer(picture({"/x": records}, [age], window), "<f4")) == 0.0
 
 
 def test_a_reader_keeps_what_it_has_while_the_oldest_are_forgotten() -> None:
