@@ -40,6 +40,9 @@ def test_garbage_is_looked_for_again_and_not_among_modules(tmp_path: Path) -> No
     unneeded |= {"plants.parts.flow", "transport.laws.semi_markov", "design.controllers.scheduled_gain"}
     unneeded |= {"hil.runtime.real.supervisor", "hil.runtime.real.child", "hil.runtime.real.rig_process"}  # of real time
     unneeded |= {"design.requests.tracking", "transport.laws.latency", "transport.can_bus_model.bus"}  # of other experiments
+    unneeded |= {f"hil.certify.{kind}" for kind in ("historical_loop", "jump_loop", "wall_loop", "region", "saturation")}
+    unneeded |= {"hil.runtime.nodes.jump_watch", "hil.runtime.nodes.answer_watch", "hil.rig.bus_delays", "hil.rig.received_ages"}
+    unneeded |= {"design.controllers.one_row", "hil.compose.stored_gains", "hil.runtime.changes", "transport.laws.sojourn"}
     assert unneeded.isdisjoint(loaded), unneeded & set(loaded)
 
 
