@@ -207,8 +207,9 @@ def _leave(status: int, asked: int, page: mmap.mmap, module: str) -> NoReturn:
     if page[DONE]:
         ended, code = code, page[STATUS]
         reason = page[TEXT : TEXT + int.from_bytes(page[LENGTH:TEXT], "little")].decode(errors="replace")
-        if status == -signal.SIGKILL and not reason:
-            reason = "a thread or an exit function did not end, and was killed"
+        if status == -signal.SIGKILL:
+            if not reason and code != 128 + asked:  # an interrupt that was heeded is said, slow as the machine may be
+                reason = "a thread or an exit function did not end, and was killed"
         elif ended != code and not reason:
             reason = f"an exit function ended the process with status {ended}"
         code = code or int(bool(reason))

@@ -93,6 +93,7 @@ HANGS = {
     "a loop": "pathlib.Path('there').touch()\nwhile True: pass",
     "a loop that heeds nothing": "pathlib.Path('there').touch()\nwhile True:\n try: time.sleep(1)\n except BaseException: pass",
     "signals blocked": "signal.pthread_sigmask(signal.SIG_BLOCK, range(1, 32))\npathlib.Path('there').touch()\ntime.sleep(600)",
+    "a loop and at its end": "import atexit\natexit.register(time.sleep, 600)\npathlib.Path('there').touch()\nwhile True: pass",
     "at its end": "import atexit\natexit.register(time.sleep, 600)\natexit.register(pathlib.Path('there').touch)",
 }  # fmt: skip
 

@@ -31,13 +31,17 @@ from tests.warm_hil import hil_command
 class Base(BaseException):
     pass
 
-class Run(LinearRun):
+class Run:
     slots = 0
+    def __init__(self, linear):
+        self.linear = linear
+    def __getattr__(self, name):
+        return getattr(self.linear, name)
     def advance(self, dt_ns, u, w=()):
         Run.slots += {begun}  # behind all checks
         if Run.slots > 20:
             {late}
-        super().advance(dt_ns, u, w)
+        self.linear.advance(dt_ns, u, w)
 
 @dataclass(frozen=True)
 class Cart:
@@ -47,7 +51,7 @@ class Cart:
     def model(self):
         return StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
     def start(self, rng):
-        return Run(self.model(), (0.0,))
+        return Run(LinearRun(self.model(), (0.0,)))
 '''
 WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
 
