@@ -28,6 +28,7 @@ from hil.rig.loop_chains import (
     chance_behind_cuts,
     loop_chains,
     never_received,
+    percent,
     waited_for,
     watchdog_chance,
 )
@@ -81,9 +82,9 @@ def judge(
         assumed += (RESTARTED,) if any(first < experiment.slots for first, _ in rig.fault_schedule.restarts) else ()
         trips = watchdog_chance(chains, experiment, model.d_max)
         if trips > STOPPED:
-            assumed += (f"the watchdog stops {100.0 * trips:.2g} % of the runs, of which nothing is claimed",)
+            assumed += (f"the watchdog stops {percent(trips)} of the runs, of which nothing is claimed",)
         if behind > STOPPED:
-            said = f"by its faults the watchdog stops about {float(f'{100.0 * behind:.2g}'):g} % of the runs"
+            said = f"by its faults the watchdog stops at most about {percent(behind)} of the runs"
             assumed += (f"{said}, of which nothing is claimed",)
         verdict = verdict.assuming(*assumed)
     if external:

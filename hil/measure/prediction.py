@@ -25,7 +25,7 @@ from hil.measure.tracking import squared_unit
 from hil.rig import motion_of
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
-from hil.rig.loop_chains import STOPPED, watchdog_chance
+from hil.rig.loop_chains import STOPPED, percent, watchdog_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
 
 Matrix = NDArray[np.float64]
@@ -171,7 +171,7 @@ def left_out(loop: Loop) -> tuple[str, ...]:
     trips = watchdog_chance(loop.chains, loop.experiment, loop.model.d_max)
     found = (*beyond, *(("any load",) if beyond or moved else ()), *(("the plant's noise",) if any_noise else ()))
     found += ("the passivity controller",) if damped else ()
-    return found + ((f"the watchdog, which stops {100.0 * trips:.2g} % of the runs",) if trips > STOPPED else ())
+    return found + ((f"the watchdog, which stops {percent(trips)} of the runs",) if trips > STOPPED else ())
 
 
 def _chance(loop: Loop) -> tuple[bool, bool]:

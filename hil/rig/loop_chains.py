@@ -264,6 +264,15 @@ STOPPED = 1e-3
 NEGLIGIBLE, MOST_SLOTS, MIXED = 1e-12, 100_000, 1024
 
 
+def percent(share: float) -> str:
+    """Return a share with two digits, in words.
+
+    >>> percent(0.9999), percent(0.0123)
+    ('100 %', '1.2 %')
+    """
+    return f"{float(f'{100.0 * share:.2g}'):g} %"
+
+
 def watchdog_chance(chains: Chains, experiment: Experiment, d_max: int) -> float:
     """Return the probability that a run ends because the actuator holds no packet that its rows cover for too many slots.
 
