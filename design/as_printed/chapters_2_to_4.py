@@ -32,7 +32,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import Infeasible
-from design.lmi.decision import attenuation, decide
+from design.lmi import attenuation, decide
 from design.lmi.program import Array, LmiProgram, LmiSolution, add_schur_rows, symmetric_blocks, symmetric_part
 from design.processes.partitions import Partition, equal_probability
 from design.processes.semi_markov import FaultDetection, SemiMarkov

@@ -22,7 +22,7 @@ from design.controllers.rendered_wall import Coupler, wave_coupler
 from design.controllers.wall import Contact, Material, Wall
 from design.errors import FieldError
 from design.jump_linear import MJLS
-from design.lmi.decision import decide
+from design.lmi import decide
 from design.lmi.program import LmiProgram, symmetric_blocks
 from design.passivity import HeldDevice
 from design.passivity.condition import is_passive_over

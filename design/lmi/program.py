@@ -9,7 +9,7 @@ same function is evaluated
 
 Clarabel solves min q'x with b - A x in a product of positive semidefinite triangles: upper ones, column by column, off-diagonals
 times sqrt(2). A verdict "infeasible" needs its dual matrices to prove a bound (weak duality, checked here). Where that leaves a
-doubt, `design.lmi.decision` asks for a second opinion.
+doubt, `design.lmi` asks for a second opinion.
 """
 
 from __future__ import annotations

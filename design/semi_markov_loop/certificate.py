@@ -16,8 +16,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi import Lift, as_float
-from design.lmi.decision import Attenuation
+from design.lmi import Attenuation, Lift, as_float
 from design.lmi.program import Inequality, verify
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import FloatArray, JumpSystem

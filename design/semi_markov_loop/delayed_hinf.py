@@ -32,8 +32,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi import Lift, as_float
-from design.lmi.decision import attenuation
+from design.lmi import Lift, as_float, attenuation
 from design.lmi.program import (
     Array,
     Inequality,

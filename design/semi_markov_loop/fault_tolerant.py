@@ -26,7 +26,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi.decision import decide, smallest_gamma
+from design.lmi import decide, smallest_gamma
 from design.lmi.program import (
     Array,
     LmiProgram,

@@ -24,8 +24,7 @@ from scipy.linalg import block_diag, eigh
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.errors import FieldError, Infeasible
-from design.lmi import Lift, as_float
-from design.lmi.decision import Attenuation, attenuation, decide
+from design.lmi import Attenuation, Lift, as_float, attenuation, decide
 from design.lmi.program import Array, Inequality, LmiProgram, symmetric_blocks, symmetric_part, transpose
 from design.processes.partitions import Partition
 from design.processes.semi_markov import FaultDetection

@@ -27,8 +27,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import Schedule, ScheduledGain, tabulated
 from design.errors import FieldError, Infeasible, check_at_least_zero
-from design.lmi import as_float
-from design.lmi.decision import decide
+from design.lmi import as_float, decide
 from design.lmi.program import (
     Array,
     LmiProgram,

@@ -20,8 +20,7 @@ import numpy as np
 
 from design.controllers.scheduled_gain import ScheduledGain, constant_gain
 from design.errors import FieldError, check_at_least_zero
-from design.lmi import Lift, as_float
-from design.lmi.decision import VerifyWith, decide
+from design.lmi import Lift, VerifyWith, as_float, decide
 from design.lmi.program import (
     Array,
     Inequality,
@@ -108,7 +107,7 @@ def analyse(
             starts of the gains, for ``pwl`` with the kinks of the rates, each gap cut into ``parts``.
         decay: demanded decay rate of E|x|^2 (1/s).
         condition: largest condition number of P that is searched.
-        verify_with: who is asked where our solver leaves a doubt (seconds), see `design.lmi.decision`.
+        verify_with: who is asked where our solver leaves a doubt (seconds), see `design.lmi`.
 
     Returns:
         The certificate; its ``decay_rate`` is the largest that the returned matrices prove.

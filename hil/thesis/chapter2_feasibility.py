@@ -14,7 +14,7 @@ import numpy as np
 
 from design.as_printed import CHAPTER2_BOUNDARY_S, chapter2_gain, chapter2_process, chapter2_system
 from design.as_printed.chapters_2_to_4 import PrintedRequest, printed_stability
-from design.lmi.decision import decide, prove_certificate
+from design.lmi import decide, prove_certificate
 from design.lmi.program import LmiSolution
 from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov

@@ -138,7 +138,7 @@ def _second(certificate: JumpCertificate) -> dict[str, Any]:
     """The certificate's inequalities, asked of another modeller and another solver; None where it has none."""
     if certificate.rebuild is None or not certificate.matrices:
         return {"cvxpy": None, "cvxpy_margin": None, "cvxpy_s": None}
-    from design.lmi.decision import program_of, second_opinion
+    from design.lmi import program_of, second_opinion
 
     begun = time.perf_counter()
     found = second_opinion(program_of(certificate))

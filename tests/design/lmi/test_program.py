@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from design.lmi import as_fraction, pivots, prove_inequalities, rounded
-from design.lmi.decision import at_gamma, decide, smallest_gamma, with_gamma
+from design.lmi import as_fraction, at_gamma, decide, pivots, prove_inequalities, rounded, smallest_gamma, with_gamma
 from design.lmi.program import Inequality, LmiProgram, excluded, largest_eigenvalue, symmetric_blocks, symmetric_part, verify
 
 A = np.array([[0.0, 1.0], [-2.0, -0.5]])

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.lmi import as_fraction, decision, program, prove
-from design.lmi.decision import decide, prove_certificate, second_opinion
+import design.lmi as lmi
+from design.lmi import as_fraction, decide, program, prove, prove_certificate, second_opinion
 from design.lmi.program import Inequality, LmiProgram, symmetric_part
 
 A = np.array([[0.0, 1.0], [-2.0, -0.5]])
@@ -72,7 +72,7 @@ def test_without_doubt_nothing_is_asked(monkeypatch: pytest.MonkeyPatch) -> None
     def no_opinion(*_: object, **__: object) -> None:
         raise AssertionError("asked without a doubt")
 
-    monkeypatch.setattr(decision, "second_opinion", no_opinion)
+    monkeypatch.setattr(lmi, "second_opinion", no_opinion)
     assert decide(lyapunov()).solver == "clarabel"  # holds
     hopeless = lyapunov(A + np.eye(2))
     hopeless.reach = 50.0
