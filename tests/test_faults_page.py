@@ -14,6 +14,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         "test_stopped_controller_trips_the_watchdog_and_does_not_outlive_the_session",
         "test_controller_that_dies_is_followed_by_hold_then_the_latched_safe_state",
     ),
+    "standard output that cannot be written": ("test_a_fault_of_the_machine_is_one_line",),
     "rig killed": ("test_killed_rig_ends_the_session_and_keeps_the_log",),
     "session killed (-9), its": ("test_the_next_session_clears_what_a_killed_one_left",
                                  "test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import struct
 import zlib
 from collections.abc import Iterator
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 LONGEST_LINE: Final = 4096
 LARGEST: Final = 1 << 24
 """Bytes of an object of a BLF file, packed or not; Vector's programs gather 128 kB in one."""
+RATIO: Final = 40
+"""How many times its own length a BLF file may unpack to, above `LARGEST`."""
 
 _FILE_HEAD: Final = 144
 _OBJECT: Final = struct.Struct("<4sHHII")
@@ -81,7 +84,7 @@ def _parts(file: BinaryIO) -> Iterator[bytes]:
         raise ValueError("the head of the file is missing")
     (size,) = struct.unpack_from("<I", head, 4)
     file.seek(max(size, _FILE_HEAD))
-    rest = b""
+    rest, left = b"", max(LARGEST, RATIO * os.fstat(file.fileno()).st_size)
     while begin := file.read(_OBJECT.size):
         mark, _, _, length, kind = _OBJECT.unpack(begin)
         if mark != b"LOBJ" or not _OBJECT.size <= length <= LARGEST:
@@ -89,7 +92,11 @@ def _parts(file: BinaryIO) -> Iterator[bytes]:
         body = file.read(length - _OBJECT.size)
         file.read(length % 4)
         if kind == _CONTAINER:
-            rest += _unpacked(body)
+            found = _unpacked(body)
+            left -= len(found)
+            if left < 0:
+                raise ValueError(f"it unpacks to more than {RATIO} times its own length")
+            rest += found
             whole = _whole_objects(rest)
             if whole:
                 yield head + _PLAIN.pack(b"LOBJ", 16, 1, _PLAIN.size + whole, _CONTAINER, 0, whole) + rest[:whole]

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import zlib
+from pathlib import Path
 
 import pytest
 
-from hil.files.can_logs import _OBJECT, _PACKING, LARGEST, _unpacked, _whole_objects
+from hil.errors import HilError
+from hil.files.can_logs import _OBJECT, _PACKING, LARGEST, _unpacked, _whole_objects, can_frames
 
 WHOLE = _OBJECT.pack(b"LOBJ", 16, 1, _OBJECT.size + 8, 1) + bytes(8)
 
@@ -36,3 +38,12 @@ def test_what_is_not_whole_waits_for_the_next_container(behind: bytes) -> None:
 def test_what_is_no_object_is_refused(behind: bytes, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         _whole_objects(WHOLE + behind)
+
+
+def test_many_packed_containers_unpack_to_so_much_together(tmp_path: Path) -> None:
+    """Objects of a kind that is no frame: nothing else of them would end a command that reads them, for minutes."""
+    packed = _PACKING.pack(2, 0) + zlib.compress(_OBJECT.pack(b"LOBJ", 16, 1, 4000, 99).ljust(4000) * 1000)
+    container = _OBJECT.pack(b"LOBJ", 16, 1, _OBJECT.size + len(packed), 10) + packed + bytes(len(packed) % 4)
+    (tmp_path / "a.blf").write_bytes(b"LOGG".ljust(4, b"\0") + (144).to_bytes(4, "little") + bytes(136) + 5 * container)
+    with pytest.raises(HilError, match=r"a\.blf: is no CAN log: it unpacks to more than 40 times its own length"):
+        list(can_frames(tmp_path / "a.blf"))
