@@ -278,7 +278,9 @@ def run_in_real_time(
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")
     counts: dict[str, Any] = dict(real.controller.counts)
     if counts:
-        sink.event(real.pump.last_ns, "controller ended", "what the controller and its end of the link counted", **counts)
+        said = "what the controller and its end of the link counted"
+        said += f"; processes that were killed and are not counted: {real.controller.silent}" * bool(real.controller.silent)
+        sink.event(real.pump.last_ns, "controller ended", said, **counts)
     if real.controller.departed is not None:
         k, by = real.controller.departed
         message = f"certificate withdrawn: the controller left its table at slot {k} by {by}"

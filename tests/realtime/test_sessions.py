@@ -326,3 +326,5 @@ def test_a_restart_on_the_time_line_ends_the_controller_process_and_starts_anoth
     assert stopped and found.status == 130, found.summary
     assert [event["kind"] for event in found.run.events if event["kind"].startswith("fault")] == ["fault: controller-restart"]
     assert not {"controller_lost", "second_controller"} & set(found.summary["problems"])
+    counted = next(event for event in found.run.events if event["kind"] == "controller ended")
+    assert counted["message"].endswith("; processes that were killed and are not counted: 1")

@@ -48,11 +48,13 @@ class ControllerReport(Struct, frozen=True, kw_only=True):
         counts: what it and its link counted.
         departed: the slot in which its answers left its table, and by how much.
         failed: the exception of a user's control law or link, in words.
+        silent: how many processes of a session reported nothing, as they were killed.
     """
 
     counts: dict[str, int] = field(default_factory=dict)
     departed: tuple[int, str] | None = None
     failed: str | None = None
+    silent: int = 0
 
 
 class Stopped(Exception):
@@ -123,7 +125,7 @@ def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> None
 def _write(fd: int, report: ControllerReport) -> None:
     if fd >= 0:
         with suppress(OSError):
-            os.write(fd, encode(report))
+            os.write(fd, b"\n" + encode(report))
 
 
 def main(job: Job) -> None:

@@ -12,6 +12,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -124,7 +125,7 @@ class RealOutcome:
     rig_lost: str | None = None  # why the rig was given up, or how it ended out of order
     controller_lost: str | None = None
     controller_lost_ns: int = 0  # session time
-    controller: ControllerReport = field(default_factory=ControllerReport)  # what it says itself, once it has ended in order
+    controller: ControllerReport = field(default_factory=ControllerReport)  # what it and those before it said, if not killed
 
 
 class Processes:
@@ -144,6 +145,7 @@ class Processes:
         self._restarts = deque(first * self._period_ns for first, _ in loop.rig.fault_schedule.restarts)
         self._start, self._dump = _starter(loop)
         self._controller: Child | None = None
+        self.controllers = 0  # started
         self._children: list[Child] = []
 
     def start_rig(self, seed: int, log_fd: int, hello_timeout_s: float) -> Child:
@@ -160,6 +162,7 @@ class Processes:
             loop=self._loop, link=self._link, parent=self._parent, report_fd=self._report_fd,
             changes_fd=self._senders.open("controller"),
         )  # fmt: skip
+        self.controllers += 1
         self._controller = self._started("controller", controller_process.__name__, job, self._report_fd)
 
     def _started(self, name: str, module: str, job: object, fd: int) -> Child:
@@ -264,7 +267,7 @@ def run_real(
             if thread.ident is not None:
                 thread.join()
             os.close(read_fd)
-        outcome.controller = _read_report(report)
+        outcome.controller = _read_reports(report, processes.controllers)
     outcome.interrupted = signals.seen
     status = rig.poll()
     if not outcome.pump.records:
@@ -305,10 +308,21 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
 
 
-def _read_report(file: IO[bytes]) -> ControllerReport:
-    """Return the report of a controller process; an empty one if it was killed before it wrote it."""
+def _read_reports(file: IO[bytes], started: int) -> ControllerReport:
+    """Return what the controller processes of a session reported, as one report: what each counted is added up.
+
+    Args:
+        file: a report a line; a process that was killed wrote none, or a part of one.
+        started: number of controller processes.
+    """
     file.seek(0)
-    try:
-        return decode(file.read(LONGEST_REPORT), type=ControllerReport)
-    except DecodeError:  # killed, or stopped and then killed
-        return ControllerReport()
+    found = []
+    for line in file.read(LONGEST_REPORT).splitlines():
+        with suppress(DecodeError):
+            found.append(decode(line, type=ControllerReport))
+    return ControllerReport(
+        counts={name: sum(each.counts.get(name, 0) for each in found) for each in found for name in each.counts},
+        departed=next((each.departed for each in found if each.departed), None),
+        failed=next((each.failed for each in found if each.failed), None),
+        silent=started - len(found),
+    )

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
-from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import pytest
-from msgspec.json import encode
+from msgspec import structs
 
 from hil.runtime.real import supervisor
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
-from hil.runtime.real.controller_process import ControllerReport
-from hil.runtime.real.supervisor import START_S, HeartbeatTimeout, _read_report
+from hil.runtime.real.controller_process import ControllerReport, _write
+from hil.runtime.real.supervisor import START_S, HeartbeatTimeout, _read_reports
 
 STEP_S = 0.02
 
@@ -151,7 +152,13 @@ def test_a_run_without_descriptors_is_one_message_with_status_2(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("written", [b"", b'{"counts":', b"[]", b'{"counts": {"sent": "many"}}', b'{"departed": [1]}'])
-def test_a_controller_that_did_not_end_in_order_says_nothing_and_ends_no_session(written: bytes) -> None:
+def test_every_controller_of_a_session_that_ended_in_order_is_read_and_the_others_are_said(written: bytes) -> None:
     report = ControllerReport(counts={"sent": 3}, departed=(7, "by 0.2"), failed="no")
-    for data, expected in ((written, ControllerReport()), (encode(report), report)):
-        assert _read_report(BytesIO(data)) == expected
+    after = ControllerReport(counts={"sent": 4, "refused": 1}, departed=(9, "by 0.3"))
+    with TemporaryFile() as file:
+        os.write(file.fileno(), written)
+        assert _read_reports(file, 1) == ControllerReport(silent=1)
+        _write(file.fileno(), report)
+        assert _read_reports(file, 2) == structs.replace(report, silent=1)
+        _write(file.fileno(), after)
+        assert _read_reports(file, 3) == structs.replace(report, counts={"sent": 7, "refused": 1}, silent=1)
