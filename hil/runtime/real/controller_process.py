@@ -22,13 +22,14 @@ from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.ending import failure_of
+from hil.runtime.real.ending import failure_of, useless_frames
 from hil.runtime.real.exchange import warm_up_controller
 from transport.links import Link, OneOfARole, TransportError
 from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
 IDLE_S = 0.2  # longest wait for one frame, so that a signal is seen soon
+ENOUGH = 20  # frames of no use; a rig that waits for its controller sends so many in a second
 
 
 class Job(Struct, frozen=True, kw_only=True):
@@ -74,6 +75,7 @@ def stop_on_sigterm() -> None:
 def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
     at_end: Callable[[ControllerReport], object] = lambda report: None, changes_fd: int = -1,
+    warn: Callable[[str], object] | None = None,
 ) -> None:  # fmt: skip
     """Answer sensor frames on a link until stopped.
 
@@ -83,6 +85,7 @@ def serve(
         before_open: called after the warm-up, which takes long, and before the link opens: its threads inherit priority and CPU.
         at_end: called with the report.
         changes_fd: brings changes; the changed loop itself says from which slot on they act.
+        warn: called once where `ENOUGH` frames came before the first one that is answered, with the reasons.
 
     Raises:
         TransportError: the link cannot be opened, or the rig has another controller.
@@ -94,6 +97,11 @@ def serve(
     changes = ChangeReceiver(changes_fd)
     with open_link(uri, "controller") as link:
         try:
+            while not _answer_next(node, link, changes):
+                seen, others = link.counters, node.counts.malformed
+                if warn is not None and seen.malformed + seen.foreign + seen.refused + others >= ENOUGH:
+                    warn(useless_frames(uri, seen, others, "no question of a rig: another pad= or wire version"))
+                    warn = None
             while True:
                 _answer_next(node, link, changes)
         except Stopped:
@@ -109,8 +117,9 @@ def serve(
             at_end(ControllerReport(counts=both, departed=node.departed, failed=failed and failed[:2000]))
 
 
-def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> None:
-    data = link.receive(IDLE_S)
+def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> bool:
+    """Take the next frame, if one comes in time; return whether it was answered."""
+    answer, data = None, link.receive(IDLE_S)
     if data is not None:
         answer = node.on_frame(data, monotonic_ns())
         if answer is not None:
@@ -120,6 +129,7 @@ def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> None
                 node.change(change.loop, new_controller=False)
     elif isinstance(link, OneOfARole):  # no packet comes where the rig has accepted another controller
         link.check_alone()
+    return answer is not None
 
 
 def _write(fd: int, report: ControllerReport) -> None:

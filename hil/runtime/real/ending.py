@@ -12,6 +12,7 @@ from hil.plugins import WATCH
 from hil.plugins.user_plugins import user_failure
 from hil.rig.loop import Loop
 from plants.errors import PlantError
+from transport.links import LinkCounters
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 _AGAIN_S: Final = 0.1
@@ -83,6 +84,28 @@ FAILED: Final = 4
 """The rig: a part of the loop failed in the run, as an event of the log says."""
 ENDED: Final = 5
 """The rig: the run ended in order. 0 is what any code ends a process with."""
+
+
+NO_ANSWER: Final = "no answer to this rig: another pad= or wire version, or a second rig is on the link"
+
+
+def useless_frames(uri: str, counters: LinkCounters, others: int, what: str = NO_ANSWER) -> str:
+    """Return how many frames came on a link and were of no use, why, and what helps; empty where none came.
+
+    Args:
+        uri: the link.
+        counters: of its end.
+        others: packets that the link handed over.
+        what: these are.
+    """
+    came = (
+        (counters.malformed, "malformed: another framing or wire version, give both ends the same fd= and pad="),
+        (counters.foreign, "foreign: other CAN identifiers, or CAN FD where fd=0, give both ends the same base= and fd="),
+        (counters.refused, "refused: without a valid code or certificate, give both ends the same auth= or keys="),
+        (others, what),
+    )
+    total = sum(number for number, _ in came)
+    return f"{total} frames came on {uri}: {'; '.join(f'{number} {why}' for number, why in came if number)}" if total else ""
 
 
 def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, str] | None:

@@ -26,7 +26,7 @@ from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
-from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, failure_of
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, failure_of, useless_frames
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
 from hil.runtime.slot import Slot
 from plants.errors import PlantError
@@ -179,8 +179,8 @@ def _run(job: Job) -> None:
         handshake = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, warm_up_rig.run, real.pause)
         result = handshake.greet()
         if not result.answered:
-            if result.foreign:
-                sys.stderr.write(f"hil: {result.foreign} frames that are no answer came on {job.link.uri} meanwhile\n")
+            if said := useless_frames(job.link.uri, link.counters, result.foreign):
+                sys.stderr.write(f"hil: {said}\n")
             sink.close()
             raise SystemExit(NO_CONTROLLER)
         real.begin()

@@ -26,6 +26,7 @@ from hil.rig import rig_of
 from hil.rig.session_link import link_of
 from hil.runtime.clock import RealClock, monotonic_ns
 from hil.runtime.nodes import Wire, before
+from hil.runtime.real.ending import useless_frames
 from hil.runtime.real.exchange import Handshake
 from hil.session.replay import BATCH, near_values
 from hil.session.replay.recorded import frames, recorded_wire, refuse_changed
@@ -100,8 +101,10 @@ def ask_process(
     found: list[Difference] = []
     with open_link(uri, "rig") as link:
         begun = Wire(nonce=wire.nonce, hello=before(wire.nonce(0)))
-        if not Handshake(link, start_s, lambda: False, monotonic_ns, begun).greet().answered:
-            raise HilError(f"no controller answered on {uri} within {start_s:g} s")
+        result = Handshake(link, start_s, lambda: False, monotonic_ns, begun).greet()
+        if not result.answered:
+            came = useless_frames(uri, link.counters, result.foreign)
+            raise HilError(f"no controller answered on {uri} within {start_s:g} s" + (f"; {came}" if came else ""))
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
                 link.send(data)
