@@ -13,7 +13,9 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from importlib import import_module
+from math import inf
 from typing import IO, Final
 
 from hil.errors import collect_garbage_again
@@ -40,6 +42,7 @@ def python_module(module: str, *arguments: str) -> list[str]:
 
 GRACE_S = 0.4  # SIGTERM to SIGKILL; with the rest it keeps a stop below one second
 LAST_LOOK_S = 0.05
+LOOK_MS = 50
 
 
 class Child:
@@ -183,6 +186,36 @@ def end_all(children: Sequence[Child], now_ns: Callable[[], int] = monotonic_ns)
     for child in children:
         if not child.wait(max((limit - now_ns()) / 1e9, LAST_LOOK_S)):
             child.kill()
+
+
+def is_open(fd: int) -> None:
+    """Say to the other process of a session that this one's end of the link is open.
+
+    Args:
+        fd: of a socket to the other process; -1 for none.
+    """
+    if fd >= 0:
+        with suppress(OSError):
+            os.write(fd, b"o")
+
+
+def other_is_open(fd: int, timeout_s: float = inf, stopped: Callable[[], bool] = lambda: False) -> bool:
+    """Wait until the other process has said `is_open`; return False where it has ended, or the time is up.
+
+    Args:
+        fd: of a socket to the other process; -1 for none.
+        timeout_s: how long to wait, s.
+        stopped: whether this process is to end.
+    """
+    if fd < 0:
+        return True
+    said, limit = select.poll(), monotonic_ns() + 1e9 * timeout_s
+    said.register(fd, select.POLLIN)
+    with suppress(OSError):
+        while not stopped() and monotonic_ns() < limit:
+            if said.poll(LOOK_MS):
+                return bool(os.read(fd, 1))
+    return False
 
 
 def is_stopped(pid: int) -> bool:

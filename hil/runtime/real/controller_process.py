@@ -22,6 +22,7 @@ from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
+from hil.runtime.real.child import is_open, other_is_open
 from hil.runtime.real.ending import failure_of, useless_frames
 from hil.runtime.real.exchange import warm_up_controller
 from transport.links import Link, OneOfARole, TransportError
@@ -40,6 +41,7 @@ class Job(Struct, frozen=True, kw_only=True):
     parent: int
     report_fd: int = -1  # where its counters go at its end
     changes_fd: int = -1  # brings other references, and restarts of the controller
+    meeting_fd: int = -1  # to the rig process of the session
 
 
 class ControllerReport(Struct, frozen=True, kw_only=True):
@@ -73,7 +75,7 @@ def stop_on_sigterm() -> None:
 
 
 def serve(
-    loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None,
+    loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None, opened: Callable[[], object] = lambda: None,
     at_end: Callable[[ControllerReport], object] = lambda report: None, changes_fd: int = -1,
     warn: Callable[[str], object] | None = None,
 ) -> None:  # fmt: skip
@@ -83,6 +85,7 @@ def serve(
         loop: the composed experiment.
         uri: the link.
         before_open: called after the warm-up, which takes long, and before the link opens: its threads inherit priority and CPU.
+        opened: called once the link is open.
         at_end: called with the report.
         changes_fd: brings changes; the changed loop itself says from which slot on they act.
         warn: called once where `ENOUGH` frames came before the first one that is answered, with the reasons.
@@ -96,6 +99,7 @@ def serve(
     failed: str | None = None
     changes = ChangeReceiver(changes_fd)
     with open_link(uri, "controller") as link:
+        opened()
         try:
             while not _answer_next(node, link, changes):
                 seen, others = link.counters, node.counts.malformed
@@ -146,10 +150,16 @@ def main(job: Job) -> None:
         stop_on_sigterm()
         die_with_parent(job.parent)
         cpu = cpu_for(timing.affinity, "controller", job.link.traits)
+
+        def before_open() -> None:
+            """Wait for the rig: of several sessions on one link, the one whose rig was first has the controller too."""
+            go_real_time(max(timing.priority - 1, 1), cpu)
+            while not other_is_open(job.meeting_fd):
+                signal.pause()  # the session ends, as its rig did
+
         serve(
-            job.loop, job.link.uri, lambda: go_real_time(max(timing.priority - 1, 1), cpu), partial(_write, job.report_fd),
-            job.changes_fd,
-        )  # fmt: skip
+            job.loop, job.link.uri, before_open, partial(is_open, job.meeting_fd), partial(_write, job.report_fd), job.changes_fd
+        )
     except Stopped:
         leave_real_time()
     except TransportError as e:

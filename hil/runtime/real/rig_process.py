@@ -26,6 +26,7 @@ from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
+from hil.runtime.real.child import is_open, other_is_open
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, failure_of, useless_frames
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
 from hil.runtime.slot import Slot
@@ -56,6 +57,7 @@ class Job(Struct, frozen=True, kw_only=True):
     log_fd: int
     hello_timeout_s: float
     changes_fd: int = -1  # where changes come from
+    meeting_fd: int = -1  # to the controller process of the session
 
 
 class RealLoop:
@@ -176,8 +178,10 @@ def _run(job: Job) -> None:
             link.announce(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire, node)  # before the greeting: nothing stands between its last rehearsal and slot 0
         loops.append(real)
-        handshake = Handshake(link, job.hello_timeout_s, lambda: stopped, monotonic_ns, wire, warm_up_rig.run, real.pause)
-        result = handshake.greet()
+        is_open(job.meeting_fd)
+        own = other_is_open(job.meeting_fd, job.hello_timeout_s, lambda: stopped)  # until then another one would answer
+        limit_s = job.hello_timeout_s if own else 0.0
+        result = Handshake(link, limit_s, lambda: stopped, monotonic_ns, wire, warm_up_rig.run, real.pause).greet()
         if not result.answered:
             if said := useless_frames(job.link.uri, link.counters, result.foreign):
                 sys.stderr.write(f"hil: {said}\n")

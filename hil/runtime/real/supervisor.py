@@ -8,11 +8,12 @@ from __future__ import annotations
 import ctypes
 import os
 import pickle
+import socket
 import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -146,13 +147,16 @@ class Processes:
         self._start, self._dump = _starter(loop)
         self._controller: Child | None = None
         self.controllers = 0  # started
+        self._meeting: dict[str, socket.socket] = {}
         self._children: list[Child] = []
 
-    def start_rig(self, seed: int, log_fd: int, hello_timeout_s: float) -> Child:
-        """Start the rig process; see `rig_process.Job`."""
+    def start_rig(self, seed: int, log_fd: int, hello_timeout_s: float, own_controller: bool) -> Child:
+        """Start the rig process; see `rig_process.Job`. With a controller of its own it takes no other one."""
+        if own_controller:
+            self._meeting = dict(zip(("rig", "controller"), socket.socketpair(), strict=True))
         job = rig_process.Job(
             loop=self._loop, link=self._link, seed=seed, parent=self._parent, log_fd=log_fd, hello_timeout_s=hello_timeout_s,
-            changes_fd=self._senders.open("rig"),
+            changes_fd=self._senders.open("rig"), meeting_fd=self._meeting_of("rig"),
         )  # fmt: skip
         return self._started("rig", rig_process.__name__, job, log_fd)
 
@@ -160,13 +164,19 @@ class Processes:
         """Start the controller process with the loop as it is after the last change."""
         job = controller_process.Job(
             loop=self._loop, link=self._link, parent=self._parent, report_fd=self._report_fd,
-            changes_fd=self._senders.open("controller"),
+            changes_fd=self._senders.open("controller"), meeting_fd=self._meeting_of("controller"),
         )  # fmt: skip
         self.controllers += 1
         self._controller = self._started("controller", controller_process.__name__, job, self._report_fd)
 
+    def _meeting_of(self, name: str) -> int:
+        return self._meeting[name].fileno() if name in self._meeting else -1
+
     def _started(self, name: str, module: str, job: object, fd: int) -> Child:
-        self._children.append(self._start(name, module, job, self._senders.passed(name, fd)))
+        meeting = self._meeting.pop(name, None)
+        with meeting or nullcontext():  # the other end sees that the process has ended
+            more = () if meeting is None else (meeting.fileno(),)
+            self._children.append(self._start(name, module, job, self._senders.passed(name, fd, *more)))
         return self._children[-1]
 
     def send_changes(self, now_ns: int) -> None:
@@ -198,6 +208,8 @@ class Processes:
         """End both processes, and send nothing more."""
         end_all(self._children)
         self._senders.close()
+        for meeting in self._meeting.values():
+            meeting.close()
 
 
 def run_real(
@@ -248,11 +260,12 @@ def run_real(
         processes = Processes(loop, link, report.fileno(), changes)
         read_fd, write_fd = os.pipe()
         try:
-            rig = processes.start_rig(seed, write_fd, hello_s)
+            own = not external and not link.traits.in_process
+            rig = processes.start_rig(seed, write_fd, hello_s, own)
             os.close(write_fd)
             write_fd = -1
             thread.start()
-            if not external and not link.traits.in_process:
+            if own:
                 processes.start_controller()
             heartbeat = HeartbeatTimeout(float(loop.experiment.period), hello_s)
             free = FreeMemory(monotonic_ns())
@@ -260,6 +273,7 @@ def run_real(
                 free.look(monotonic_ns())
                 rig.wait(POLL_S)
         finally:
+            lost = processes.lost_controller()
             processes.end()
             if write_fd >= 0:
                 os.close(write_fd)
@@ -273,9 +287,10 @@ def run_real(
     if not outcome.pump.records:
         if signals.seen is not None:
             raise Terminated(signals.seen)
-        if outcome.controller_lost is None and status == NO_CONTROLLER:
+        lost = outcome.controller_lost or lost
+        if lost is None and status == NO_CONTROLLER:
             raise HilError(f"no controller answered on {link.uri} within {hello_s:g} s")
-        why = outcome.rig_lost or outcome.controller.failed or outcome.controller_lost or rig.how()
+        why = outcome.rig_lost or outcome.controller.failed or lost or rig.how()
         raise HilError(f"{why} before the run began; see its message above, if any")
     if status not in (ENDED, FAILED) and (status != STOPPED or signals.seen is None):
         outcome.rig_lost = outcome.rig_lost or rig.how()

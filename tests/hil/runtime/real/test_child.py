@@ -10,12 +10,13 @@ import subprocess
 import sys
 from errno import ENOSYS
 from pathlib import Path
+from socket import socketpair
 
 import pytest
 
 from hil.compose import compose
 from hil.experiment import load_experiment
-from hil.runtime.real.child import PYTHON, Child, is_stopped, python_module
+from hil.runtime.real.child import PYTHON, Child, is_open, is_stopped, other_is_open, python_module
 from hil.runtime.real.ending import StopSignals
 from tests.waiting import until
 
@@ -194,3 +195,15 @@ def test_each_stops_and_every_handler_comes_back(number: int) -> None:
         signal.raise_signal(number)
     assert signals.seen == number and reported == [number]
     assert [signal.getsignal(each) for each in THREE] == before
+
+
+def test_the_two_processes_of_a_session_wait_for_each_other_and_no_longer_than_they_live() -> None:
+    ours, theirs = socketpair()
+    with ours, theirs:
+        assert not other_is_open(ours.fileno(), 0.01) and not other_is_open(ours.fileno(), 600.0, lambda: True)
+        is_open(theirs.fileno())
+        assert other_is_open(ours.fileno(), 600.0)
+        theirs.close()
+        assert not other_is_open(ours.fileno(), 600.0)
+        is_open(ours.fileno())
+    assert other_is_open(-1)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from threading import Event, Thread
 from types import SimpleNamespace
@@ -14,11 +15,13 @@ from types import SimpleNamespace
 import pytest
 
 from hil.compose import compose
+from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.log.topics import channels_of
+from hil.log.write import MemorySink
 from hil.log.write.pipe_sink import PipeSink
 from hil.rig.loop import Loop
-from hil.rig.session_link import no_link
+from hil.rig.session_link import link_of, no_link
 from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes import session_wire
@@ -28,6 +31,7 @@ from hil.runtime.real.controller_process import _answer_next, serve
 from hil.runtime.real.ending import ENDED, useless_frames
 from hil.runtime.real.exchange import Handshake
 from hil.runtime.real.rig_process import PLAN_NS, SETTLE_NS, Job, RealLoop
+from hil.runtime.real.supervisor import Processes, run_real
 from transport.can_bus_model.disturbances import BusFault
 from transport.links.memory import MemoryLink
 from transport.links.opening import open_link
@@ -112,6 +116,23 @@ def beside(work: Callable[[Callable[[], bool]], object]) -> Iterator[None]:
         other.join()
 
 
+def answer(loop: Loop, uri: str, over: Callable[[], bool]) -> None:
+    node, changes = ControlNode(loop), ChangeReceiver(-1)
+    with open_link(uri, "controller") as link:
+        while not over():
+            _answer_next(node, link, changes)
+
+
+def test_a_rig_waits_for_the_controller_of_its_own_session(
+    loop: Loop, ends: Callable[[str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of several sessions on one link one has the rig and another the controller where both begin at once."""
+    link, channels = link_of(loop.rig, ends("")), channels_of(loop)
+    monkeypatch.setattr(Processes, "start_controller", lambda self: None)
+    with beside(partial(answer, loop, link.uri)), pytest.raises(HilError, match=r"no controller answered on .* within 0\.5 s"):
+        run_real(loop, 0, link, MemorySink(channels), hello_timeout_s=0.5)
+
+
 @pytest.mark.parametrize(
     ("rig", "controller", "why"),
     [("", "fd=0", "CAN FD where fd=0"), ("fd=0", "", "give both ends the same base= and fd="), ("pad=1", "", "another pad="),
@@ -135,13 +156,7 @@ def test_a_controller_says_why_it_refuses_every_frame_of_a_rig(
 def test_a_rig_that_refuses_every_answer_says_why(
     loop: Loop, ends: Callable[[str], str], rig: str, controller: str, why: str
 ) -> None:
-    def answer(over: Callable[[], bool]) -> None:
-        node, changes = ControlNode(loop), ChangeReceiver(-1)
-        with open_link(ends(controller), "controller") as link:
-            while not over():
-                _answer_next(node, link, changes)
-
-    with beside(answer), open_link(ends(rig), "rig") as link:
+    with beside(partial(answer, loop, ends(controller))), open_link(ends(rig), "rig") as link:
         def came() -> bool:
             return bool(link.counters.refused or handshake._foreign)
 
