@@ -15,6 +15,8 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
+from design.errors import FieldError
+
 Kind = Literal[
     "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
 ]
@@ -24,17 +26,27 @@ State = Literal["certified", "refused", "undecided"]
 def digest(system: Mapping[str, object]) -> str:
     """Return the SHA-256 of a system: its name to value, numbers and arrays bit by bit, in the order of the names.
 
+    Raises:
+        FieldError: a table whose keys have no order.
+
     >>> digest({"A": np.eye(2)}) == digest({"A": [[1.0, 0.0], [0.0, 1.0]]})
     True
+    >>> digest({"plant": {"table": {1: 0.5, "a": 0.0}}})
+    Traceback (most recent call last):
+    design.errors.FieldError: plant.table: keys without an order (int, str), expected keys of one type, such as text
     """
 
-    def plain(value: object) -> object:
+    def plain(value: object, path: str = "") -> object:
         if isinstance(value, Mapping):
-            return {str(k): plain(v) for k, v in sorted(value.items())}
+            try:
+                return {str(k): plain(v, f"{path}.{k}" if path else str(k)) for k, v in sorted(value.items())}
+            except TypeError:
+                kinds = ", ".join(sorted({type(key).__name__ for key in value}))
+                raise FieldError(path, f"keys without an order ({kinds}), expected keys of one type, such as text") from None
         if isinstance(value, np.ndarray | np.generic):
-            return plain(value.tolist())
+            return plain(value.tolist(), path)
         if isinstance(value, list | tuple):
-            return [plain(v) for v in value]
+            return [plain(v, path) for v in value]
         return float(value).hex() if isinstance(value, int | float) and not isinstance(value, bool) else value
 
     return hashlib.sha256(msgspec.json.encode(plain(system))).hexdigest()

@@ -18,8 +18,9 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from design.controllers import Controller, LoopModel, MultiSampleController, RunningController
+from design.errors import FieldError
 from design.verdict import Verdict, digest
-from hil.errors import ForeignVerdict
+from hil.errors import ForeignVerdict, located
 from hil.experiment import Experiment
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains
@@ -225,7 +226,11 @@ class Loop:
 
 
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:
-    """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule."""
+    """Return the digest of the loop that will run: its plant, controller, network, period and model, not its seed or schedule.
+
+    Raises:
+        HilError: a plant, controller or law that was built in Python has a table whose keys have no order.
+    """
     resolved = replace(experiment, controller=controller).resolved()
     said: dict[str, Any] = {
         name: resolved[name] for name in ("plant", "controller", "network", "period", "fault") if name in resolved
@@ -233,4 +238,5 @@ def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) 
     if experiment.limits.passivity is not None:  # the other limits stop a run; this one changes it
         said["passivity"] = resolved["limits"]["passivity"]
     law = f"{type(controller).__module__}.{type(controller).__qualname__}"  # two laws may have the same parameters
-    return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})
+    with located(experiment.name, FieldError):
+        return digest({**said, "control law": law, "A": model.A, "B": model.B, "C": model.C})

@@ -11,17 +11,18 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import hil
 from design.requests.scheduled import RobustScheduled
 from design.verdict import Verdict
 from hil.certify import CertificationProblem
 from hil.certify.certify import certifiers, certify
 from hil.compose import compose
-from hil.errors import ExperimentError, ForeignVerdict
+from hil.errors import ExperimentError, ForeignVerdict, HilError
 from hil.experiment import load_experiment
 from hil.rig import port_of
 from hil.rig.loop import Loop, digest_of
 from hil.runtime.virtual import simulate
-from plants import LinearPlant
+from plants import DCMotor, LinearPlant
 
 
 @cache
@@ -193,6 +194,17 @@ def test_everything_that_decides_is_in_the_digest_and_seed_and_schedule_are_not(
     assert digest("seed=7", "duration=3", 'links.uri="memory:"') == same
     for change in ("plant.pole=3.5", "period=0.06", 'network.ca.law={kind="constant", age=0}', 'controller.selection="applied"'):
         assert digest(change) != same, change
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Tabled(DCMotor):
+    table: dict[object, float] = dataclasses.field(default_factory=lambda: {1: 0.5, "a": 0.0})
+
+
+def test_a_plant_whose_table_has_keys_without_an_order_is_refused_with_its_field() -> None:
+    with pytest.raises(HilError, match=r"dc-motor-h2: plant.table: keys without an order \(int, str\)"):
+        compose(hil.load_experiment("dc-motor-h2", plant=Tabled()))
+    compose(hil.load_experiment("dc-motor-h2", plant=Tabled(table={2: 0.5, 10: 0.0})))
 
 
 def to_certify(loop: Loop) -> CertificationProblem:
