@@ -183,7 +183,7 @@ def command(
     if path is not None:
         write_output(path, design_text(document), replace=force)
         document["file"] = str(path)
-    answer(document, _show, design, document)
+    answer(document, _show, design, document, answers.gain_unit(target.of.inputs, target.of.outputs))
 
 
 def _local(target: TrackingTarget, method: str, input_weight: float | None, noise: float | None) -> None:
@@ -222,7 +222,7 @@ def _refuse_others(common: set[str], where: str) -> None:
         raise HilError(f"{others[0]}: not {where}")
 
 
-def _show(design: Design, document: dict[str, Any]) -> None:
+def _show(design: Design, document: dict[str, Any], unit: str) -> None:
     from design.tracking import row_sojourns_of
     from hil.pages import Table
 
@@ -246,7 +246,7 @@ def _show(design: Design, document: dict[str, Any]) -> None:
     ]
     heads = ["tau", *map(heading, range(design.gains.shape[1]))]
     order = "; in a row all outputs for the first input, then the next" if several else ""
-    print_table(Table(title=f"gains K[tau][row], row by {design.selection!r}{order}", columns=heads, rows=rows))
+    print_table(Table(title=f"gains K[tau][row] in {unit}, row by {design.selection!r}{order}", columns=heads, rows=rows))
     bounds = document["lower_bounds"]
     lines = [
         ("H2 norm", f"{c.h2_norm:.6g}", f"any causal controller: >= {bounds['h2_delayed_information']:.4g}" if bounds else ""),

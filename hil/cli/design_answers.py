@@ -7,6 +7,7 @@ In lines: over historical data, without a network, over a measured one. By many 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -25,6 +26,7 @@ from hil.experiment import Experiment, load_experiment
 from hil.experiment.tables import Timing
 from hil.pages.designs import can_priority_page, norm_trade_off_page, trigger_page
 from hil.plugins.registry import names
+from plants import Signal
 
 if TYPE_CHECKING:
     from design.controllers.sensor_nodes import Uses
@@ -61,11 +63,27 @@ def show_historical(experiment: Experiment, orders: bool, spread: bool) -> None:
 
     with located(experiment.name, ValueError), Working(f"{experiment.name}: what its gains cost"):
         found = judge_historical(compose(experiment), orders=orders, spread=spread)
-    answer(found, lambda: print(*historical_lines(found), sep="\n"))
+    unit = gain_unit(experiment.plant.inputs, experiment.plant.states)
+    answer(found, lambda: print(*historical_lines(found, unit), sep="\n"))
 
 
-def historical_lines(found: dict[str, Any]) -> list[str]:
-    """Return a judgement as lines for people."""
+def gain_unit(inputs: Sequence[Signal], of: Sequence[Signal]) -> str:
+    """Return the unit of gains from signals to inputs, in words.
+
+    >>> from plants import DCMotor
+    >>> gain_unit(DCMotor().inputs, DCMotor().states)
+    'V per rad, rad/s'
+    """
+    return " per ".join(", ".join(dict.fromkeys(signal.unit for signal in signals)) for signals in (inputs, of))
+
+
+def historical_lines(found: dict[str, Any], unit: str) -> list[str]:
+    """Return a judgement as lines for people.
+
+    Args:
+        found: as `judge_historical` returns it.
+        unit: of the gains.
+    """
     said = [f"{found['experiment']}, uses {found['uses']}", f"cost from the plant's start   {found['cost']:.6g}"]
     if "cost_sd" in found:
         said.append(f"  standard deviation of runs  {found['cost_sd']:.6g}")
@@ -76,7 +94,7 @@ def historical_lines(found: dict[str, Any]) -> list[str]:
         said.append(f"bound, any causal controller  {found['bound_causal']:.6g} (ours is {100 * found['gap']:.2f} % above)")
     said.append(f"bound, full state             {found['bound_full_state']:.6g}")
     said += [f"order {', '.join(each['nodes'])}: mean cost {each['mean_cost']:.6g}" for each in found.get("orders", ())]
-    said.append("gains [phase][j], of x(k - j):")
+    said.append(f"gains [phase][j] in {unit}, of x(k - j):")
     for i, phase in enumerate(found["gains"]):
         for j, rows in enumerate(phase):
             said += [f"  [{i}][{j}] " + " ".join(f"{entry:10.5g}" for entry in row) for row in rows]

@@ -34,7 +34,8 @@ def test_json_is_one_object_with_gains_norms_and_certificate():
 def test_table_shows_gains_and_certificate():
     words = ("dc-motor", "--information", "constant", "--starts", "1", "--uncertainty", "gain=1%")
     text = " ".join(run(*words).stdout.split())
-    for said in (r" H2 norm 3\.89", "mean-square stable", r"margin of \(7\.28\) \d\S+ at gamma",
+    for said in (r"gains K\[tau\]\[row\] in V per rad, row by", r" H2 norm 3\.89", "mean-square stable",
+                 r"margin of \(7\.28\) \d\S+ at gamma",
                  "gain 172.38 from 170.66 to 174.1, drifting or not",
                  r"uncertainty certified ", r"guaranteed H2 norm 4\.02\d* guaranteed H-infinity 20\.\d+$"):  # fmt: skip
         assert re.search(said, text), said

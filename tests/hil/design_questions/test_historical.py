@@ -64,10 +64,10 @@ def test_every_order_of_the_turns_is_tried() -> None:
 def test_a_judgement_says_each_cost_once_and_why_there_is_no_bound() -> None:
     found = {"experiment": "mine", "uses": "newest", "cost": 3.0, "mean_cost": 2.5, "bound_causal": 2.0, "gap": 0.25,
              "bound_full_state": 1.5, "gains": [[[[0.1, 0.2]]], [[[0.3, 0.4]]]]}  # fmt: skip
-    said = historical_lines(found)
+    said = historical_lines(found, "V per rad")
     assert [line.split()[-1] for line in said[:3]] == ["newest", "3", "2.5"] and "2 (ours is 25.00 % above)" in said[3]
     assert [line.split() for line in said[-2:]] == [["[0][0]", "0.1", "0.2"], ["[1][0]", "0.3", "0.4"]]
-    undecided = historical_lines(found | {"bound_causal": None, "gap": None, "cost_sd": 0.7})
+    undecided = historical_lines(found | {"bound_causal": None, "gap": None, "cost_sd": 0.7}, "V per rad")
     assert "undecided: which node's packet arrives is not a Markov chain of its own" in undecided[4]
     assert undecided[2].split()[-1] == "0.7" and len(undecided) == len(said) + 1
 
