@@ -5,6 +5,7 @@ What is installed, and the keys of one of it; the file of an experiment, its sch
 
 from __future__ import annotations
 
+import os
 import sys
 import textwrap
 from typing import Any, Final
@@ -77,12 +78,13 @@ def _show_all(experiments: dict[str, str], of: dict[str, str], plugins: dict[str
     from hil.experiment import FIRST
 
     print(f"to begin with: hil run {FIRST}; hil show {FIRST} prints its file\n")
+    columns = _columns() if "COLUMNS" in os.environ or (sys.stdout and sys.stdout.isatty()) else sys.maxsize  # no pipe is narrow
     for plant in dict.fromkeys([of[FIRST], *of.values()]):
         print(f"experiments with the plant {visible(plant)}")
         names = [name for name in experiments if of[name] == plant]
         width = max(map(len, names))
         for name in sorted(names, key=lambda name: (name != FIRST, name)):
-            print(f"  {name:<{width}}  {visible(one_line(experiments[name], _columns() - width - 4))}")
+            print(f"  {name:<{width}}  {visible(one_line(experiments[name], columns - width - 4))}")
         print()
     for group, found in plugins.items():
         ours = [name for name, dist in found.items() if dist == "hilrig"]

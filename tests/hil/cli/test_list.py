@@ -83,7 +83,12 @@ def test_a_package_that_cannot_be_loaded_is_named_and_the_rest_works(
         open_link("worn:", "rig")
 
 
-def test_lines_fit_eighty_columns(cli: Hil) -> None:
+def test_lines_fit_eighty_columns_and_nothing_is_cut_in_a_pipe(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    said = json.loads(cli("list", "--json")[1])["experiments"]
+    out = cli("list")[1]
+    assert all(" ".join(text.split()) in out for text in said.values()) and max(map(len, said.values())) > 80
+    monkeypatch.setenv("COLUMNS", "80")
     for arguments in ((), ("controllers",), ("plants",), ("laws",), ("controllers", "designed")):
         assert max(map(len, cli("list", *arguments)[1].splitlines())) <= 80
 
