@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import isnan
+from typing import Final
 
 import msgspec
 import numpy as np
@@ -170,6 +171,10 @@ def here(jobs: int) -> Workers:
     return Workers(backend="serial") if jobs == 1 else Workers(backend="loky", jobs=jobs)
 
 
+MOST_RUNS: Final = 1_000_000
+"""The numbers of so many runs take half a gigabyte where an experiment has eight."""
+
+
 def run_sweep(
     experiment: Experiment,
     seeds: Sequence[int],
@@ -191,7 +196,12 @@ def run_sweep(
         store: where finished runs are kept, and taken from instead of being run again.
         until: (metric, StopRule). Stop as soon as the interval of the metric is narrow enough. It is looked at only at the rule's
             numbers of runs, which is what its error rate needs; runs in which the metric is undefined do not count for it.
+
+    Raises:
+        HilError: more than `MOST_RUNS`.
     """
+    if seeds[MOST_RUNS:]:
+        raise HilError(f"runs: more than {MOST_RUNS} of one experiment; run them in parts, by the first seed of each")
     done = {seed: store.rows[seed] for seed in seeds if seed in store.rows} if store else {}
     look, interval, reached, interrupted = 0, None, False, 0
     wanted: Sequence[int] = seeds

@@ -257,3 +257,8 @@ def test_seeds_are_split_into_so_many_parts_that_each_worker_has_several() -> No
     assert [len(part) for part in _parts(seeds, here(1), 400)] == [400, 400, 200]
     cores = len(os.sched_getaffinity(0))
     assert len(_parts(range(8 * cores), here(-1), None)) == 4 * cores
+
+
+def test_more_runs_than_memory_holds_are_refused_before_any_work() -> None:
+    with pytest.raises(HilError, match="runs: more than 1000000 of one experiment; run them in parts, by the first seed of each"):
+        run_sweep(None, range(10**11), workers=Workers(backend="serial"))  # type: ignore[arg-type]
