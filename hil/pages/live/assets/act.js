@@ -66,10 +66,18 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   delay.setAttribute("aria-label", "Delay, share of the longest");
   const checkMatrix = row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" }));
   const lossLabel = text("label", "loss 0 %"), delayLabel = text("label", "delay 0 samples");
-  const laws = () => about.network[direction.value];
+  const laws = () => about.network[direction.value], acting = {}; // of each direction, the law that a change put there
+  const alike = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+  const matrix = (law) => !law || alike(law, laws().law) ? laws().chain : law.matrix || null;
   function offer() {
     preset.replaceChildren(text("option", "preset …", { value: "" }), text("option", "as it was", { value: "as it was" }), ...Object.keys(laws().presets).map((name) => text("option", name, { value: name })));
-    chain(laws().chain);
+    chain(matrix(acting[direction.value]));
+  }
+  function act(name, law) { // a change from this tab or another one; what is being edited here stays
+    if (acting[name] === law) return;
+    acting[name] = law;
+    const edited = heat.contains(document.activeElement) || drafts.pending?.path === path() || alike(entries(), law.matrix);
+    if (name === direction.value && !edited) offer();
   }
   function chain(matrix) {
     heat.replaceChildren();
@@ -174,8 +182,12 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
       tr.append(text("th", name), text("td", JSON.stringify(value).slice(0, 60)));
       return tr;
     }));
-    const laws = Object.entries(about.network).map(([name, { law }]) => [`network.${name}.law`, law]);
-    const own = { ...Object.fromEntries(laws), controller: about.own };
+    const own = { controller: about.own };
+    for (const [name, { law }] of Object.entries(about.network)) {
+      const at = `network.${name}.law`;
+      own[at] = law;
+      if (newest.has(at)) act(name, newest.get(at));
+    }
     const back = [...newest.keys()].filter((name) => own[name]);
     undo.replaceChildren(...(back.length ? [button("Revert network and controller", () => back.forEach((name) => apply(name, own[name])), { id: "revert" })] : []));
   }

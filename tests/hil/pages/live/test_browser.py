@@ -115,6 +115,27 @@ def test_the_slider_of_a_reference_follows_the_run_and_not_over_a_hand(page: Pag
     until(lambda: browser.evaluate(f"{box}.value") == "2", "the slider at the reference")
 
 
+def test_the_matrix_is_that_of_the_law_that_acts_whichever_tab_changed_it(page: Page, browser: chromium.Page) -> None:
+    heat = "[...document.querySelectorAll('.heat input')].map((box) => box.value).join()"
+    browser.open(page.url)
+    shows(browser, BADGE, "stable")
+    first = browser.evaluate(heat)
+    page.wish(do="apply", path="network.ca.law", value={"kind": "markov", "matrix": [[0.25, 0.75], [0.5, 0.5]]})
+    page.settled("armed")
+    page.wish(do="step", slots=3)
+    until(lambda: browser.evaluate(heat) == "0.25,0.75,0.5,0.5", "the matrix of the other tab's law")
+    browser.evaluate(choose("Direction", "sc"))
+    assert browser.evaluate(heat) != "0.25,0.75,0.5,0.5"
+    browser.evaluate(choose("Direction", "ca"))
+    assert browser.evaluate(heat) == "0.25,0.75,0.5,0.5"
+    number = page.view()["draft"]["number"]
+    browser.evaluate("document.getElementById('revert').click()")
+    until(lambda: page.view()["draft"]["number"] > number and page.view()["draft"]["state"] == "armed", "the old law")
+    page.wish(do="step", slots=3)
+    until(lambda: browser.evaluate(heat) == first, "the first matrix")
+    assert browser.problems == []
+
+
 def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page, browser: chromium.Page) -> None:
     """Two browsers: one arms, the other has no token and only looks."""
     with chromium.Page(width=390, height=844, dark=True) as other:
