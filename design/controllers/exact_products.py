@@ -48,6 +48,14 @@ LARGEST: Final = 24
 """Rows and columns up to which whole numbers are used: 0.1 s."""
 
 
+def rank_of(N: NDArray[np.float64]) -> int:
+    """Return the rank of a matrix, whatever the units of its rows and columns are."""
+    for axis in (0, 1, 0, 1):
+        size = np.abs(N).max(axis=axis, keepdims=True)
+        N = N / np.where(size > 0.0, size, 1.0)
+    return int(np.linalg.matrix_rank(N))
+
+
 def pseudo_inverse(N: Matrix) -> Matrix:
     """Return the pseudo-inverse of N, (columns, rows).
 
@@ -57,7 +65,7 @@ def pseudo_inverse(N: Matrix) -> Matrix:
     LAPACK, rounded to 2^-30 of its largest entry: the same everywhere but where a tie lies between two machines.
     """
     rows, columns = N.shape
-    full = max(rows, columns) <= LARGEST and int(np.linalg.matrix_rank(N)) == min(rows, columns)
+    full = max(rows, columns) <= LARGEST and rank_of(N) == min(rows, columns)
     found = _exact(tuple(map(tuple, N.tolist()))) if full else None
     if found is not None:
         return np.array(found)

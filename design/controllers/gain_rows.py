@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
-from design.controllers.exact_products import dot, pseudo_inverse
+from design.controllers.exact_products import dot, pseudo_inverse, rank_of
 
 Matrix = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ def _feedforward(*matrices: tuple[tuple[float, ...], ...]) -> list[list[float]]:
     A, B, C = map(np.array, matrices)
     (n, m), p = B.shape, len(C)
     N = np.block([[A - np.eye(n), B], [C, np.zeros((p, m))]])
-    if p <= m and np.linalg.matrix_rank(N) < n + p:
+    if p <= m and rank_of(N) < n + p:
         raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
     found: list[list[float]] = pseudo_inverse(N)[n:, n:].tolist()
     return found

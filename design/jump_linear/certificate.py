@@ -14,7 +14,7 @@ from msgspec import Struct
 from msgspec.structs import asdict, replace
 
 from design.jump_linear import MJLS, STABILITY_MARGIN
-from design.jump_linear.second_moment import EIG_DENSE_LIMIT, Array, backward, cost_once, expect, mean_square_radius
+from design.jump_linear.second_moment import EIG_DENSE_LIMIT, Array, backward, cost_once, expect, like_units, mean_square_radius
 from design.jump_linear.stability_proof import BUDGET, OPEN, side_of_one
 from design.verdict import State
 
@@ -189,14 +189,10 @@ def _margins(A: Array, transition: Array, P: Array) -> tuple[float, float, float
 
 
 def in_like_units(system: MJLS) -> MJLS | None:
-    """Return a system with every state in a unit in which its row and its column are alike; None where they are already."""
-    from scipy.linalg import matrix_balance
-
+    """Return a system in the units of `like_units`; None where it is in such units already."""
     A, B, C, _, _ = system.matrices
-    unit = matrix_balance(np.abs(A).sum(axis=0), permute=False, separate=True)[1][0]
-    if (unit == 1.0).all():
-        return None
-    return replace(system, A=A * unit / unit[:, None], B=B / unit[:, None], C=C * unit)
+    unit = like_units(A)
+    return None if unit is None else replace(system, A=A * unit / unit[:, None], B=B / unit[:, None], C=C * unit)
 
 
 def grows(A: Array, transition: Array, radius: float) -> bool:

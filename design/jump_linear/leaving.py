@@ -31,7 +31,7 @@ import numpy as np
 
 from design.errors import NotStable
 from design.jump_linear.higher_moments import at, count, power, power_of_row
-from design.jump_linear.second_moment import Array, backward, cost_once, expect
+from design.jump_linear.second_moment import Array, backward, cost_once, expect, like_units
 
 DEGREES = (2, 4, 6, 8, 10)
 MOST_PRODUCTS = 6_500_000
@@ -157,7 +157,12 @@ def leaving(
     weight = scaled.transpose(0, 2, 1) @ scaled
     total = cost_once(A, transition, weight + ALL * float(np.abs(weight).max()) * np.eye(n))  # below it only where it is stable
     if not np.isfinite(total).all() or not float(np.linalg.eigvalsh(total).min()) > 0.0:
-        raise NotStable("no region was found: the loop is too near to one that is not mean-square stable")
+        if (unit := like_units(A)) is None:
+            raise NotStable("no region was found: the loop is too near to one that is not mean-square stable")
+        return leaving(
+            A * unit / unit[:, None], transition, U * unit, S / unit[:, None], limits=limits, pushes=pushes / unit[:, None],
+            adds=adds, slots=slots, later=later,
+        )  # fmt: skip
     begun = np.repeat(S, N, axis=0)
 
     def seen(family: Array) -> Array:
@@ -254,7 +259,9 @@ def ultimate_bound(A: Array, transition: Array, E: Array, C: Array) -> Array:
     P = cost_once(A, transition, np.broadcast_to(np.eye(A.shape[-1]), A.shape))
     largest = float(np.linalg.eigvalsh(P)[:, -1].max())
     if not 1.0 <= largest < 1e14 or float(np.linalg.eigvalsh(P)[:, 0].min()) < 1.0 - 1e-6:
-        raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
+        if (unit := like_units(A)) is None:
+            raise NotStable("no bound was found: the loop is too near to one that is not mean-square stable")
+        return ultimate_bound(A * unit / unit[:, None], transition, E / unit[:, None], C * unit)
     left = np.sqrt(_reached(expect(transition, P), E)) / (1.0 - np.sqrt(max(1.0 - 1.0 / largest, 0.0)))
     M, total = np.broadcast_to(C.T @ C, A.shape), np.zeros(E.shape[-1])
     for _ in range(TERMS):

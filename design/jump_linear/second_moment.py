@@ -175,6 +175,17 @@ def cost_once(A: Array, transition: Array, families: Array) -> Array:
     return to_matrix(np.ascontiguousarray(solution).reshape(vectors.shape), A.shape[-1])
 
 
+def like_units(A: Array) -> Array | None:
+    """Return for every state a unit in which its row and its column in sum_i |A_i| are alike, (n,); None where they are already.
+
+    What is lost in rounding in one unit may be seen in another; x is in these units A_i with rows divided and columns multiplied.
+    """
+    from scipy.linalg import matrix_balance
+
+    unit = np.asarray(matrix_balance(np.abs(A).sum(axis=0), permute=False, separate=True)[1][0])
+    return None if (unit == 1.0).all() else unit
+
+
 class Bordered:
     """The matrix [[L - I, left], [right', 0]], which is regular where L has the eigenvalue 1 once.
 

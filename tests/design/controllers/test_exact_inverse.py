@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from design.controllers import LoopModel, feedforward
 from design.controllers.exact_products import dot, product, product_of_batch, pseudo_inverse
 
 
@@ -43,3 +44,9 @@ def test_products_are_summed_in_their_order() -> None:
         assert one == [(((0.0 + r[0] * c[0]) + r[1] * c[1]) + r[2] * c[2]) + r[3] * c[3] + r[4] * c[4]
                        for r, c in ((row, x[:, run].tolist()) for row in rows)]  # fmt: skip
     assert dot([], []) == 0.0
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-10, 1e10])
+def test_the_input_that_holds_a_reference_does_not_depend_on_the_units_of_the_states(unit: float) -> None:
+    A, B, C = np.array([[0.5, unit], [0.0, 0.5]]), np.array([[0.0], [1.0]]), np.array([[1.0 / unit, 0.0]])
+    assert feedforward(LoopModel(A=A, B=B, C=C, period_s=0.1, tau_max=0, d_max=0)) == pytest.approx(np.array([[0.25]]))

@@ -7,7 +7,7 @@ import pytest
 
 from design.errors import NotStable
 from design.jump_linear.higher_moments import at, count, power, power_of_row
-from design.jump_linear.leaving import Leaving, leaving
+from design.jump_linear.leaving import Leaving, leaving, ultimate_bound
 
 Array = np.ndarray
 NOTHING = np.zeros(1)
@@ -96,3 +96,18 @@ def test_runs_from_the_edge_leave_less_often_than_said_and_from_far_outside_more
             shares = [worst_share(A, P, U, k * radius * axis, push * E, 150, runs, seed) for k, runs in both]
             assert shares[0] <= 0.13
             assert radius == 0.0 or shares[1] > 0.13
+
+
+def test_units_of_the_states_move_no_bound() -> None:
+    rng, chances, unit = np.random.default_rng(3), np.array([[0.7, 0.3], [0.4, 0.6]]), np.array([1e-7, 1.0, 1e7])
+    A, E, C, start = 0.3 * rng.normal(size=(2, 3, 3)), rng.normal(size=(2, 3, 1)), rng.normal(size=(1, 3)), np.eye(3)[None]
+    bounds, chance = [], []
+    for scale in (np.ones(3), unit):
+        seen, inner, pushed = C / scale, A * scale[:, None] / scale, E * scale[:, None]
+        bounds.append(ultimate_bound(inner, chances, pushed, seen))
+        from_there = leaving(
+            inner, chances, np.repeat(seen[None], 2, axis=0), start * scale[:, None], limits=np.ones(1), pushes=0.01 * pushed,
+            adds=NOTHING, slots=30,
+        )  # fmt: skip
+        chance.append(from_there.probability((0, np.array([0.1, 0.0, 0.1]))))
+    assert bounds[1] == pytest.approx(bounds[0], rel=2e-3) and chance[1] == pytest.approx(chance[0], rel=1e-3)
