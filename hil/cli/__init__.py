@@ -8,6 +8,7 @@ import io
 import os
 import resource
 import sys
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -65,7 +66,7 @@ def command_of(name: str) -> click.Command:
 
 def _close_stdout() -> None:
     """Let what is left in its buffer go nowhere, for where it went to takes no more."""
-    if sys.stdout is not None:
+    with suppress(AttributeError, io.UnsupportedOperation):  # there is none, or none of the system's
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -194,7 +195,8 @@ def main(args: list[str] | None = None) -> Any:
             said = f"{e.filename or 'output'}: cannot be written: {e.strerror}"
         else:
             said, status = f"{e.filename or 'standard output or a file'}: {e.strerror or e}", 1
-        _close_stdout()
+        if e.filename is None:
+            _close_stdout()
         print(f"hil: {said}", file=sys.stderr)
         sys.exit(status)
     except MemoryError:

@@ -30,8 +30,8 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
     run, found = section("omni-slide", "duration=6")
     blocks = {block.title: block for block in found.blocks}
     assert list(blocks) == [
-        "Penetration", "Force of the wall at the device", "Stability in contact, over delay", "The way over the wall",
-        "The way in space",
+        "Penetration", "Force of the wall at the device", "Stability in contact, over delay", "How stiff the wall feels",
+        "The way over the wall", "The way in space",
     ]  # fmt: skip
     assert found.intro.endswith("the motor gave no energy beyond what the damping took (0 mJ).")  # an axis up to 1 mJ says less
     assert blocks["Penetration"].series[0].y == pytest.approx(1e3 * run.arrays["/plant/measurement"]["position"])
