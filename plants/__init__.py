@@ -58,8 +58,8 @@ if TYPE_CHECKING:
     from plants.switched_example import SwitchedExample as SwitchedExample
     from plants.switched_example import SwitchedExampleRun as SwitchedExampleRun
     from plants.vtol import VTOL as VTOL
+    from plants.vtol import DelayedVTOL as DelayedVTOL
     from plants.vtol import vtol_matrices as vtol_matrices
-    from plants.vtol_delayed import DelayedVTOL as DelayedVTOL
     from plants.vtol_fault import FaultyVTOL as FaultyVTOL
     from plants.vtol_fault import FaultyVTOLRun as FaultyVTOLRun
 

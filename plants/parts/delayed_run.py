@@ -15,7 +15,7 @@ from plants.parts.exponential import Rows, dot, drift, zero_order_hold
 from plants.parts.flow import HeldNoise, JumpProcess, Source, pass_time
 
 if TYPE_CHECKING:
-    from plants.vtol_delayed import DelayedVTOL
+    from plants.vtol import DelayedVTOL
 
 
 def delay_ns(max_delay_s: float, rate: float, t_ns: int) -> int:

@@ -8,8 +8,7 @@ import scipy.linalg
 
 from plants.parts.delayed_run import delay_ns
 from plants.parts.semi_markov import TransitionRates
-from plants.vtol import vtol_matrices
-from plants.vtol_delayed import DelayedVTOL
+from plants.vtol import DelayedVTOL, vtol_matrices
 
 STAY = TransitionRates(nodes_s=(0.0,), rates=(((0.0,) * 3,) * 3,))
 QUIET = {"noise_std": 0.0, "rates": STAY}
