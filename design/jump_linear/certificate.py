@@ -41,7 +41,8 @@ class Certificate(Struct, frozen=True, kw_only=True):
         stable: (7.17), made strict, holds at the matrices found, beyond rounding, whatever the tail that is cut does.
         h2_norm: H2 norm (7.20), z per unit impulse; None if not stable, or not found beside such a bound.
         hinf_norm: H-infinity norm (7.27); None if not asked for or not stable.
-        lyapunov_margin: -largest eigenvalue of (7.17) at P found with right-hand side I; > 0 proves stability.
+        lyapunov_margin: -largest eigenvalue of (7.17) at P found with right-hand side I; > 0 proves stability. Where rounding
+            hides it, in units in which the states are alike.
         positivity_margin: smallest eigenvalue of these P.
         rounding: bound on the rounding error of the two margins. All three are None if the radius is not below 1.
         h2_residual: largest absolute eigenvalue of (7.21)'s residual, relative to the largest of S.
