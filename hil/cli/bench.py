@@ -1,4 +1,4 @@
-"""``hil bench``, ``hil probe``: what this machine and this code do, in turns and with their ratio; and what a real link does."""
+"""``hil bench``, ``hil probe``: what this machine and this code do beside a peer, with their ratio; and what a real link does."""
 
 from __future__ import annotations
 

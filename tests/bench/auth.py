@@ -22,7 +22,7 @@ PACKETS: dict[str, Callable[[int], bytes]] = {
 
 
 def bench_auth(progress: Callable[[str], None] = lambda text: None, *, number: int = 2000, turns: int = 10) -> list[Row]:
-    """Send packets through memory with a code and without, in turns, and compare.
+    """Send packets through memory with a code and without, alternately, and compare.
 
     Args:
         progress: called with the name of each packet.

@@ -1,4 +1,4 @@
-"""What the log of a slot costs the loop in real time, as a session writes it, beside record by record, in turns at 1 kHz.
+"""What the log of a slot costs the loop in real time, as a session writes it, beside record by record, alternately at 1 kHz.
 
 Ours is packed by two structs, and leaves with that of the slots around it; record by record, every slot is one write. What is
 measured is the mean of as many slots in a row as leave together. Both get the records of the same run, each into a pipe of its

@@ -16,7 +16,7 @@ from tests.bench.slot_turns import least_us
 
 MOTOR = "dc-motor-hinf"
 PLAIN = "mcap's own writer"
-THEN = f"commit {OLD}, interpreted, in turns"
+THEN = f"commit {OLD}, interpreted, alternately"
 
 SLOT = Figure(
     name="virtual slot with its log, CPU time", unit="us", peer=PLAIN, goal=AtMost(ratio=0.48), condition=AtMost(ratio=60 / 104)

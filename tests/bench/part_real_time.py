@@ -28,15 +28,15 @@ LATE = Figure(name="late answers over zenoh on one CPU", unit="%", peer=PLAIN, c
 
 IN_LOOP = Figure(name="log of a slot in the loop at 1 kHz, p50", unit="us", peer="record by record", goal=AtMost(ratio=0.5))
 
-FREE = "affinity free, in turns"
+FREE = "affinity free, alternately"
 AUTO_FREE = Figure(name="late answers, 1 kHz over zenoh, affinity auto", unit="%", peer=FREE)
 SHARED_FREE = Figure(name="late answers, 1 kHz over zenoh, affinity shared", unit="%", peer=FREE)
 AUTO_CAN = Figure(
-    name="late answers, 1 kHz over zenoh beside can:hil", unit="%", peer="can:hil, in turns", goal=AtMost(ratio=2.0, plus=0.05)
+    name="late answers, 1 kHz over zenoh beside can:hil", unit="%", peer="can:hil, alternately", goal=AtMost(ratio=2.0, plus=0.05)
 )
 TRIP = Figure(name="round trip of a session over zenoh, affinity auto, p50", unit="us", peer=FREE)
 
-MISSED = "missed by cyclictest, in turns"
+MISSED = "missed by cyclictest, alternately"
 AS_CYCLICTEST = AtMost(ratio=3.0, plus=0.5)
 RATE_CAN = Figure(name="overruns at 4 kHz over can:hil", unit="%", peer=MISSED, goal=AS_CYCLICTEST)
 RATE_LOCAL = Figure(name="overruns at 10 kHz over local:", unit="%", peer=MISSED, goal=AS_CYCLICTEST)
@@ -48,7 +48,7 @@ RATES = {
 
 
 def _links(tell: Tell, quick: bool) -> Iterator[Found]:
-    tell("round trips at 1 kHz over every link, in turns")
+    tell("round trips at 1 kHz over every link, alternately")
     found = bench_links(1000.0, 0.5 if quick else 6.0, links=_LINKS)
     rows = {(row["link"].split("/")[0], row["affinity"]): row for row in found}
     can, bare, plain = rows["can:hil:bench-*", "free"], rows["plain-unix:*", "free"], rows["plain-zenoh:unixsock-stream", "free"]
@@ -64,7 +64,7 @@ _LINKS = ("can:hil:bench-{pid}", "plain-unix:{folder}/bare", *_ZENOH)
 
 
 def _late_answers(tell: Tell, quick: bool) -> Iterator[Found]:
-    tell("late answers over zenoh at 1 kHz, in turns: there are few, so it takes two minutes")
+    tell("late answers over zenoh at 1 kHz, alternately: there are few, so it takes two minutes")
     rows = bench_links(1000.0, 0.5 if quick else 40.0, links=_ZENOH, floor=False)
     for row in rows:
         if row["note"]:
@@ -81,7 +81,7 @@ def _trip(figure: Figure, ours: dict[str, float | str], peer: dict[str, float | 
 
 
 def _in_loop(tell: Tell, quick: bool) -> Iterator[Found]:
-    tell("the log of a slot in the loop, packed at once and record by record, in turns")
+    tell("the log of a slot in the loop, packed at once and record by record, alternately")
     yield Found(IN_LOOP.name, *loop_log_us(200 if quick else 3000))
 
 
