@@ -216,7 +216,7 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
     request.node.user_properties += [each for s in rig.sessions for each in properties(s)]
 
 
-def properties(session: Session) -> list[tuple[str, str]]:
+def properties(session: Session) -> list[tuple[str, object]]:
     """Return what JUnit keeps of a session: log, seed, verdict, timing, and the metrics that it has.
 
     Args:
@@ -227,7 +227,7 @@ def properties(session: Session) -> list[tuple[str, str]]:
     verdict = (s["certificate"] or {}).get("state", "none")
     strings = {"log": s["log"]["path"], "seed": s["seed"], "verdict": verdict, "timing": timing}
     numbers = {f"metric_{name}": each for name, each in s["metrics"].items() if each is not None and not isinstance(each, dict)}
-    return [(f"hil_{name}", str(value)) for name, value in (strings | numbers).items()]
+    return [(f"hil_{name}", value) for name, value in (strings | numbers).items()]
 
 
 def folder_of(node_id: str) -> Path:
@@ -289,7 +289,8 @@ def explained(session: Session, changes: str = "") -> str:
         lines.append(f"safety: {s['safety']}")
     if not s["timing"]["valid"]:
         lines.append(f"timing NOT VALID: {'; '.join(s['timing']['why'])}")
-    lines += [f"{name.removeprefix('hil_')}: {value}" for name, value in properties(session)[2:] if name != "hil_timing"]
+    found = [(name.removeprefix("hil_"), value) for name, value in properties(session)[2:] if name != "hil_timing"]
+    lines += [f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}" for name, value in found]
     lines += [f"{name.replace('_', ' ')}: {text}" for name, text in s["problems"].items()]
     quoted = shlex.quote(str(log))
     lines += [

@@ -332,7 +332,8 @@ def show_trigger(subject: str, input_weight: float | None, options: dict[str, An
         "interrupted": status != 0, "points": [each.to_json() | {"on_front": each in best} for each in points],
         "undecided": [each._asdict() for each in open_points],
     }  # fmt: skip
-    show_page(trigger_page(subject, asked.kind, points, best, open_points), document, path)
+    unit = gain_unit(asked.target.of.inputs, asked.target.of.outputs)
+    show_page(trigger_page(subject, asked.kind, unit, points, best, open_points), document, path)
     if status:
         print(f"hil: design interrupted after {len(points)} of {len(plan)} points", file=sys.stderr)
         sys.exit(status)

@@ -5,6 +5,7 @@ What numbers depend on is its processor, and what numpy, OpenBLAS and libm choos
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import importlib.util
 import os
@@ -61,12 +62,15 @@ BELOW: Final = " " * len("missing  ")  # where a line of a check goes on
 
 
 def _vcan() -> Check:
-    remedy = "sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 mtu 72 up; or `hil vcan -- COMMAND`"
     try:
         with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as s:
             s.bind(("vcan0",))
         return "SocketCAN", True, "vcan0 is there", ""
     except OSError as e:
+        remedy = "hil vcan -- COMMAND"
+        if e.errno == errno.EAFNOSUPPORT:
+            return "SocketCAN", False, "this kernel has no CAN", f"{remedy} brings a user-mode kernel that has one"
+        remedy += "; or sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 mtu 72 up"
         return "SocketCAN", False, f"no vcan0: {e.strerror}", remedy
 
 

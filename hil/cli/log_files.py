@@ -6,6 +6,7 @@ A replay says whether it was so, what another controller would have done, or put
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,7 +42,7 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
 
     if not file:
         raise HilError("FILE: the name is empty; is a variable of the shell not set? `hil report .` is this folder")
-    with Working(f"page of {file}"):
+    with Working(f"page of {file}") if folder is None else nullcontext():  # own modules are watched from a fork: one thread
         page, *drawn = report(file, output=output, force=force, figures=figures, folder=folder)
     click.echo(f"written: {visible(page)} ({page.stat().st_size / 1e6:.1f} MB)")
     if drawn and Path(file).is_dir():

@@ -14,12 +14,14 @@ import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from textwrap import fill, wrap
+from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, TypeVar
 
 import click
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress
 
 LONGEST: Final = 2000
 """Bytes of a message, all of its lines together."""
@@ -160,38 +162,50 @@ def _painted(part: str, line: Line, number: int) -> str:
 
 
 class Working:
-    """A line on a terminal's standard error from here to the end of the block, silence elsewhere.
+    """A line on a terminal's standard error from here to the end of the block; in a pipe or a CI log one every `EVERY_S` seconds.
 
-    Nothing may be printed inside the block, and no other picture drawn.
+    On a terminal nothing may be printed inside the block, and no other picture drawn.
 
     Args:
         title: what is computed.
         total: how many there are to do, where that is known; then the line says how long they still take.
     """
 
-    def __init__(self, title: str, total: int | None = None) -> None:
-        from rich.console import Console
-        from rich.markup import escape
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    EVERY_S = 10.0
 
-        console = Console(stderr=True)
-        columns = TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn() if total is None else TimeRemainingColumn()
-        self._bar = Progress(*columns, console=console, disable=not console.is_terminal, transient=True)
-        self._title, self._total = escape(visible(title)), total
-        self._shown = "", -1
+    def __init__(self, title: str, total: int | None = None) -> None:
+        self._title, self._total = visible(title), total
+        self._said, self._shown = self._title, ("", -1)
+        self._bar: Progress | None = None
         self._task: Any = None
+        self._done = Event()
+        self._teller: Thread | None = None
 
     def __enter__(self) -> Working:
-        self._bar.start()
-        self._task = self._bar.add_task(self._title, total=self._total)
+        if sys.stderr is not None and sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+            time = TimeElapsedColumn() if self._total is None else TimeRemainingColumn()
+            words = TextColumn("{task.description}", markup=False)
+            self._bar = Progress(words, BarColumn(), time, console=Console(stderr=True), transient=True)
+            self._bar.start()
+            self._task = self._bar.add_task(self._title, total=self._total)
+        elif sys.stderr is not None:
+            self._teller = Thread(target=self._tell, daemon=True)
+            self._teller.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._bar.stop()
+        if self._bar is not None:
+            self._bar.stop()
+        if self._teller is not None:
+            self._done.set()
+            self._teller.join()
 
     def __call__(self, stage: str, done: int, total: int, value: float) -> None:
         """Show how far a design is, and the norm that it has reached."""
-        self._bar.update(self._task, description=f"{self._title}: {stage} norm {value:.6g}", completed=done, total=total)
+        self._say(f"{self._title}: {stage} norm {value:.6g}", done, total)
 
     def counted(self, done: int, total: int | None = None, what: str = "") -> None:
         """Show how many are done, of what, a hundred times in all: the line takes milliseconds."""
@@ -200,7 +214,19 @@ class Working:
         if shown != self._shown:
             self._shown = shown
             title = f"{self._title}, {visible(what)}" if what else self._title
-            self._bar.update(self._task, description=f"{title}: {done} of {total}", completed=done, total=total)
+            self._say(f"{title}: {done} of {total}", done, total)
+
+    def _say(self, said: str, done: int, total: int) -> None:
+        self._said = said
+        if self._bar is not None:
+            self._bar.update(self._task, description=said, completed=done, total=total)
+
+    def _tell(self) -> None:
+        lasted = 0.0
+        while not self._done.wait(self.EVERY_S):
+            lasted += self.EVERY_S
+            with suppress(OSError, ValueError):  # nobody reads it any more
+                print(f"hil: {self._said} ({lasted:.0f} s)", file=sys.stderr, flush=True)
 
 
 _OUT: Final = "hil.cli.terminal"

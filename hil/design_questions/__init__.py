@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields
+from itertools import count
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -245,8 +246,12 @@ def compromises(
         DesignError: no gains meet the request.
     """
 
+    solving = count(1)
+
     def solved(weight: float, objective: str, level: float | None = None) -> Compromise:
-        design = solve_tracking(problem_for(target, objective=objective, hinf_bound=level, **options), progress=progress)
+        which = f"design {next(solving)} of {len(weights) + 2}"
+        watch = progress and (lambda stage, *how_far: progress(f"{which}, {stage}", *how_far))
+        design = solve_tracking(problem_for(target, objective=objective, hinf_bound=level, **options), progress=watch)
         c = design.certificate
         h2, hinf = (np.nan if norm is None else float(norm) for norm in (c.h2_norm, c.hinf_norm))
         return Compromise(weight, level, h2, hinf, design.gains, verdict_on(target, design).state)

@@ -172,13 +172,15 @@ def _half(interval: Interval) -> str:
 
 
 def trigger_page(
-    name: str, kind: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint], open_points: Sequence[OpenPoint] = ()
-) -> Page:
+    name: str, kind: str, unit: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint],
+    open_points: Sequence[OpenPoint] = (),
+) -> Page:  # fmt: skip
     """Return the page.
 
     Args:
         name: of the experiment.
         kind: of the trigger.
+        unit: of the gains.
         points: thresholds with gains.
         best: those that no other certified one beats.
         open_points: those that the budget or an interrupt left undecided.
@@ -211,7 +213,7 @@ def trigger_page(
         ]
         for each in points
     ]  # fmt: skip
-    columns = ["threshold", "gain", "designed for", "squared error", "packets/s", "certificate"]
+    columns = ["threshold", f"gain, {unit}", "designed for", "squared error", "packets/s", "certificate"]
     table = Table(
         columns=[*columns, "H2 norm at most" if relative else "ends within (rms)"], rows=rows, wide=True,
         highlight=frozenset(i for i, each in enumerate(points) if each in best),

@@ -114,8 +114,8 @@ def _answer(comparison: Comparison) -> Section:
 
 
 def _in_one_line(text: str | None) -> str | None:
-    """An interval whose blanks do not break, on a phone either."""
-    return text and text.replace(" ", "\N{NO-BREAK SPACE}")
+    """An interval as a page writes numbers, whose blanks do not break, on a phone either."""
+    return text and text.replace(" ", "\N{NO-BREAK SPACE}").replace("-", "−")
 
 
 def parameter_page(sweep: ParameterSweep) -> str:

@@ -128,8 +128,7 @@ def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
 
 def within(interval: Interval) -> str | None:
     """Return an interval in words, None where it is infinitely wide."""
-    said = f"{interval.low:.5g} to {interval.high:.5g}".replace("-", "−")
-    return said if interval.bounded else None
+    return f"{interval.low:.5g} to {interval.high:.5g}" if interval.bounded else None
 
 
 def as_plain(interval: Interval) -> dict[str, float | int | None]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import errno
+import os
+from typing import Any, NoReturn
 
 import pytest
 
@@ -32,6 +34,22 @@ def test_what_is_fine_has_no_remedy() -> None:
               doctor._cpus(), doctor._packages(), doctor._tool("sh", "dash", "scripts")]  # fmt: skip
     for what, fine, finding, remedy in checks:
         assert finding and bool(remedy) is not fine, what
+
+
+@pytest.mark.parametrize(
+    ("number", "found", "helps"),
+    [(errno.EAFNOSUPPORT, "this kernel has no CAN", "user-mode kernel"), (errno.ENODEV, "no vcan0: ", "ip link")],
+)
+def test_a_kernel_without_can_is_not_told_to_add_a_link(
+    number: int, found: str, helps: str, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    def refused(*_: object) -> NoReturn:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(doctor.socket, "socket", refused)
+    _, fine, finding, remedy = doctor._vcan()
+    assert not fine and finding.startswith(found) and remedy.startswith("hil vcan -- COMMAND")
+    assert helps in remedy and ("ip link" in remedy) == (number == errno.ENODEV)
 
 
 @pytest.mark.parametrize(("median", "fine"), [(999.9, True), (1000.0, False)])

@@ -6,6 +6,7 @@ import os
 import pty
 import signal
 import subprocess
+import threading
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -15,6 +16,8 @@ from select import select
 
 import pytest
 
+from hil.api import face
+from hil.cli.terminal import Working
 from tests.hil.cli.conftest import Hil
 from tests.waiting import LIMIT_S, until
 from tests.warm_hil import hil_command
@@ -119,6 +122,37 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
     with pytest.raises(ProcessLookupError):
         os.killpg(group, 0)  # nothing that it started is left
     assert set(tmp_path.iterdir()) == made
+
+
+def test_in_a_pipe_a_line_says_now_and_then_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    monkeypatch.setattr(Working, "EVERY_S", 0.001)
+    said = ""
+
+    def told(text: str) -> bool:
+        nonlocal said
+        said += capsys.readouterr().err
+        return text in said
+
+    before = threading.active_count()
+    with Working("motor, gains", 3) as watch:
+        until(lambda: told("hil: motor, gains ("), "the title")
+        watch.counted(2, what="a\nb")
+        until(lambda: told("hil: motor, gains, a\\nb: 2 of 3 ("), "a count")
+        watch("h2", 1, 4, 0.123456789)
+        until(lambda: told("hil: motor, gains: h2 norm 0.123457 ("), "a norm")
+    assert threading.active_count() == before
+    assert capsys.readouterr().out == "" and said.endswith(" s)\n")
+
+
+def test_a_page_with_own_modules_has_one_thread_as_they_are_watched_from_a_fork(
+    cli: Hil, tmp_path: Path, hil_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    threads = []
+    monkeypatch.setattr(face, "report", lambda *_, **__: threads.append(threading.active_count()) or [hil_log])
+    assert cli("report", str(hil_log), "--folder", str(tmp_path))[0] == 0
+    assert threads == [threading.active_count()]
 
 
 def test_nothing_is_drawn_where_no_browser_looks(cli: Hil) -> None:

@@ -38,7 +38,11 @@ def test_an_option_that_no_design_has_is_named_with_those_that_there_are() -> No
 
 
 def test_a_mixed_design_lies_between_the_pure_ones_in_both_norms() -> None:
-    hinf, mixed, h2 = compromises(tracking_target("dc-motor"), weights=(0.3,), **FAST)
+    told: list[str] = []
+    hinf, mixed, h2 = compromises(
+        tracking_target("dc-motor"), lambda stage, *_: told.append(stage.partition(",")[0]), weights=(0.3,), **FAST
+    )
+    assert list(dict.fromkeys(told)) == ["design 1 of 3", "design 2 of 3", "design 3 of 3"]
     assert hinf.hinf < mixed.hinf < h2.hinf and hinf.h2 > mixed.h2 > h2.h2
     assert mixed.level is not None and mixed.hinf <= mixed.level * (1.0 + 1e-6)
     assert mixed.level == pytest.approx(hinf.hinf**0.7 * h2.hinf**0.3)

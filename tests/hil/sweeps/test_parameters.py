@@ -22,6 +22,7 @@ from hil.sweeps import parameters
 from hil.sweeps.parameters import load_points, sweep_parameters
 from hil.sweeps.points import grid, latin_hypercube
 from hil.sweeps.seeds import run_one_by_one, run_seeds
+from hil.sweeps.shown import mean_and_interval
 
 HERE = Workers(backend="serial")
 
@@ -207,6 +208,12 @@ def test_paired_differences_tell_points_apart_that_overlap() -> None:
     gap = sweep.difference(1, 0, "sse")
     assert gap.low > 0.09 and gap.high < 0.11
     assert sweep.answer("sse").startswith("best point: period=25 ms; ") and "1 of 1 other points differ" in sweep.answer("sse")
+
+
+def test_a_sentence_writes_every_negative_number_with_one_sign() -> None:
+    gap = Quantity(name="gap", title="gap", better="lower")
+    said = mean_and_interval(np.array([-2.0, -1.0, -3.0]), gap)
+    assert said.startswith("gap -2 on average, 95 % interval -4.48") and said.count("-") == 2 and "−" not in said
 
 
 def test_the_best_of_equal_points_is_not_better_and_its_interval_holds() -> None:
