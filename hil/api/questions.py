@@ -209,11 +209,15 @@ class DesignResult(SingleResult):
             HilError: it is there already, or cannot be written.
         """
         where = check_output(Path(path), force=force, remedy="choose another path, or add force=True")
-        document = to_document(
-            self.design, plant=self.target.plant, period_s=self.target.period_s, wall_s=self.wall_s, versions=package_versions()
-        ) | {"verdict": self.verdict.to_json()}
-        write_output(where, design_text(document), replace=force)
+        write_output(where, design_text(self.document()), replace=force)
         return where
+
+    def document(self) -> dict[str, Any]:
+        """Return what the design file says."""
+        found = to_document(
+            self.design, plant=self.target.plant, period_s=self.target.period_s, wall_s=self.wall_s, versions=package_versions()
+        )
+        return found | {"verdict": self.verdict.to_json()}
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a row per gain: label of tau, row of the packet, input, output, value.

@@ -103,8 +103,10 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, KIND, loop.no_chain(), least)
     late = sorted(set(loop.ca.delay.tolist()))
     if len(late) > 1:
-        said = f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are " \
+        said = (
+            f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are "
             'judged where each is as old as the last (law = { kind = "constant", age = ... })'
+        )
         return undecided(loop, KIND, said, least)
     plant = replace(plant, input_delay=loop.ca.max_delay)
     each = phase_gains(K, nodes, controller.uses)
@@ -114,7 +116,9 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     lossy = nodes.turns is not None and nodes.turns.loss
     lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
     known = msgspec.structs.replace(
-        verdict, digest=loop.digest, details={**verdict.details, **least},
+        verdict,
+        digest=loop.digest,
+        details={**verdict.details, **least},
         assumptions=(*verdict.assumptions, lost, "no limit trips"),
     )
     return limited_to_model(loop.plant, known, knows_state_delays=True)

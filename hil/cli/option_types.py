@@ -119,17 +119,24 @@ class Ratio(click.ParamType[tuple[tuple[float, ...], tuple[float, ...]]]):
 
 
 class Number(click.ParamType):  # type: ignore[type-arg]
-    """A finite number of at most 1e30; the help says no range, which no use comes near."""
+    """A finite number of at most 1e30; the help says no range, which no use comes near.
+
+    Args:
+        least: the smallest.
+    """
 
     name = "float"
+
+    def __init__(self, least: float = -LARGEST) -> None:
+        self.least = least
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         try:
             number = float(value)
         except ValueError:
             self.fail(f"{value!r} is not a number", param, ctx)
-        if abs(number) > LARGEST:  # what is no number is for the command to say
-            self.fail(f"{value}, expected a number of at most {LARGEST:g}", param, ctx)
+        if not self.least <= number <= LARGEST:
+            self.fail(f"{value}, expected a number from {self.least:g} to {LARGEST:g}", param, ctx)
         return number
 
 

@@ -90,9 +90,11 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
         if topic not in known:
             raise HilError(f"topic {topic!r}: not in the log, expected one of {', '.join(known)}{nearest(topic, known)}")
     wanted = [*dict.fromkeys(topics or known)]
-    paths = [target] if target.suffix != ".csv" or len(wanted) == 1 else [
-        target.with_suffix(f".{_plain_name(topic)}.csv") for topic in wanted
-    ]
+    paths = (
+        [target]
+        if target.suffix != ".csv" or len(wanted) == 1
+        else [target.with_suffix(f".{_plain_name(topic)}.csv") for topic in wanted]
+    )
     for path in paths:
         if not replace and os.path.lexists(path):  # now, and not after half of the files
             raise HilError(f"{path}: exists already; choose another -o, or add --force")

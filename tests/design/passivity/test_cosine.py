@@ -28,6 +28,7 @@ def minimum(coefficients: list[float]) -> tuple[float, float]:
         t = np.linspace(low, high, 65)
     return found
 
+
 ONE = Fraction(1)
 
 

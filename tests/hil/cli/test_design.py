@@ -9,7 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from design.errors import DesignError
-from hil.cli.design import command
+from hil.cli.design import QUESTIONS, command
+from hil.cli.design_question import SHAPING, names_of
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
@@ -62,7 +63,6 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--objective", "mixed", "--hinf-bound", "15"), "smallest H-infinity norm found is 16.27"),
         (("dc-motor", "--sojourns", "2"), "Markov network of dc-motor"),
         (("dc-motor-hinf", "--sojourns", "2"), "sojourns: only a semi-Markov law takes it"),
-        (("dc-motor", "--input-weight", "nan"), "--input-weight: nan"),
         (("no-such-thing",), "no-such-thing"),
         (("dc-motor", "--uncertainty", "mass=5%"), "--uncertainty: mass: .*gain.*pole"),
         (("dc-motor", "--robust"), "--robust: minimises the guaranteed H2 norm over --uncertainty; give one"),
@@ -74,12 +74,20 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--local", "lqg", "-o", "x.json"), "--output: not with --local"),
         (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0.0, expected"),
         (("dc-motor", "--noise", "1"), "--noise: belongs to --local"),
+        (("dc-motor", "--local", "lqg", "--network", "no.mcap"), "--network: not with --local"),
         (("dc-motor", "-o", "/no/such/directory/x.json"), "cannot be written: no folder"),
     ],
 )
 def test_bad_requests_are_refused_with_the_number_that_decides(arguments, message):
     with pytest.raises((HilError, DesignError), match=message):
         run(*arguments)
+
+
+@pytest.mark.parametrize("weight", ["nan", "-1", "inf"])
+def test_an_input_weight_that_is_none_is_refused(cli: Hil, weight: str) -> None:
+    for question in ((), ("--trigger",)):
+        status, _, err = cli("design", "dc-motor-ours-h2", "--input-weight", weight, *question)
+        assert status == 2 and "'--input-weight': " in err and "expected a number from 0 to 1e+30" in " ".join(err.split())
 
 
 @pytest.mark.parametrize("period", ["-0.1", "0", "0 ms"])
@@ -96,6 +104,15 @@ def test_local_design_has_its_norms_and_the_verdict_over_the_network():
     assert composed.verdict is not None and composed.verdict.number == pytest.approx(found["verdict"]["number"])
     assert np.asarray(found["law"]["A"]) == pytest.approx(np.asarray(composed.controller.A))
     assert "over the network" in run("dc-motor", "--local", "hinf").stdout
+
+
+def test_every_option_belongs_to_a_question_or_to_several_and_no_two_questions_have_one() -> None:
+    own = [name for question in QUESTIONS for name in names_of(question.options)]
+    known = {str(param.name) for param in command.params} - {"as_json"}
+    assert len(own) == len({*own}) and {*own} | names_of(SHAPING) | {"subject", "path", "force"} == known
+    assert len({question.place for question in QUESTIONS}) == len(QUESTIONS)
+    for question in QUESTIONS:
+        assert question.takes <= known and bool(question.name) != (question is max(QUESTIONS, key=lambda each: each.place))
 
 
 def test_command_line_turns_refusal_into_status_2_and_writes_nothing(cli: Hil, tmp_path: Path) -> None:

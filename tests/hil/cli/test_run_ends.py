@@ -20,7 +20,7 @@ from tests.hil.cli.conftest import Hil
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command
 
-PLANT = '''
+PLANT = """
 import os
 import sys
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class Cart:
         return StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
     def start(self, rng):
         return Run(LinearRun(self.model(), (0.0,)))
-'''
+"""
 WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
 
 

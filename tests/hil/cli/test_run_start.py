@@ -59,7 +59,7 @@ def test_a_caller_of_the_command_line_keeps_its_garbage_collection(cli: Hil, loo
 
 
 COMPARED = """
-import hil, hil.cli.design, hil.cli.design_answers, hil.cli.design_answers
+import hil, hil.cli.design
 hil.compare("dc-motor-hinf", "dc-motor-h2", runs=2, jobs=1, duration=1)
 print(json.dumps(sorted(sys.modules)))
 """

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from design.requests.historical import HistoricalDesigned
 from hil.certify.historical_loop import judge_historical
 from hil.cli import cli
-from hil.cli.design_answers import experiment_over_history, historical_lines
+from hil.cli.design.historical import historical_lines, is_over_history
 from hil.compose import compose
 from hil.design_questions import tracking_target
 from hil.errors import HilError
@@ -49,7 +49,7 @@ def test_gains_over_history_of_the_only_node_are_judged_and_others_are_designed(
     motor = shipped()["dc-motor-h2"].read_text() + '\n[network.nodes.encoder]\noutputs = ["angle"]\n'
     (tmp_path / "motor.toml").write_text(motor)
     assert tracking_target(str(tmp_path / "motor.toml")).plant == "dc-motor"
-    assert experiment_over_history(str(tmp_path / "motor.toml")) is None
+    assert not is_over_history({"subject": str(tmp_path / "motor.toml")})
 
 
 def test_every_order_of_the_turns_is_tried() -> None:
@@ -105,8 +105,8 @@ def test_a_run_says_what_no_controller_goes_below_even_where_its_own_cost_is_und
     [
         (["multisensor-ours", "--gain-bound", "3"], "--gain-bound: not with gains over historical data"),
         (["multisensor-ours", "-o", "x.json"], "--output: not with gains over historical data"),
-        (["dc-motor", "--orders"], "--orders: belongs to an experiment with gains over historical data"),
-        (["dc-motor", "--spread"], "--spread: belongs to an experiment with gains over historical data"),
+        (["dc-motor", "--orders"], "--orders: belongs to gains over historical data"),
+        (["dc-motor", "--spread"], "--spread: belongs to gains over historical data"),
         (["dc-motor-two-nodes"], "hil design judges gains over historical data"),
     ],
 )
@@ -117,8 +117,10 @@ def test_what_means_nothing_is_refused(args: list[str], says: str) -> None:
 
 def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
     """(5.17), I(0) = 1: largest input 15.93 and J = 149.5; the newest sample alone."""
-    sets = ["network.media.bus.phase=0",
-            "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}"]
+    sets = [
+        "network.media.bus.phase=0",
+        "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}",
+    ]
     loop = compose(load_experiment("multisensor-ours", sets))
     found = Cost().of(view_of(simulate(loop, 0), loop.experiment))
     assert found["peak_input"] is not None and 0.97 * 15.93 < found["peak_input"] <= 15.93 * (1 + 1e-6)

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.design import command as design
-from hil.cli.design_answers import _judge
+from hil.cli.design.can_id import _judge
 from hil.cli.laws import command as laws
 from hil.design_questions import loop_on_bus
 from hil.design_questions.loop_on_bus import Judged, Place, places_of, recommended
@@ -103,7 +103,7 @@ def test_the_place_that_leaves_the_others_theirs_is_said_apart_from_a_better_one
             place=place, cost=10.0 if place.moved else 14.0, state="certified", bounds_ms=(1.0, 1.0), in_time=True
         )  # fmt: skip
 
-    monkeypatch.setattr("hil.cli.design_answers._judge", judged)
+    monkeypatch.setattr("hil.cli.design.can_id._judge", judged)
     monkeypatch.setattr(
         "hil.design_questions.loop_on_bus.places_of", lambda e, found=places_of: found(load_experiment(e.name, (FEW,)))
     )

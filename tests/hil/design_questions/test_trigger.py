@@ -157,7 +157,6 @@ def test_a_dead_band_is_tried_in_multiples_of_its_own_and_ends_within_as_many(tm
         (["dc-motor"], "name an experiment"),
         (["dc-motor-two-nodes"], "each node has a chain of ages of its own.*angle.trigger.threshold=LOW,HIGH"),
         (["dc-motor-ours-h2", "--information", "applied"], "--information: not with --trigger"),
-        (["dc-motor-ours-h2", "--input-weight", "-1"], "--input-weight: -1, expected"),
     ],
 )
 def test_what_has_no_answer_is_refused(said: list[str], why: str) -> None:
