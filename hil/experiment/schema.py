@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any, Final
 from warnings import warn
 
@@ -18,6 +19,7 @@ from hil.plugins import registry
 from hil.plugins.fields import described, meanings, parsed
 from transport.durations import PATTERN
 
+GROUPS: Final[tuple[registry.Group, ...]] = ("hil.plants", "hil.controllers", "hil.laws")
 KEYS_OF_FAULT = dict(zip(Fault.__struct_fields__, Fault.__struct_encode_fields__))  # "for" is no name in Python
 
 
@@ -42,9 +44,19 @@ def experiment_schema(
         plugins: group ("hil.plants", "hil.controllers", "hil.laws") to name to class; what is installed by default.
         warn: called with a message on each installed plug-in that cannot be described; its table may have any keys.
     """
-    if plugins is None:
-        groups: tuple[registry.Group, ...] = ("hil.plants", "hil.controllers", "hil.laws")
-        plugins = {group: {name: _describable(group, name, warn) for name in registry.names(group)} for group in groups}
+    if plugins is not None:
+        return _schema(plugins)
+
+    def installed(loaded: Callable[[registry.Group, str], type | None]) -> dict[str, dict[str, type | None]]:
+        return {group: {name: loaded(group, name) for name in registry.names(group)} for group in GROUPS}
+
+    try:
+        return _schema(installed(registry.load))
+    except Exception:  # of one of them: it is asked of each which
+        return _schema(installed(partial(_describable, warn=warn)))
+
+
+def _schema(plugins: Mapping[str, Mapping[str, type | None]]) -> dict[str, Any]:
     classes = {(group, name): cls for group, named in plugins.items() for name, cls in named.items() if cls is not None}
     found, definitions = msgspec.json.schema_components(
         [Experiment, Direction, Node, *classes.values()], schema_hook=_hook, ref_template="#/$defs/{name}"
@@ -88,7 +100,7 @@ def experiment_schema(
     }
 
 
-def _describable(group: registry.Group, name: str, warn: Callable[[str], object]) -> type | None:
+def _describable(group: registry.Group, name: str, *, warn: Callable[[str], object]) -> type | None:
     """Return the class of a plug-in, None where it cannot be loaded, or has a key of a type that no file holds."""
     try:
         cls = registry.load(group, name)

@@ -23,7 +23,7 @@ from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
-from hil.runtime.real.ending import failure_of, useless_frames
+from hil.runtime.real.ending import failure_of, useless, useless_frames
 from hil.runtime.real.exchange import warm_up_controller
 from transport.links import Link, OneOfARole, TransportError
 from transport.links.opening import open_link
@@ -103,7 +103,7 @@ def serve(
         try:
             while not _answer_next(node, link, changes):
                 seen, others = link.counters, node.counts.malformed
-                if warn is not None and seen.malformed + seen.foreign + seen.refused + others >= ENOUGH:
+                if warn is not None and useless(seen, others) >= ENOUGH:
                     warn(useless_frames(uri, seen, others, "no question of a rig: another pad= or wire version"))
                     warn = None
             while True:

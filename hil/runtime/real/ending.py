@@ -89,6 +89,11 @@ ENDED: Final = 5
 NO_ANSWER: Final = "no answer to this rig: another pad= or wire version, or a second rig is on the link"
 
 
+def useless(counters: LinkCounters, others: int) -> int:
+    """Return how many frames came on a link and were of no use; arguments as of `useless_frames`."""
+    return counters.malformed + counters.foreign + counters.refused + others
+
+
 def useless_frames(uri: str, counters: LinkCounters, others: int, what: str = NO_ANSWER) -> str:
     """Return how many frames came on a link and were of no use, why, and what helps; empty where none came.
 
@@ -104,7 +109,7 @@ def useless_frames(uri: str, counters: LinkCounters, others: int, what: str = NO
         (counters.refused, "refused: without a valid code or certificate, give both ends the same auth= or keys="),
         (others, what),
     )
-    total = sum(number for number, _ in came)
+    total = useless(counters, others)
     return f"{total} frames came on {uri}: {'; '.join(f'{number} {why}' for number, why in came if number)}" if total else ""
 
 
