@@ -144,6 +144,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "file of numbers": ("test_a_file_that_is_none_is_refused_by_its_name_and_key",
                         "test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message"),
     "recorded packets, traffic": ("test_what_the_fuzz_found_stays_refused",
+                                  "test_a_capture_without_an_end_is_refused",
                                   "test_what_is_real_is_read_and_what_is_damaged_refused_with_one_message"),
     "traffic of a bus": ("test_traffic_that_would_take_minutes_is_refused",
                          "test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once"),

@@ -84,7 +84,7 @@ def _parts(file: BinaryIO) -> Iterator[bytes]:
         raise ValueError("the head of the file is missing")
     (size,) = struct.unpack_from("<I", head, 4)
     file.seek(max(size, _FILE_HEAD))
-    rest, left = b"", max(LARGEST, RATIO * os.fstat(file.fileno()).st_size)
+    rest, left = bytearray(), max(LARGEST, RATIO * os.fstat(file.fileno()).st_size)
     while begin := file.read(_OBJECT.size):
         mark, _, _, length, kind = _OBJECT.unpack(begin)
         if mark != b"LOBJ" or not _OBJECT.size <= length <= LARGEST:
@@ -100,7 +100,7 @@ def _parts(file: BinaryIO) -> Iterator[bytes]:
             whole = _whole_objects(rest)
             if whole:
                 yield head + _PLAIN.pack(b"LOBJ", 16, 1, _PLAIN.size + whole, _CONTAINER, 0, whole) + rest[:whole]
-            rest = rest[whole:]
+            del rest[:whole]
 
 
 def _unpacked(body: bytes) -> bytes:
@@ -115,7 +115,7 @@ def _unpacked(body: bytes) -> bytes:
     return found
 
 
-def _whole_objects(data: bytes) -> int:
+def _whole_objects(data: bytearray) -> int:
     """Return where the last object ends of which all bytes are there."""
     end = 0
     while True:

@@ -155,6 +155,30 @@ def test_a_controller_that_receives_from_its_rig_is_not_taken_away_by_an_old_que
     assert wire.on_frame(wire.controller, asked) == asked
 
 
+def test_an_old_question_between_two_slots_of_a_slow_loop_takes_no_controller_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loop of 2 s is silent for longer than `SILENCE_S` in every slot."""
+    key = tmp_path / "k"
+    key.write_text(KEY.hex())
+    key.chmod(0o600)
+    clock = Clock()
+    monkeypatch.setattr(AuthenticatedLink.__init__, "__defaults__", (clock, SILENCE_S))
+    uri = f"can:hil:slow?auth={key}"
+    with open_link(uri, "rig") as rig, open_link(uri, "controller", 2.0) as controller:
+        assert isinstance(rig, AuthenticatedLink)
+        old_hello = with_tag(hello(6), lambda signed: cmac(KEY)((6).to_bytes(8, "little") + signed))
+        assert old_hello is not None
+        rig.send(hello(7))
+        assert controller.receive(1.0) is not None
+        for k in range(2):
+            clock.s += 1.9
+            rig._link.send(old_hello)
+            assert controller.receive(0.1) is None
+            rig.send(question(k))
+            assert controller.receive(1.0) is not None, k
+
+
 def test_a_flood_of_forgeries_does_not_hold_a_call() -> None:
     wire = Wire()
     for _ in range(200):

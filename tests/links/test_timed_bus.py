@@ -19,6 +19,7 @@ from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.bits import frame_length
 from transport.links import TransportError, can_bus
 from transport.links.can_bus import HilBus
+from transport.links.can_datagram import FD_FRAME, FRAME
 from transport.links.opening import open_link
 
 CLOCKS = 1e-3  # s between readings of the two clocks of a stamp, nearly always
@@ -101,6 +102,18 @@ def test_can_fd_takes_the_time_of_both_rates() -> None:
     more = [after.timestamp - before.timestamp - length for (before, after), length in zip(pairwise(found), lengths, strict=True)]
     assert nearly_all_exact([min(each, 0.0) for each in more])
     assert nearly_all_exact([each for n, each in enumerate(more, 1) if queued[n] < found[n - 1].timestamp])  # it waited
+
+
+@pytest.mark.parametrize("stamp", [float("inf"), float("nan"), -float("inf"), 1e300, -1.0])
+def test_a_time_that_is_none_takes_nothing_away_from_who_receives_it(stamp: float) -> None:
+    """Any program of this user may send it: the kernel's time takes its place."""
+    begin = time()
+    with bus() as stranger, bus() as listener, open_link("can:hil:t?timed=1&bitrate=50k", "rig") as rig:
+        stranger.frames.mesh.send(FRAME.pack(stamp, 0, 0x140, 8, FD_FRAME) + b"garbage!")
+        (came,) = received(listener, 1)
+        assert begin - 1.0 < came.timestamp < time() + 1.0 and bytes(came.data) == b"garbage!"
+        until(lambda: rig.receive(0.1) is None and rig.counters.malformed == 1, "the frame at the rig")
+        assert rig.counters.errors == 0
 
 
 def test_a_bus_without_time_is_active_and_so_is_one_that_was_left() -> None:

@@ -11,7 +11,8 @@ frame of its sender, so that no code is good for another direction, slot or sess
 frames a second for a year succeeds once with probability 2e-6.
 
 What has no code, a wrong one, or a counter that has been seen is refused and counted. A controller takes another session only
-when it has received nothing of its own for `SILENCE_S`: who replays an old question cannot take it away from a rig that runs.
+when it has received nothing of its own for `SILENCE_S`, or for three periods of its loop where these are longer: who replays an
+old question cannot take it away from a rig that runs.
 
 A certificate is in time, of its authority, called as it must be, and not revoked. zenoh reads no list of revoked certificates,
 and shows of a peer's certificate its common name alone. So a *name* is revoked: its end gets another name and a certificate for
@@ -112,10 +113,13 @@ class AuthenticatedLink(Closing):
         role: the rig draws the nonces; the controller takes them over.
         code: the message authentication code, as `cmac` returns it.
         now_s: a monotonic clock, s.
+        silence_s: so long a session may be silent before another one takes its controller, s.
     """
 
-    def __init__(self, link: Link, role: Role, code: Code, now_s: Callable[[], float] = monotonic) -> None:
-        self.uri = link.uri
+    def __init__(
+        self, link: Link, role: Role, code: Code, now_s: Callable[[], float] = monotonic, silence_s: float = SILENCE_S
+    ) -> None:
+        self.uri, self._silence_s = link.uri, silence_s
         self._link, self._rig, self._code, self._now_s = link, role == "rig", code, now_s
         self._receives = CONTROL if self._rig else SENSOR
         self._session: bytes | None = None
@@ -157,7 +161,7 @@ class AuthenticatedLink(Closing):
         """Return whether a packet is of this session, new, and has its code; take over a session that begins."""
         session, last = self._session, self._last
         if not self._rig and packet.seq == HELLO and (nonce := packet.nonce.to_bytes(8, "little")) != session:
-            if session is not None and self._now_s() - self._received_s < SILENCE_S:
+            if session is not None and self._now_s() - self._received_s < self._silence_s:
                 return False
             session, last = nonce, 0
         counter = packet.counter if packet.seq == HELLO else packet.counter + (1 << 32)

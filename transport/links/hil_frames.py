@@ -82,7 +82,7 @@ class HilFrames:
         self.matches: tuple[tuple[int, int], ...] | None = None
         self.filtered = 0
         self.timed: TimedSender | None = None
-        self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None, stamped=stamped)
+        self.mesh = Mesh(folder, echo=own or rates is not None, looks=rates is None, stamped=stamped or rates is not None)
         if rates is not None:
             from transport.links.timed_sender import TimedSender  # loaded where a bus takes time
 

@@ -37,6 +37,7 @@ _SO_TIMESTAMPNS: Final = 35  # <asm-generic/socket.h>; the socket module does no
 _SEND_BUFFER: Final = 212_992  # the most that Linux grants without root; holds more than QUEUE_LIMIT, see the tests
 _SENT_AT_ONCE: Final = MSG_NOSIGNAL | MSG_DONTWAIT
 _LARGEST: Final = 128
+_LATEST_S: Final = 1e10  # a time stamp beyond it is none: it may come from anyone, and be no number
 _PATIENCE: Final = Struct("@ll").pack(0, 50_000)  # s and us that `await_one` waits
 
 
@@ -55,7 +56,7 @@ class Peer:
 
     Args:
         connection: a socket of datagrams that is connected.
-        stamped: give a datagram without a time that of the kernel, which costs its reader a microsecond.
+        stamped: give a datagram whose time is none that of the kernel, which costs its reader a microsecond.
     """
 
     __slots__ = ("_recv", "_send", "_stamped", "missed", "socket")
@@ -82,7 +83,7 @@ class Peer:
 
     def _with_time(self, flags: int) -> bytes:
         datagram, said, _, _ = self.socket.recvmsg(_LARGEST, _STAMP_SPACE, flags)
-        if len(datagram) < HEAD_BYTES or _TIME.unpack_from(datagram)[0]:
+        if len(datagram) < HEAD_BYTES or 0.0 < _TIME.unpack_from(datagram)[0] < _LATEST_S:
             return datagram
         arrived_ns = _stamp(said)  # -1 on a kernel that stamps nothing
         return _TIME.pack(arrived_ns / 1e9 if arrived_ns >= 0 else time()) + datagram[_TIME.size :]

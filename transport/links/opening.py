@@ -50,12 +50,13 @@ def find_link(uri: str) -> Point:
     return found[scheme]
 
 
-def open_link(uri: str, role: Role) -> Link:
+def open_link(uri: str, role: Role, period_s: float = 0.0) -> Link:
     """Open one end of the link that a URI names.
 
     Args:
         uri: scheme, colon, address, as in ``can:hil:rig0``.
         role: which end.
+        period_s: of the loop: a controller with a key hears nothing of its rig for so long, s.
 
     Returns:
         The open end; use it with ``with``.
@@ -67,7 +68,7 @@ def open_link(uri: str, role: Role) -> Link:
         raise TransportError(f"link {uri!r}: role {role!r}, expected 'rig' or 'controller'")
     plugin = find_link(uri)
     keyed = key_file(uri) if "auth=" in uri else None
-    around = None if keyed is None else _codes(keyed, role, uri)
+    around = None if keyed is None else _codes(keyed, role, uri, period_s)
     uri = _for_the_plugin(uri) if keyed is not None else uri
     try:
         link: Link = plugin.load()(uri, role)
@@ -109,15 +110,15 @@ def check_is_link(made: object) -> None:
         raise AssertionError(f"{type(made).__name__}.counters: a {type(counters).__name__}, expected {LINK['counters']}")
 
 
-def _codes(key: str, role: Role, uri: str) -> Callable[[Link], Link]:
+def _codes(key: str, role: Role, uri: str, period_s: float) -> Callable[[Link], Link]:
     """Return the function that adds the codes of a key to a link; a link without a key costs nothing more."""
-    from transport.links.authentication import AuthenticatedLink, cmac, read_key
+    from transport.links.authentication import SILENCE_S, AuthenticatedLink, cmac, read_key
 
     try:
         code = cmac(read_key(key))
     except TransportError as error:
         raise TransportError(f"link {uri!r}: {error}") from error
-    return lambda link: AuthenticatedLink(link, role, code)
+    return lambda link: AuthenticatedLink(link, role, code, silence_s=max(SILENCE_S, 3 * period_s))
 
 
 def worker_channel(uri: str, number: int) -> str:

@@ -90,6 +90,10 @@ def export(run: Run, target: str | os.PathLike[str], topics: Sequence[str] = (),
         if topic not in known:
             raise HilError(f"topic {topic!r}: not in the log, expected one of {', '.join(known)}{nearest(topic, known)}")
     wanted = [*dict.fromkeys(topics or known)]
+    named = {_plain_name(topic): topic for topic in wanted}
+    for topic in wanted:
+        if (other := named[_plain_name(topic)]) != topic:
+            raise HilError(f"topics {topic!r} and {other!r} have one name in an export, {_plain_name(topic)!r}; name one")
     paths = (
         [target]
         if target.suffix != ".csv" or len(wanted) == 1

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Hashable, Iterable, Iterator
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO, Final, NamedTuple
 
@@ -183,6 +184,8 @@ def read_latencies(path: Path, *, one_clock: bool) -> Recording:
 
 
 LONGEST: Final = 1 << 18
+MOST_FRAMES: Final = 5_000_000
+"""Packets of a capture, or frames of a CAN log, at most."""
 MAGIC: Final = {b"\xa1\xb2\xc3\xd4": (">", 1e-6), b"\xd4\xc3\xb2\xa1": ("<", 1e-6),
                 b"\xa1\xb2\x3c\x4d": (">", 1e-9), b"\x4d\x3c\xb2\xa1": ("<", 1e-9)}  # fmt: skip
 IP_AT: Final = {1: 14, 12: 0, 14: 0, 101: 0, 113: 16, 228: 0, 229: 0, 276: 20, 0: 4, 108: 4}
@@ -233,7 +236,11 @@ def captured_packets(path: Path, file: BinaryIO) -> Iterator[tuple[float, bytes]
     if link not in IP_AT:
         raise HilError(f"{path}: link type {link}, expected one of {', '.join(map(str, sorted(IP_AT)))}")
     record, first = struct.Struct(order + "IIII"), None
-    while len(begin := file.read(record.size)) == record.size:
+    for number in count():
+        if len(begin := file.read(record.size)) < record.size:
+            return
+        if number == MOST_FRAMES:
+            raise HilError(f"{path}: more than {MOST_FRAMES} packets; divide it: editcap -c {MOST_FRAMES} {path.name} part.pcap")
         seconds, fraction, length, _ = record.unpack(begin)
         if length > LONGEST:
             raise HilError(f"{path}: a packet of {length} bytes at byte {file.tell() - record.size}, at most {LONGEST}")

@@ -13,7 +13,7 @@ from hil.errors import HilError
 from hil.files.can_logs import can_frames
 from hil.log.read import read_run
 from hil.log.recordings import BACK, THERE, Recording, Way
-from hil.log.recordings.packet_files import LATEST_S, read_captured_frames, read_latencies, read_ping_capture
+from hil.log.recordings.packet_files import LATEST_S, MOST_FRAMES, read_captured_frames, read_latencies, read_ping_capture
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import CA, PROBE, SC
 from transport.draws import DELIVERED, LOST, NO_MODE, OVERFLOW, SENT
@@ -128,9 +128,6 @@ def _probe(path: Path, run: Run) -> Recording:
         notes=(f"{path}: {int((~came).sum())} of {len(found)} round trips did not come back: on which way is not known, "
                "they are counted as lost on the way there",) if not came.all() else (),
     )  # fmt: skip
-
-
-MOST_FRAMES = 5_000_000
 
 
 def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int) -> Recording:

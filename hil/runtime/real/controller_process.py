@@ -98,7 +98,7 @@ def serve(
     before_open()
     failed: str | None = None
     changes = ChangeReceiver(changes_fd)
-    with open_link(uri, "controller") as link:
+    with open_link(uri, "controller", float(loop.experiment.period)) as link:
         opened()
         try:
             while not _answer_next(node, link, changes):

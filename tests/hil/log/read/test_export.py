@@ -248,6 +248,17 @@ def test_an_unknown_ending_or_topic_is_named(run: Run, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("name", ["run.csv", "run.npz"])
+def test_two_topics_of_one_name_do_not_replace_each_other(run: Run, tmp_path: Path, name: str) -> None:
+    """A log that was made elsewhere may have such topics."""
+    arrays, schemas = ({**both, "/plant_state": both["/plant/state"]} for both in (run.arrays, run.schemas))
+    twins = replace(run, arrays=arrays, schemas=schemas)
+    with pytest.raises(HilError, match="topics '/plant/state' and '/plant_state' have one name in an export, 'plant_state'"):
+        export(twins, tmp_path / name, replace=True)
+    assert not list(tmp_path.iterdir())
+    export(twins, tmp_path / name, ["/plant_state"])
+
+
 @pytest.mark.parametrize("name", ["run.csv", "run.npz", "run.log", "run.blf"])
 def test_a_place_that_cannot_be_written_is_named(run: Run, tmp_path: Path, name: str) -> None:
     target = tmp_path / "absent" / name

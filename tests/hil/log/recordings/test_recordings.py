@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import struct
 import subprocess
 import sys
@@ -359,6 +360,17 @@ def test_bad_input_is_refused_with_its_place_and_the_remedy(tmp_path: Path) -> N
     for cut in (0, 10, 23):
         (tmp_path / "cut.pcap").write_bytes(bytes(cut))
         assert "no pcap capture" in fails([tmp_path / "cut.pcap"])
+
+
+def test_a_capture_without_an_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file of holes has as many empty packets as it likes, and takes no room on a disk."""
+    monkeypatch.setattr("hil.log.recordings.packet_files.MOST_FRAMES", 2 * N)
+    assert len(only([capture(tmp_path / "whole.pcap")])) == N
+    monkeypatch.setattr("hil.log.recordings.packet_files.MOST_FRAMES", 50)
+    assert "whole.pcap: more than 50 packets; divide it" in fails([tmp_path / "whole.pcap"])
+    (tmp_path / "holes.pcap").write_bytes((tmp_path / "whole.pcap").read_bytes()[:24])
+    os.truncate(tmp_path / "holes.pcap", 1 << 40)
+    assert "holes.pcap: more than 50 packets" in fails([tmp_path / "holes.pcap"])
 
 
 def test_files_that_do_not_belong_together_are_refused(tmp_path: Path) -> None:
