@@ -25,13 +25,12 @@ from design.errors import DesignError
 from hil.errors import ExperimentError, HilError, nearest
 from hil.experiment import load_experiment as read_experiment
 from hil.experiment import parse_plugin
+from hil.experiment.check import Checker
 from hil.experiment.tables import Experiment
 from hil.files.toml_text import toml_value
-from hil.plugins.registry import group_of, kind_of_class, object_kind
-from hil.plugins.user_plugins import own_fault
+from hil.plugins.registry import group_of
 from plants import LinearPlant, from_control
 from plants.errors import PlantError
-from plants.parts.protocols import ReferencesFiles
 from transport.links import TransportError
 
 P = ParamSpec("P")
@@ -161,9 +160,6 @@ def _a(name: str) -> str:
 def with_objects(experiment: Experiment, **objects: object) -> Experiment:
     """Return the same experiment with a plant, a controller, or both, of Python.
 
-    An object whose class is an installed plug-in is what its table would make, and the log says its kind; any other has the kind
-    ``object my_module.Cart``, and a log of it needs the object to run again.
-
     Args:
         experiment: the rest.
         objects: `plant` and `controller`.
@@ -171,33 +167,16 @@ def with_objects(experiment: Experiment, **objects: object) -> Experiment:
     Raises:
         ExperimentError: an object that is no plant or no controller, with what it lacks.
     """
-    faults, changes, kinds = [], dict[str, Any](), dict(experiment.kinds)
-    for path, made in objects.items():
-        if isinstance(made, type):
-            faults.append(f"{path}: the class {made.__name__}, expected an object of it: {path}={made.__name__}()")
-            continue
-        group, cls = group_of(path), type(made)
-        installed = kind_of_class(group, cls)
-        fault = own_fault(group, made) if installed is None else None
-        if isinstance(made, ReferencesFiles):
-            try:
-                made = made.with_files(experiment.folder)
-            except (ValueError, PlantError) as error:
-                fault = str(error)
-        if fault is not None:
-            faults.append(f"{path}: {cls.__module__}.{cls.__qualname__}: {fault}")
-        changes[path], kinds[path] = made, installed or object_kind(cls)
-    if faults:
-        raise ExperimentError(experiment.name, faults)
-    return msgspec.structs.replace(experiment, kinds=kinds, **changes) if objects else experiment
+    checker = Checker(experiment.folder, objects)
+    made = {path: checker.plugin(group_of(path), None, path) for path in objects}
+    if checker.faults:
+        raise ExperimentError(experiment.name, checker.faults)
+    return msgspec.structs.replace(experiment, kinds=experiment.kinds | checker.kinds, **made)
 
 
 Source = str | Path | Experiment
-OBJECTS = ("plant", "controller")
-"""Tables of an experiment for which an object may stand."""
-
-LAW = re.compile(r"network\.(sc|ca|nodes\.[^.]+)\.law")
-"""The same for network laws."""
+OBJECT = re.compile(r"plant|controller|network\.(sc|ca|nodes\.[^.]+)\.law")
+"""Paths of the tables of an experiment for which an object may stand."""
 
 
 @checked_arguments
@@ -222,11 +201,9 @@ def load_experiment(
         HilError: with every fault found, each with the path of its field.
     """
     tables = {path: _table_of(path, value) for path, value in changes.items()}
-    objects = {path: value for path, value in tables.items() if path in OBJECTS and not isinstance(value, str | Mapping)}
-    laws = {path: value for path, value in tables.items() if LAW.fullmatch(path) and not isinstance(value, str | Mapping)}
-    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects | laws)]
-    found = read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration), laws=laws)
-    return with_objects(found, **objects)
+    objects = {path: value for path, value in tables.items() if OBJECT.fullmatch(path) and not isinstance(value, str | Mapping)}
+    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects)]
+    return read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration), objects=objects)
 
 
 def checked_experiment(source: Source, seed: int | None, duration: str | float | None, changes: Mapping[str, Any]) -> Experiment:
@@ -234,8 +211,8 @@ def checked_experiment(source: Source, seed: int | None, duration: str | float |
     if not isinstance(source, Experiment):
         given = {"seed": seed, "duration": duration}
         return load_experiment(source, **{key: value for key, value in given.items() if value is not None} | dict(changes))
-    tables = [path for path, v in changes.items() if path not in OBJECTS or isinstance(_table_of(path, v), str | Mapping)]
-    if duration is not None or tables:
+    objects = [p for p in ("plant", "controller") if p in changes and not isinstance(_table_of(p, changes[p]), str | Mapping)]
+    if duration is not None or len(objects) < len(changes):
         raise HilError("a loaded experiment takes no changes but a plant and a controller: give them to load_experiment")
     found = with_objects(source, **changes)
     return found if seed is None else msgspec.structs.replace(found, seed=seed)
@@ -249,15 +226,12 @@ def object_of(path: str, value: Any) -> Any:
         value: as in `load_experiment`.
 
     Raises:
-        HilError: it is none, with what it lacks.
+        HilError: a table that does not fit.
     """
-    table, group = _table_of(path, value), group_of(path)
+    table = _table_of(path, value)
     if isinstance(table, Mapping):
         said = [f"{key}={_toml(each, path)}" for key, each in table.items() if key != "kind" and each is not None]
-        return parse_plugin(group, str(table["kind"]), said)
-    fault = own_fault(group, table) if kind_of_class(group, type(table)) is None else None
-    if fault is not None:
-        raise HilError(f"{path}: {type(table).__module__}.{type(table).__qualname__}: {fault}")
+        return parse_plugin(group_of(path), str(table["kind"]), said)
     return table
 
 

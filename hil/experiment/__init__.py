@@ -39,7 +39,7 @@ def near_shipped(name: str) -> str:
 
 def load_experiment(
     source: str | Path, sets: typing.Sequence[str] = (), *, seed: int | None = None, duration: str | None = None,
-    laws: typing.Mapping[str, object] | None = None,
+    objects: typing.Mapping[str, object] | None = None,
 ) -> Experiment:  # fmt: skip
     """Read and check an experiment.
 
@@ -48,7 +48,7 @@ def load_experiment(
         sets: changes ``path=value``, value in TOML notation (a bare word is taken as a string). A ``file`` (or ``traffic_file``)
             is looked for in the working folder first, then in that of the experiment.
         seed, duration: short for ``seed=...`` and ``duration="..."``, after the other changes.
-        laws: network laws that were built in Python, by the paths of the tables that they stand for.
+        objects: plant, controller and network laws that were built in Python, by the paths of the tables that they stand for.
 
     Raises:
         ExperimentError: with every fault found, each with the path of its field.
@@ -78,12 +78,12 @@ def load_experiment(
         text = data.decode()
     except UnicodeDecodeError as e:
         raise HilError(f"{name}: not a text file: byte 0x{data[e.start]:02x} at offset {e.start} is not UTF-8") from e
-    return parse_experiment(text, sets=changes, source=name, folder=str(path.parent), laws=laws)
+    return parse_experiment(text, sets=changes, source=name, folder=str(path.parent), objects=objects)
 
 
 def parse_experiment(
     text: str, *, sets: typing.Sequence[str] = (), source: str = "experiment", folder: str = ".",
-    laws: typing.Mapping[str, object] | None = None,
+    objects: typing.Mapping[str, object] | None = None,
 ) -> Experiment:  # fmt: skip
     """Check the text of an experiment; see :func:`load_experiment`."""
     try:
@@ -93,7 +93,7 @@ def parse_experiment(
     for change in sets:
         _apply(raw, change)
     try:
-        return _checked(Checker(folder, laws), raw, text, source)
+        return _checked(Checker(folder, objects), raw, text, source)
     except RecursionError as e:
         raise HilError(f"{source}: not valid TOML: nested too deeply") from e
 

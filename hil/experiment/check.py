@@ -196,13 +196,7 @@ class Checker:
 
     def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
         if path in self._objects:
-            made = self._objects[path]
-            cls = type(made)
-            installed = registry.kind_of_class(group, cls)
-            self.kinds[path] = installed or registry.object_kind(cls)
-            if group == "hil.laws" and installed is None:
-                return made if self._sound(group, made, path, f"{cls.__module__}.{cls.__qualname__}") else None
-            return made
+            return self._object(group, self._objects[path], path)
         if not isinstance(raw, dict):
             said = f"expected a table, got {raw!r:.60}"
             if isinstance(raw, str) and raw in registry.names(group):
@@ -234,6 +228,29 @@ class Checker:
             return None
         return made if made is None or self._sound(group, made, path, repr(kind)) else None
 
+    def _object(self, group: registry.Group, made: object, path: str) -> Any:
+        """Return an object of Python that stands for a table; None: what it lacks is kept.
+
+        That of an installed class is what its table would make, and has its kind; any other has the kind
+        ``object my_module.Cart``, and a log of it needs the object to run again.
+        """
+        if isinstance(made, type):
+            self.faults.append(f"{path}: the class {made.__name__}, expected an object of it: {path}={made.__name__}()")
+            return None
+        cls = type(made)
+        installed = registry.kind_of_class(group, cls)
+        self.kinds[path] = installed or registry.object_kind(cls)
+        if installed is None and not self._sound(group, made, path, f"{cls.__module__}.{cls.__qualname__}"):
+            return None
+        return self._with_files(made, path, self._folder or ".") if isinstance(made, ReferencesFiles) else made
+
+    def _with_files(self, made: ReferencesFiles, path: str, folder: str) -> ReferencesFiles | None:
+        try:
+            return made.with_files(folder)
+        except (ValueError, PlantError) as e:
+            self.faults.append(fault_at(path, e))
+            return None
+
     def _sound(self, group: registry.Group, plugin: object, path: str, kind: str) -> bool:
         """Return whether an object of the user's own is what its place asks for; what it is not is kept as a fault."""
         fault = own_fault(group, plugin)
@@ -246,13 +263,7 @@ class Checker:
         made = self._tables.table(cls, rest, path, {})
         if not isinstance(made, ReferencesFiles):
             return made
-        if self._folder is None:
-            return self._absent(path, kind, rest)
-        try:
-            return made.with_files(self._folder)
-        except (ValueError, PlantError) as e:
-            self.faults.append(fault_at(path, e))
-            return None
+        return self._absent(path, kind, rest) if self._folder is None else self._with_files(made, path, self._folder)
 
     def _absent(self, path: str, kind: str, table: dict[str, Any]) -> UnavailablePlugin | None:
         """Return what stands for something that a log cannot make again."""
