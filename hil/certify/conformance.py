@@ -160,7 +160,7 @@ def plant_check(loop: CertificationProblem) -> Check:
         except Exception:  # what it did at smaller inputs is seen already
             if all(each.share <= EQUAL for each in found):
                 raise
-    said = _departed(found, plant.inputs[0].unit, unit, name)
+    said = _departed(found, _input_unit(plant), unit, name)
     if said is not None:
         return said
     signals = tuple([(str(s[0]), str(s[1])) for s in each] for each in (plant.states, plant.outputs))
@@ -199,7 +199,7 @@ def _departed(departures: Sequence[Departure], unit_name: str, unit: Array, name
     worst = far[0]
 
     def described(each: Departure) -> str:
-        size = f"{each.size * float(unit.max()):.3g} {unit_name}"
+        size = f"{each.size * float(unit.max()):.3g} {unit_name}".rstrip()
         which, u = each.signal
         moved, foretold = _distinct(each.found, each.foretold)
         amount = f"{moved} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
@@ -225,12 +225,17 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.{2 if share < 1.0 else 3}g} % of the motion"
 
 
+def _input_unit(plant: Plant) -> str:
+    """Return the unit that all inputs share, nothing where they differ or are pure numbers."""
+    units = {"" if signal.unit == "1" else signal.unit for signal in plant.inputs}
+    return units.pop() if len(units) == 1 else ""
+
+
 def _moved(motion: FreeMotion, plant: Plant, departures: Sequence[Departure], unit: Array) -> Check:
     """What follows from the motion without inputs, once the answer to inputs is the model's."""
     slots = max(each.slots for each in departures)
     least, most = (each.size * float(unit.max()) for each in (departures[0], departures[-1]))
-    u = plant.inputs[0].unit.replace("1", "").strip()
-    sizes = f"random inputs of {least:.3g} to {most:.3g} {u}".rstrip()
+    sizes = f"random inputs of {least:.3g} to {most:.3g} {_input_unit(plant)}".rstrip()
     alike = f"the plant moves as its model says: compared over {slots} slots, {sizes}"
     stated = tuple(plant.own_inputs()) if isinstance(plant, HasOwnInputs) else ()
     which, of = motion.signal

@@ -29,10 +29,11 @@ class Cost:
     topics: ClassVar[tuple[str, ...]] = (STATE.name, APPLIED, SENSOR.name, SC.name)
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
-        """Return what is measured."""
+        """Return what is measured; inputs of several units have no largest one."""
+        unit = signals.input_unit()
         return (
             Quantity(name="cost", title="cost J", note="sum over all slots", per_output=False),
-            Quantity(name="peak_input", title="largest input", unit=signals.input_unit() or "", per_output=False),
+            *([] if unit is None else [Quantity(name="peak_input", title="largest input", unit=unit, per_output=False)]),
             Quantity(name="packets_per_s", title="sensor packets", unit="1/s", per_output=False),
             Quantity(name="bits_per_s", title="sensor bits", unit="bit/s", per_output=False),
         )
@@ -44,11 +45,12 @@ class Cost:
         weights = _weights(plant, len(names), len(view.signals.inputs))
         states = (matrix(piece, names) for piece in pieces(view.run.arrays[STATE.name]))
         found = view.once(loads)
-        return {
+        numbers = {
             **_of_one(states, view.inputs(), weights),
             "packets_per_s": sum(load.packets_per_s for load in found) if found else None,
             "bits_per_s": sum(load.bits_per_s for load in found) if found else None,
         }
+        return {q.name: numbers[q.name] for q in self.quantities(view.signals)}
 
     def of_batch(self, view: BatchView) -> Mapping[str, BatchValues]:
         """Return the numbers of many runs, see `BatchMeasure.of_batch`."""
@@ -62,7 +64,7 @@ class Cost:
         per_node = [node_loads(view.rig, column, len(view.t_s) * view.period_s) for column in sent.T.tolist()]
         found["packets_per_s"] = np.array([sum(load.packets_per_s for load in own) for own in per_node])
         found["bits_per_s"] = np.array([sum(load.bits_per_s for load in own) for own in per_node])
-        return found
+        return {q.name: found[q.name] for q in self.quantities(view.signals)}
 
 
 def _weights(plant: object, n: int, m: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

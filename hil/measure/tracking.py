@@ -29,8 +29,12 @@ class Tracking:
     topics: ClassVar[tuple[str, ...]] = (MEASUREMENT, REFERENCE, APPLIED)
 
     def quantities(self, signals: Signals) -> tuple[Quantity, ...]:
-        """Return the six numbers with their units, which are those of the tracked outputs and of the inputs."""
-        unit, squared = signals.tracked_unit() or "", squared_unit(signals)
+        """Return the numbers with their units, which are those of the tracked outputs and of the inputs.
+
+        Inputs of several units have no largest one.
+        """
+        unit, squared, of_inputs = signals.tracked_unit() or "", squared_unit(signals), signals.input_unit()
+        largest = Quantity(name="max_abs_u", title="largest input", unit=of_inputs or "", per_output=False)
         return (
             Quantity(name="sse", title="squared tracking error", unit=squared, note="whole run, × T", better="lower"),
             Quantity(name="sse_after_5s", title="squared error after 5 s", unit=squared, note="× T", better="lower"),
@@ -40,29 +44,30 @@ class Tracking:
                 needs=REFERENCE_STEP,
             ),
             Quantity(name="steady_state_error", title="steady-state error", unit=unit, note="last tenth"),
-            Quantity(name="max_abs_u", title="largest input", unit=signals.input_unit() or "", per_output=False),
+            *([] if of_inputs is None else [largest]),
         )  # fmt: skip
 
     def of(self, view: RunView) -> dict[str, float | None]:
-        """Return the numbers of one run; what would add or compare outputs (or inputs) of several units is None."""
+        """Return the numbers of one run; what would add or compare outputs of several units is None."""
         found = tracking_metrics(view.followed(), view.inputs(), view.period_s, disturbed_at_s=view.disturbed_at_s())
-        return found | dict.fromkeys(without_sense(view.signals))
+        found |= dict.fromkeys(without_sense(view.signals))
+        return {q.name: found[q.name] for q in self.quantities(view.signals)}
 
     def of_batch(self, view: BatchView) -> dict[str, BatchValues]:
         """Return the numbers of many runs, (runs,) each, NaN where one is not defined."""
         found = tracking_of_batch(view)
-        return found | {name: np.full_like(found[name], np.nan) for name in without_sense(view.signals)}
+        found |= {name: np.full_like(found[name], np.nan) for name in without_sense(view.signals)}
+        return {q.name: found[q.name] for q in self.quantities(view.signals)}
 
 
 def without_sense(signals: Signals) -> tuple[str, ...]:
-    """Return the numbers that would add or compare signals of several units; of each output alone they are defined.
+    """Return the numbers that would add or compare outputs of several units; of each output alone they are defined.
 
     >>> without_sense(Signals(outputs={"angle": "rad", "place": "m"}, inputs={"u": "V"}, tracked=("angle", "place")))
     ('sse', 'sse_after_5s', 'steady_state_error')
     """
-    errors = ("sse", "sse_after_5s", "steady_state_error") if len(signals.tracked) > 1 and signals.tracked_unit() is None else ()
-    inputs = ("max_abs_u",) if signals.input_unit() is None else ()
-    return (*errors, *inputs)
+    several = len(signals.tracked) > 1 and signals.tracked_unit() is None
+    return ("sse", "sse_after_5s", "steady_state_error") if several else ()
 
 
 def squared_unit(signals: Signals) -> str:

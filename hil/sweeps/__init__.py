@@ -64,7 +64,7 @@ class Sweep(ShownResult):
         return {}, [self.values]
 
     def _result(self, quantity: str | None = None) -> Result:
-        of = asked(self.quantities, quantity)
+        of = asked(self.quantities, quantity, [self.values])
         rows: list[list[Any]] = []
         for each in self.quantities:
             s, inner = statistics(self.values[each.name]), within(interval_of(self.values[each.name]))
@@ -77,7 +77,7 @@ class Sweep(ShownResult):
         return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
 
     def __repr__(self) -> str:
-        of, runs = asked(self.quantities, None), self.values["seed"].size
+        of, runs = asked(self.quantities, None, [self.values]), self.values["seed"].size
         value_text = mean_and_interval(self.values[of.name], of)
         return f"<Sweep {self.experiment}: {runs} runs, {value_text}, {stopped_in_words(self.values)}>"
 

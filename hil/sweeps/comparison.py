@@ -114,7 +114,7 @@ class Comparison(ShownResult):
         cautions = (f"{name}: {said}" for name, said in self.cautions.items())
         shorter = SHORTER if self.stopped else ""
         answer = [*map(self.verdict, list(self.values)[1:]), *cautions, *filter(None, (none, shorter))]
-        paint = paint_distributions(self.values, asked(self.quantities, quantity))
+        paint = paint_distributions(self.values, asked(self.quantities, quantity, [*self.values.values()]))
         return Result(line=self._line(), answer=answer, columns=heads, rows=self.rows(), paint=paint)
 
     def __repr__(self) -> str:

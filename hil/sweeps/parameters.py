@@ -68,7 +68,7 @@ class ParameterSweep(ShownResult):
 
     def best(self, quantity: str) -> int | None:
         """Return the point whose mean is best of those that are `whole`; None where there is none, or no value is better."""
-        better, whole = asked(self.quantities, quantity).better, self.whole(quantity)
+        better, whole = asked(self.quantities, quantity, self.columns).better, self.whole(quantity)
         if not better or not whole:
             return None
         return (min if better == "lower" else max)(whole, key=lambda p: float(self.columns[p][quantity].mean()))
@@ -94,7 +94,7 @@ class ParameterSweep(ShownResult):
         The best is chosen by its values: of 20 equal points its own 95 % interval misses in a third of all sweeps, and a fifth of
         the others differ from it by 95 % intervals. So the levels are those of all points, and of all pairs, together.
         """
-        best, asked_for, whole = self.best(quantity), asked(self.quantities, quantity), self.whole(quantity)
+        best, asked_for, whole = self.best(quantity), asked(self.quantities, quantity, self.columns), self.whole(quantity)
         if asked_for not in self.judged():
             return f"{asked_for.title}: no measure states which value is better"
         if best is None:
@@ -117,7 +117,7 @@ class ParameterSweep(ShownResult):
         return {key: [row[i] for row in done] for i, key in enumerate(self.points.keys)}, self.columns
 
     def _result(self, quantity: str | None = None) -> Result:
-        of, keys = asked(self.quantities, quantity), self.points.keys
+        of, keys = asked(self.quantities, quantity, self.columns), self.points.keys
         found, best = self.intervals(of.name), self.best(of.name)
         rows: list[list[Any]] = []
         for point, interval in enumerate(found):

@@ -59,7 +59,7 @@ class ShownResult(ABC):
 
         Args:
             path: ends in .svg, .pdf or .png.
-            quantity: its name; without one the first of which it is known which values are better.
+            quantity: its name; without one the first that some run has and of which it is known which values are better.
             width_mm, height_mm: of the figure as it is printed.
 
         Raises:
@@ -112,14 +112,15 @@ def pairs(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
     return a[both], b[both]
 
 
-def asked(quantities: Sequence[Quantity], name: str | None) -> Quantity:
-    """Return a quantity by its name; without one the first of which it is known which values are better.
+def asked(quantities: Sequence[Quantity], name: str | None, runs: Sequence[Values]) -> Quantity:
+    """Return a quantity by its name; without one the first that some run has and of which it is known which values are better.
 
     Raises:
         UnknownName: there is none of that name.
     """
     if name is None:
-        return next((q for q in quantities if q.better), quantities[0])
+        found = measured(quantities, runs)[0] or quantities
+        return next((q for q in found if q.better), found[0])
     for quantity in quantities:
         if quantity.name == name:
             return quantity

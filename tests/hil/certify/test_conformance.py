@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 import hil
-from design.controllers import OutputFeedback
+from design.controllers import LoopModel, OutputFeedback
 from design.controllers.historical import Historical, HistoricalRun
 from design.controllers.virtual_wall import VirtualWall
 from design.verdict import Verdict
 from hil.api.experiment_source import load_experiment
 from hil.certify.answers_test import scheduled_excitation
+from hil.certify.conformance import plant_check, without_loop
 from hil.certify.stated_controller import wall_excitation
 from hil.compose import compose
 from hil.errors import ExperimentError
-from plants import SwitchedExample
+from plants import LinearPlant, Signal, SwitchedExample
 from plants.switched_example import SwitchedExampleRun
 from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Run, Table
 
@@ -56,6 +57,16 @@ def test_a_load_or_noise_of_an_own_plant_is_no_departure_and_is_named(lie: str) 
     assert found is not None and found.certified, found
     assert any("the plant moves as its model says: compared over" in said for said in found.assumptions)
     assert any(lie.split()[0] in said for said in found.assumptions) or lie == "none"
+
+
+@pytest.mark.parametrize(("units", "said"), [(("V", "V"), "1e+06 V"), (("1/s", "1/s"), "1e+06 1/s"), (("kW", "kg/s"), "1e+06")])
+def test_the_unit_of_random_inputs_is_one_that_all_have(units: tuple[str, str], said: str) -> None:
+    inputs = tuple(Signal(f"u{i}", unit) for i, unit in enumerate(units))
+    plant = LinearPlant(A=((-1.0,),), B=((1.0, 2.0),), C=((1.0,),), inputs=inputs)
+    model = plant.model().discretise(0.05)
+    A, B, C = (np.asarray(matrix) for matrix in (model.A, model.B, model.C))
+    state, found = plant_check(without_loop(plant, LoopModel(A=A, B=B, C=C, period_s=0.05, tau_max=0, d_max=0)))
+    assert state is None and found[0].endswith(f"random inputs of 0.001 to {said}")
 
 
 def test_without_limits_a_plant_is_tested_up_to_a_million() -> None:

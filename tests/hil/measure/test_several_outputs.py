@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -73,3 +74,13 @@ def test_a_comparison_and_a_grid_say_what_they_can_of_each_output(cart: Path) ->
     assert "is not summed over outputs of several units" in repr(both)
     grid = hil.sweep(cart, grid={"controller.gain": [[[-1, -1]], [[-2, -1]]]}, runs=2, jobs=1)
     assert grid.answer("sse.place").startswith("best point: ")
+    assert "squared tracking error of place" in repr(hil.sweep(cart, runs=2, jobs=1)), "not one that no run has"
+    assert "squared tracking error of place" in grid._repr_html_()
+
+
+def test_inputs_of_several_units_have_no_largest_one(cart: Path) -> None:
+    two = {"plant.inputs": [["force", "N"], ["heat", "W"]], "plant.B": [[1, 0], [0, 1]], "controller.gain": [[-1, 0], [0, -1]]}
+    asked: dict[str, Any] = {**two, "duration": "0.5 s", "report.measures": ["tracking", "cost"]}
+    alone, many = hil.run(cart, **asked), hil.sweep(cart, runs=2, jobs=1, **asked)
+    assert not {"max_abs_u", "peak_input"} & ({*alone.metrics} | {*many.values}) and "cost" in alone.metrics
+    assert alone.metrics["cost"] == many.values["cost"][0]
