@@ -48,12 +48,17 @@ LARGEST: Final = 24
 """Rows and columns up to which whole numbers are used: 0.1 s."""
 
 
-def rank_of(N: NDArray[np.float64]) -> int:
-    """Return the rank of a matrix, whatever the units of its rows and columns are."""
+def of_size_one(N: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a matrix in units of its rows and columns in which they have size 1."""
     for axis in (0, 1, 0, 1):
         size = np.abs(N).max(axis=axis, keepdims=True)
         N = N / np.where(size > 0.0, size, 1.0)
-    return int(np.linalg.matrix_rank(N))
+    return N
+
+
+def rank_of(N: NDArray[np.float64]) -> int:
+    """Return the rank of a matrix, whatever the units of its rows and columns are."""
+    return int(np.linalg.matrix_rank(of_size_one(N)))
 
 
 def pseudo_inverse(N: Matrix) -> Matrix:

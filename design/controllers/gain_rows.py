@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
-from design.controllers.exact_products import dot, pseudo_inverse, rank_of
+from design.controllers.exact_products import dot, of_size_one, pseudo_inverse, rank_of
 
 Matrix = NDArray[np.float64]
 
@@ -52,19 +52,20 @@ def _feedforward(*matrices: tuple[tuple[float, ...], ...]) -> list[list[float]]:
     return found
 
 
-def held_exactly(model: LoopModel, r: Sequence[float]) -> bool:
-    """Return whether some state and input hold the outputs at r.
+def held_exactly(A: Matrix, B: Matrix, C: Matrix, r: Sequence[float]) -> bool:
+    """Return whether some state and input hold the outputs at r, whatever the units are.
 
     Args:
-        model: the loop.
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
         r: reference, (p,).
 
     Reference: thesis (7.6).
     """
-    n, m = model.B.shape
-    N = np.block([[model.A - np.eye(n), model.B], [model.C, np.zeros((len(r), m))]])
-    aim = np.concatenate([np.zeros(n), np.asarray(r, dtype=np.float64)])
-    return bool(np.abs(N @ (np.linalg.pinv(N) @ aim) - aim).max() <= 1e-9 * max(1.0, np.abs(aim).max()))
+    n, m = B.shape
+    aim = np.concatenate([np.zeros(n), r])[:, None]
+    M = of_size_one(np.hstack([np.block([[A - np.eye(n), B], [C, np.zeros((len(C), m))]]), aim]))
+    missed = M @ np.append(np.linalg.pinv(M[:, :-1]) @ M[:, -1], -1.0)
+    return bool(np.abs(missed).max() <= 1e-9)
 
 
 def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:

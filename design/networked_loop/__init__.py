@@ -12,6 +12,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from design.controllers import held_exactly
+from design.controllers.exact_products import pseudo_inverse, rank_of
 from design.errors import DesignError, FieldError, TooLarge
 from design.jump_linear.certificate import too_large
 from design.processes.delay_chain import DelayChain
@@ -220,7 +222,7 @@ def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> Steady
         A, B, C: (n, n), (n, m), (p, n) discrete plant.
 
     Raises:
-        DesignError: p <= m, and N = [[A - I, B], [C, 0]] has not full row rank; `value` is its smallest singular value.
+        DesignError: p <= m, and N = [[A - I, B], [C, 0]] has not full row rank, which is `value`.
 
     >>> steady_state([[0.5]], [[1.0]], [[1.0]]).input.round(9).tolist()
     [[0.5]]
@@ -228,29 +230,24 @@ def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> Steady
     A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
     n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
     N = np.block([[A_ - np.eye(n), B_], [C_, np.zeros((p, m))]])
-    smallest = float(np.linalg.svd(N, compute_uv=False)[-1])
-    if p <= m and smallest < 1e-10 * max(1.0, float(np.abs(N).max())):
-        raise DesignError(
-            f"steady state: no input holds every reference, [[A - I, B], [C, 0]] has smallest singular value {smallest:.3g}",
-            value=smallest,
-        )
-    right = np.linalg.lstsq(N, np.vstack([np.zeros((n, p)), np.eye(p)]), rcond=None)[0]
-    return SteadyState(np.asarray(right[:n]), np.asarray(right[n:]))
+    if p <= m and (rank := rank_of(N)) < n + p:
+        said = f"[[A - I, B], [C, 0]] has rank {rank}, expected {n + p}"
+        raise DesignError(f"steady state: no input holds every reference, {said}", value=rank)
+    right = pseudo_inverse(N)[:, n:]
+    return SteadyState(right[:n], right[n:])
 
 
-def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, star: SteadyState, reference: npt.ArrayLike) -> None:
-    """Refuse a reference that the ideal response does not hold.
+def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, reference: npt.ArrayLike) -> None:
+    """Refuse a reference that no state and input hold.
 
     Args:
         A, B, C: (n, n), (n, m), (p, n) discrete plant.
-        star: of this plant.
         reference: (K, p).
 
     Raises:
-        DesignError: `value` is by how much x* or C x* is off.
+        DesignError: with the first such value.
     """
-    A_, B_, C_, r = (np.asarray(M, dtype=np.float64) for M in (A, B, C, reference))
-    x, u = r @ star.state.T, r @ star.input.T
-    off = max(float(np.abs(x @ A_.T + u @ B_.T - x).max()), float(np.abs(x @ C_.T - r).max()))
-    if off > 1e-8 * max(1.0, float(np.abs(r).max()), float(np.abs(x).max())):
-        raise DesignError(f"reference: no input holds it, the steady state misses it by {off:.3g}", value=off)
+    A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
+    for r in dict.fromkeys(map(tuple, np.asarray(reference, dtype=np.float64).tolist())):
+        if not held_exactly(A_, B_, C_, r):
+            raise DesignError(f"reference: no input holds the outputs at {list(r)}")

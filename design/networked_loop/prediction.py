@@ -114,7 +114,7 @@ def predict_tracking(
     w = _signal(np.zeros((len(r), m)) if disturbance is None else disturbance, m, "disturbance", len(r))
     star = steady_state(A, B, C) if r.any() else None
     if star is not None:
-        check_held(A, B, C, star, r)
+        check_held(A, B, C, r)
     f = _signal(np.zeros((len(r), n)) if drive is None else drive, n, "drive", len(r))
     output = np.asarray(C, dtype=np.float64)
     summed = np.zeros(p)

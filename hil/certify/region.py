@@ -199,7 +199,7 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
     if any(r.any() for r in references):
         star = steady_state(A, B, C)
         for r in references:
-            check_held(A, B, C, star, r[None])
+            check_held(A, B, C, r[None])
             points.append(star.state @ r)
             steady = np.maximum(steady, np.abs(star.input @ r))
     else:

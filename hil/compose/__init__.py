@@ -259,7 +259,7 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
     faults = [
         f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}"
         for i, step in enumerate(e.reference)
-        if not held_exactly(model, step.value)
+        if not held_exactly(model.A, model.B, model.C, step.value)
     ]
     if integrates(controller):
         faults.append(f"controller.integral: {n_inputs} inputs cannot make the mean errors of {n_outputs} outputs zero")

@@ -237,20 +237,31 @@ def test_steady_state_holds_the_reference():
     assert np.allclose(np.concatenate([star.state, star.input])[:, 0], printed)
 
 
-def test_steady_state_that_cannot_be_held_is_refused_with_the_singular_value():
-    with pytest.raises(DesignError, match="smallest singular value") as caught:
+def test_steady_state_that_cannot_be_held_is_refused_with_the_rank():
+    with pytest.raises(DesignError, match="has rank 2, expected 3") as caught:
         steady_state(np.eye(2), [[1.0], [0.0]], [[0.0, 1.0]])
-    assert caught.value.value < 1e-10
+    assert caught.value.value == 2
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e8])
+def test_units_of_the_states_change_no_steady_state(unit):
+    A, B, _ = MOTOR
+    D = np.diag([1.0, unit])
+    in_units = D @ A @ np.linalg.inv(D), D @ B
+    star = steady_state(*in_units, [[1.0, 0.0]])
+    assert np.allclose(star.state[:, 0], [1.0, 0.0], atol=1e-12)
+    both = np.linalg.inv(D)
+    check_held(*in_units, both, [[3.0, 0.0]])
+    with pytest.raises(DesignError, match="no input holds the outputs at"):
+        check_held(*in_units, both, [[3.0, 1.0]])
 
 
 def test_more_outputs_than_inputs_are_held_where_some_input_holds_them():
     A, B, _ = MOTOR
-    star = steady_state(A, B, np.eye(2))
-    check_held(A, B, np.eye(2), star, [[3.0, 0.0], [-1.0, 0.0]])
+    check_held(A, B, np.eye(2), [[3.0, 0.0], [-1.0, 0.0]])
     for reference in ([3.0, 1.0], [0.0, 1.0]):  # an angle that stays has no speed
-        with pytest.raises(DesignError, match="no input holds it") as caught:
-            check_held(A, B, np.eye(2), star, [reference])
-        assert caught.value.value > 0.04  # one slot at speed 1 moves the angle by 0.05; least squares shares the error out
+        with pytest.raises(DesignError, match="no input holds the outputs at"):
+            check_held(A, B, np.eye(2), [[3.0, 0.0], reference])
 
 
 def test_closed_classes_of_a_chain():
