@@ -5,11 +5,16 @@ Links and buses are measured between two processes: one answers, one drives and 
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import IO, Any, Final
+
+from hil.runtime.real import die_with_parent
 
 GRACE_S: Final = 1.0
 
@@ -78,3 +83,19 @@ def killed(*processes: subprocess.Popen[Any] | None) -> Iterator[None]:
             if process.poll() is None:
                 process.kill()
                 process.wait()
+
+
+@contextmanager
+def part_of_pair(*failures: type[Exception]) -> Iterator[None]:
+    """Be one of the processes of a pair: end with the other one, and say in the first line what kept it from being ready.
+
+    Args:
+        failures: that are said.
+    """
+    die_with_parent(os.getppid())
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
+    try:
+        yield
+    except failures as error:
+        print(error, flush=True)  # noqa: T201 (this is the process's interface)
+        raise SystemExit(1) from error

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import os
 import shutil
-import signal
 import sys
 import tempfile
 import threading
@@ -22,10 +21,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from hil.bench import Ask, Commands, open_pair
+from hil.bench import Ask, Commands, open_pair, part_of_pair
 from hil.bench.timing import read_cyclictest, start_cyclictest
 from hil.runtime.clock import monotonic_ns
-from hil.runtime.real import die_with_parent, go_real_time
+from hil.runtime.real import go_real_time
 from hil.runtime.real.child import python_module
 from transport.links.python_can import can
 
@@ -191,10 +190,8 @@ def _trips(bus: can.BusABC, count: int, *, timed: bool) -> list[int]:
 def main() -> None:
     """Be one of the processes of a pair."""
     role, name, channel = sys.argv[1:4]
-    die_with_parent(os.getppid())
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
-    go_real_time(PRIORITY - (role == "echo"), None, awake=True)
-    try:
+    with part_of_pair(can.CanError, OSError, NotImplementedError):  # the last: no such interface
+        go_real_time(PRIORITY - (role == "echo"), None, awake=True)
         with _join(name, channel) as bus, ExitStack() as stack:
             if role == "echo" and name != "virtual":
                 print("ready", flush=True)  # noqa: T201 (this is the process's interface)
@@ -207,9 +204,6 @@ def main() -> None:
                 what, number = line.split()
                 found = _flood(bus, int(number)) if what == "flood" else _trips(bus, int(number), timed="in time" in name)
                 print(*found, flush=True)  # noqa: T201
-    except (can.CanError, OSError, NotImplementedError) as error:  # the last: no such interface
-        print(error, flush=True)  # noqa: T201
-        raise SystemExit(1) from error
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import os
 import shutil
-import signal
 import socket
 import struct
 import subprocess
@@ -23,10 +22,10 @@ from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Final, cast
 
-from hil.bench import Ask, Commands, open_pair
+from hil.bench import Ask, Commands, open_pair, part_of_pair
 from hil.experiment.tables import Affinity, Timing
 from hil.runtime.clock import RealClock, monotonic_ns
-from hil.runtime.real import cpu_for, die_with_parent, go_real_time
+from hil.runtime.real import cpu_for, go_real_time
 from hil.runtime.real.child import python_module
 from transport import ControlPacket, Link, Role, SensorPacket, TransportError, encode_control, encode_sensor, open_link
 from transport.links import Closing, LinkCounters
@@ -308,16 +307,11 @@ def _trip(link: Link, questions: list[bytes], seq: int) -> int:
 
 def main() -> None:
     """Be one of the processes of a pair."""
-    die_with_parent(os.getppid())
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
-    try:
+    with part_of_pair(TransportError):
         if sys.argv[1] == "echo":
             echo(sys.argv[2], cast(Affinity, sys.argv[3]))
         else:
             drive(sys.argv[2], cast(Affinity, sys.argv[3]), float(sys.argv[4]))
-    except TransportError as error:
-        print(error, flush=True)  # noqa: T201
-        raise SystemExit(1) from error
 
 
 if __name__ == "__main__":

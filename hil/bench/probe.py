@@ -7,7 +7,6 @@ one way are what they seem.
 
 from __future__ import annotations
 
-import os
 import secrets
 import signal
 import sys
@@ -19,7 +18,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Final, NamedTuple
 
-from hil.bench import running
+from hil.bench import part_of_pair, running
 from hil.errors import HilError, located
 from hil.log import Logged
 from hil.log.records import Channel, Schema
@@ -27,7 +26,6 @@ from hil.log.topics import PROBE
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
 from hil.runtime.clock import RealClock, monotonic_ns, wall_clock
-from hil.runtime.real import die_with_parent
 from hil.runtime.real.child import python_module
 from transport import ControlPacket, Link, SensorPacket, TransportError, decode, encode_control, encode_sensor, open_link
 
@@ -195,16 +193,10 @@ def answering(uri: str) -> Iterator[None]:
 
 def main() -> None:
     """Be the answering process."""
-    die_with_parent(os.getppid())
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        with open_link(sys.argv[1], "controller") as link:
-            print("ready", flush=True)  # noqa: T201 (this is the process's interface)
-            answer(link)
-    except TransportError as error:
-        print(error, flush=True)  # noqa: T201
-        raise SystemExit(1) from error
+    with part_of_pair(TransportError), open_link(sys.argv[1], "controller") as link:
+        print("ready", flush=True)  # noqa: T201 (this is the process's interface)
+        answer(link)
 
 
 if __name__ == "__main__":

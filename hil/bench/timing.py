@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
@@ -27,7 +27,7 @@ from hil.measure.summary import Array, percentiles, timing_metrics
 from hil.pages.live.watch import watched
 from hil.runtime.clock import pause
 from hil.runtime.real.child import PYTHON
-from hil.session import run_session
+from hil.session import Onlooker, run_session
 
 LINKS = ("can:hil:bench", "zenoh:tcp/127.0.0.1:7447", "can:udp_multicast:239.74.163.2")
 EXPERIMENT = "dc-motor-1khz"
@@ -72,7 +72,10 @@ class Turn:
     summary: dict[str, Any]
 
 
-def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[str], *, beside: bool = True) -> Turn:
+def take_turn(
+    name: str, uri: str, duration_s: float, folder: Path, sets: Sequence[str], *, beside: bool = True,
+    onlooker: Onlooker | None = None,
+) -> Turn:  # fmt: skip
     """Run one session in real time.
 
     Args:
@@ -82,6 +85,7 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
         folder: for its log, which is not kept.
         sets: changes ``path=value`` of the experiment.
         beside: whether cyclictest runs at the same time.
+        onlooker: of the session.
 
     Raises:
         HilError: cyclictest is not installed, or the session failed.
@@ -91,7 +95,7 @@ def take_turn(name: str, uri: str, duration_s: float, folder: Path, sets: Sequen
     output, log = folder / "cyclictest.json", folder / "run.mcap"
     reference = start_cyclictest(experiment.timing.priority, period_us, duration_s, output) if beside else None
     with killed(reference):
-        session = run_session(experiment, clock="real", link=uri, path=log)
+        session = run_session(experiment, clock="real", link=uri, path=log, onlooker=onlooker)
         if session.status > 128:  # a signal, which the session took to close its log
             raise SystemExit(session.status)
         if session.status == 1:
@@ -224,43 +228,35 @@ def bench_live(
     Raises:
         HilError: a session failed.
     """
-    lateness: dict[int, list[Any]] = {n: [] for n in READERS}
-    missed, pictures, dropped = dict.fromkeys(READERS, 0), dict.fromkeys(READERS, 0), dict.fromkeys(READERS, 0)
+    taken: dict[int, list[tuple[Turn, int]]] = {n: [] for n in READERS}
     with tempfile.TemporaryDirectory(prefix="hil-bench-") as folder:
         for turn in range(turns):
             for n in READERS:
                 progress(f"turn {turn + 1} of {turns}: {experiment} over {link}, {n} readers")
-                found = _session(n, experiment, link, duration_s / turns, Path(folder) / "run.mcap")
-                lateness[n].append(found[0])
-                missed[n], dropped[n], pictures[n] = missed[n] + found[1], dropped[n] + found[2], pictures[n] + found[3]
-    of = {n: percentiles(np.concatenate(lateness[n])) for n in READERS}
+                taken[n].append(_session(n, experiment, link, duration_s / turns, Path(folder)))
+    timed = {n: np.concatenate([turn.timed for turn, _ in found]) for n, found in taken.items()}
+    of = {n: percentiles(each["lateness_us"]) for n, each in timed.items()}
     first = of[READERS[0]]
     return [
         {
-            "readers": n, "slots": sum(map(len, lateness[n])), "lateness_us": of[n], "pictures": pictures[n], "missed": missed[n],
-            "dropped_records": dropped[n], "ratio": {q: (of[n][q] or 0.0) / max(first[q] or 0.0, 1.0) for q in first},
+            "readers": n, "slots": len(timed[n]), "lateness_us": of[n], "pictures": sum(read for _, read in found),
+            "missed": int(timed[n]["late"].sum() + timed[n]["overrun"].sum()),
+            "dropped_records": sum(turn.summary["log"]["dropped"] for turn, _ in found),
+            "ratio": {q: (of[n][q] or 0.0) / max(first[q] or 0.0, 1.0) for q in first},
         }
-        for n in READERS
+        for n, found in taken.items()
     ]  # fmt: skip
 
 
-def _session(readers: int, name: str, uri: str, duration_s: float, log: Path) -> tuple[Any, int, int, int]:
-    """Return the lateness of every slot in us, slots without an answer or over their time, records dropped, pictures read."""
+def _session(readers: int, name: str, uri: str, duration_s: float, folder: Path) -> tuple[Turn, int]:
+    """Run one session with readers of its page; return it, and how many pictures they read."""
     urls: list[str] = []
-    processes = []
     with ExitStack() as stack:
-        side = stack.enter_context(watched("real", urls.append)) if readers else None
-        for _ in range(readers):
-            command = [*PYTHON, "-c", f"from hil.bench.timing import read_page; print(read_page({urls[0].split('/')[2]!r}))"]
-            processes.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
-        try:
-            experiment = load_experiment(name, [f"duration={duration_s}"])
-            session = run_session(experiment, clock="real", link=uri, path=log, onlooker=side)
-        except BaseException:
-            for process in processes:
-                process.kill()
-            raise
-    timed = session.run.arrays[TIMING.name]
-    log.unlink()
-    read = sum(int(process.communicate(timeout=30)[0] or 0) for process in processes)
-    return timed["lateness_us"], int(timed["late"].sum() + timed["overrun"].sum()), session.summary["log"]["dropped"], read
+        with watched("real", urls.append) if readers else nullcontext() as side:
+            reads = [*PYTHON, "-c", "import sys; from hil.bench.timing import read_page; print(read_page(sys.argv[1]))"]
+            processes = [
+                subprocess.Popen([*reads, urls[0].split("/")[2]], stdout=subprocess.PIPE, text=True) for _ in range(readers)
+            ]
+            stack.enter_context(killed(*processes))
+            turn = take_turn(name, uri, duration_s, folder, (), beside=False, onlooker=side)
+        return turn, sum(int(process.communicate(timeout=30)[0] or 0) for process in processes)

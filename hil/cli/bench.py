@@ -14,7 +14,7 @@ from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
 from hil.experiment.tables import Affinity
 
-SECONDS = (0.001, 86_400)
+LENGTH = Duration(0.001, 86_400)
 MOST_FRAMES = 5_000_000
 
 
@@ -27,11 +27,6 @@ def status_line(text: str) -> None:
     click.echo(text, err=True)
 
 
-def _check(option: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise HilError(f"{option}: {value:g}; expected a number from {low:g} to {high:g}")
-
-
 def show_table(title: str, rows: list[dict[str, Any]]) -> None:
     from hil.pages import Table
 
@@ -40,7 +35,7 @@ def show_table(title: str, rows: list[dict[str, Any]]) -> None:
 
 
 @bench.command()
-@click.option("--duration", type=Duration(), default="20s", show_default=True, help="Length of the sessions over each link.")
+@click.option("--duration", type=LENGTH, default="20s", show_default=True, help="Length of the sessions over each link.")
 @click.option("--turns", type=click.IntRange(1, 100), default=4, show_default=True, help="Number of sessions that share it.")
 @click.option("--link", "links", multiple=True, help="URI; several allowed.")
 @click.option("--experiment", "experiments", multiple=True, metavar="NAME|FILE",
@@ -57,8 +52,8 @@ def timing(
     """Run the rig (by default at 1 kHz) beside cyclictest at the same priority."""
     from hil.bench.timing import EXPERIMENT, LINKS, bench_timing
 
-    _check("--duration", duration, *SECONDS)
-    _check("--duration over --turns", duration / turns, *SECONDS)
+    if duration / turns < LENGTH.least:
+        raise HilError(f"--duration over --turns: {duration / turns:g} s; expected {LENGTH.least:g} s at least")
     if live:
         _live(duration, turns, (links or LINKS)[0], (experiments or (EXPERIMENT,))[0])
         return
@@ -99,16 +94,14 @@ def _live(duration: float, turns: int, link: str, experiment: str) -> None:
 
 
 @bench.command()
-@click.option("--rate", type=float, default=1000.0, show_default=True, help="Round trips per second.")
-@click.option("--duration", type=Duration(), default="10s", show_default=True, help="Length of the measurement on each link.")
+@click.option("--rate", type=Within(1, 100_000), default=1000.0, show_default=True, help="Round trips per second.")
+@click.option("--duration", type=LENGTH, default="10s", show_default=True, help="Length of the measurement on each link.")
 @click.option("--can", "buses", is_flag=True, help="Instead: CAN buses, with the bus model off and on.")
 @json_option("Print JSON.")
 def links(rate: float, duration: float, buses: bool) -> None:
     """Round trips of all links side by side, with C over UDP as the floor."""
     from hil.bench.links import bench_links
 
-    _check("--rate", rate, 1, 100_000)
-    _check("--duration", duration, *SECONDS)
     if buses:
         from hil.bench.can_buses import bench_can_buses
 

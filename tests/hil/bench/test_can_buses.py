@@ -102,9 +102,9 @@ def test_a_driving_process_answers_each_line_and_one_without_a_bus_says_why(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urgent: list[int] = []
-    monkeypatch.setattr(can_buses, "die_with_parent", lambda pid: None)
+    monkeypatch.setattr("hil.bench.die_with_parent", lambda pid: None)
     monkeypatch.setattr(can_buses, "go_real_time", lambda priority, cpu, *, awake: urgent.append(priority))
-    monkeypatch.setattr(can_buses.signal, "signal", lambda *_: None)
+    monkeypatch.setattr("hil.bench.signal.signal", lambda *_: None)
     monkeypatch.setattr(can_buses, "_PATIENCE_S", 0.01)
     monkeypatch.setattr(sys, "argv", ["", "drive", "hil", f"drive-{os.getpid()}"])
     monkeypatch.setattr(sys, "stdin", io.StringIO("trips 2\nflood 1\n"))

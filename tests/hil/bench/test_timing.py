@@ -136,7 +136,7 @@ def test_a_turn_is_of_what_its_session_and_cyclictest_wrote(tmp_path: Path, monk
     status, text, command = 0, json.dumps(histogram), ["true"]
     started: list[subprocess.Popen[bytes]] = []
 
-    def ran(experiment: Any, *, clock: str, link: str, path: Path) -> Any:
+    def ran(experiment: Any, *, clock: str, link: str, path: Path, onlooker: None) -> Any:
         assert (clock, link, experiment.duration) == ("real", "x:", 2.5) and experiment.timing.affinity == "shared"
         path.write_bytes(b"")
         summary = {"problems": {"rig": "why", "more": "so"}}
@@ -191,14 +191,14 @@ def test_cyclictest_runs_at_the_rate_and_the_priority_of_the_rig(tmp_path: Path,
 def test_rows_of_readers_are_of_all_turns_together(monkeypatch: pytest.MonkeyPatch) -> None:
     lengths: list[float] = []
 
-    def session(readers: int, name: str, uri: str, duration_s: float, log: Path) -> tuple[Any, int, int, int]:
+    def session(readers: int, name: str, uri: str, duration_s: float, folder: Path) -> tuple[Turn, int]:
         lengths.append(duration_s)
-        return np.full(10, 20.0 + 20.0 * readers), 1 + readers, 2 * readers, 7 * readers
+        return turn([20.0 + 20.0 * readers] * 10, [], 0, 2 * readers), 7 * readers
 
     monkeypatch.setattr(timing, "_session", session)
     rows = bench_live(duration_s=4.0, turns=2, link="x:", experiment="mine")
     assert lengths == [2.0] * 6
     assert [tuple(row[key] for key in ("readers", "slots", "missed", "dropped_records", "pictures")) for row in rows] == [
-        (0, 20, 2, 0, 0), (1, 20, 4, 4, 14), (3, 20, 8, 12, 42),
+        (0, 20, 6, 0, 0), (1, 20, 6, 4, 14), (3, 20, 6, 12, 42),
     ]  # fmt: skip
     assert [row["ratio"]["p50"] for row in rows] == [1.0, 2.0, 4.0] and rows[2]["lateness_us"]["max"] == 80.0

@@ -87,9 +87,10 @@ def test_timing_is_measured_as_asked_and_shown_by_rig_and_cyclictest(measured: A
     assert {f"e can:hil:a {name} 12 34.5 80 –" for name in ("rig", "cyclictest", "ratio")} <= {*lines}
     assert "e can:hil:a free 150 300 0.75 2.000% 3.000% 4.000% 6" in lines
     assert lines[-1] == "20000 slots for each link; SCHED_FIFO"
-    for words in (("--duration", "0.1ms"), ("--duration", "50ms", "--turns", "100")):
-        refused, asked = measured(name, [TIMING], "timing", *words)
-        assert isinstance(refused.exception, HilError) and "expected a number from" in str(refused.exception) and not asked
+    refused, asked = measured(name, [TIMING], "timing", "--duration", "50ms", "--turns", "100")
+    assert isinstance(refused.exception, HilError) and "expected 0.001 s at least" in str(refused.exception) and not asked
+    refused, asked = measured(name, [TIMING], "timing", "--duration", "0.1ms")
+    assert refused.exit_code == 2 and "expected a duration from 0.001 s" in refused.stderr and not asked
 
 
 def test_readers_of_the_live_page_are_measured_on_the_first_link_and_experiment(measured: Any) -> None:
@@ -108,6 +109,9 @@ def test_links_and_can_buses_are_tables_of_their_own(measured: Any) -> None:
     done, asked = measured("hil.bench.links.bench_links", rows, "links", "--rate", "50", "--duration", "3s")
     assert done.exit_code == 0 and asked == {"rate_hz": 50.0, "duration_s": 3.0, "given": ()}
     assert "round trips at 50 Hz, us" in done.stdout and "31" in done.stdout
-    for words in (("--rate", "0.5"), ("--rate", "200000"), ("--duration", "0.1ms")):
+    for words, said in (
+        (("--rate", "0.5"), "from 1 to 100000"), (("--rate", "200000"), "from 1 to 100000"),
+        (("--duration", "0.1ms"), "duration from"),
+    ):  # fmt: skip
         refused, asked = measured("hil.bench.links.bench_links", [], "links", *words)
-        assert isinstance(refused.exception, HilError) and "expected a number from" in str(refused.exception) and not asked
+        assert refused.exit_code == 2 and said in refused.stderr and not asked
