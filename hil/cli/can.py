@@ -6,7 +6,7 @@ import json
 import os
 import re
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -114,13 +114,17 @@ def _of_traffic(
     from transport.links.can_open import rate
 
     try:
-        traffic = read_traffic(path)
+        traffic, others = read_traffic(path)
         if bitrate is None:
             raise HilError(f"--bitrate: missing; {path} says no bit rate, such as 500k")
         rates = BitRates(rate(bitrate, "bitrate"), None if dbitrate is None else rate(dbitrate, "dbitrate"))
         if rates.dbitrate is None and any(each.fd for each in traffic):
             raise HilError(f"--dbitrate: missing; {path} has CAN FD messages")
-        return analyse_traffic(path.name, traffic, rates, seconds, partial(rng_for, 0), errors)
+        found = analyse_traffic(path.name, traffic, rates, seconds, partial(rng_for, 0), errors)
+        if others:
+            named = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
+            found = replace(found, assumes=f"{found.assumes}, and {len(others)} without GenMsgCycleTime are not sent ({named})")
+        return found
     except FieldError as error:
         raise HilError(f"{path if error.field == 'identifier' else '--' + error.field}: {error.message}") from error
 

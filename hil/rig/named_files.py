@@ -80,7 +80,7 @@ def with_traffic_files(e: Experiment) -> Experiment:
             if path.suffix in RECORDINGS:
                 media[name] = replace(medium, recorded=(*medium.recorded, *read_recorded(path)), traffic_file="")
             else:
-                media[name] = replace(medium, traffic=(*medium.traffic, *read_traffic(path)), traffic_file="")
+                media[name] = replace(medium, traffic=(*medium.traffic, *read_traffic(path)[0]), traffic_file="")
         except HilError as error:
             raise ExperimentError(e.name, [f"network.media.{name}.traffic_file: {error}"]) from error
         fields = media[name].__struct_fields__
@@ -102,8 +102,8 @@ _TOO_LONG: Final = r"(?m)^\s*(?:BO_|SG_)[^:\n]*:\s*(?:\d+\|)?\d{6,}"
 """cantools keeps every bit of a message in a list."""
 
 
-def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
-    """Return the messages of a file that ends in .csv or .dbc.
+def read_traffic(path: Path) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
+    """Return the messages of a file that ends in .csv or .dbc, and the names of those that say no cycle time.
 
     Args:
         path: a CSV file has a head with the keys of a traffic table, ``can_id`` and ``period`` among them.
@@ -117,10 +117,11 @@ def read_traffic(path: Path) -> tuple[TrafficTable, ...]:
         text = file.read(LARGEST + 1).decode("utf-8" if path.suffix == ".csv" else "cp1252")
     if len(text) > LARGEST:
         raise HilError(f"{path}: more than {LARGEST} characters")
-    found = _of_csv(path, text) if path.suffix == ".csv" else _of_dbc(path, text)
+    found, others = (_of_csv(path, text), ()) if path.suffix == ".csv" else _of_dbc(path, text)
     if not found:
-        raise HilError(f"{path}: no message that is sent again and again")
-    return found
+        missing = "" if path.suffix == ".csv" else ": none says its cycle time by GenMsgCycleTime"
+        raise HilError(f"{path}: no message that is sent again and again{missing}")
+    return found, others
 
 
 def _of_csv(path: Path, text: str) -> tuple[TrafficTable, ...]:
@@ -163,7 +164,7 @@ def _sound(values: dict[str, Any]) -> TrafficTable:
         raise ValueError(str(error)) from error
 
 
-def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
+def _of_dbc(path: Path, text: str) -> tuple[tuple[TrafficTable, ...], tuple[str, ...]]:
     import cantools
 
     beyond = re.search(_TOO_LONG, text)
@@ -183,7 +184,7 @@ def _of_dbc(path: Path, text: str) -> tuple[TrafficTable, ...]:
                     "node": message.senders[0] if message.senders else "",
                 }  # fmt: skip
                 found.append(_sound(values))
-    return tuple(found)
+    return tuple(found), tuple(message.name for message in database.messages if not message.cycle_time)
 
 
 MOST: Final = 100_000

@@ -95,7 +95,7 @@ class ParameterSweep(ShownResult):
         the others differ from it by 95 % intervals. So the levels are those of all points, and of all pairs, together.
         """
         best, asked_for, whole = self.best(quantity), asked(self.quantities, quantity, self.columns), self.whole(quantity)
-        if asked_for not in self.judged():
+        if not asked_for.better:
             return f"{asked_for.title}: no measure states which value is better"
         if best is None:
             return f"{asked_for.title}: no point is best; at each safety stopped a run, or a run has no number"

@@ -121,6 +121,17 @@ def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line:
         run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
 
 
+def test_messages_of_a_dbc_that_say_no_cycle_time_are_named(tmp_path: Path) -> None:
+    head = 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_DEF_DEF_ "GenMsgCycleTime" 0;\n'
+    (tmp_path / "t.dbc").write_text('VERSION ""\nBU_: A\n' + "".join(f"BO_ {i} M{i}: 8 A\n" for i in range(1, 6)) + head)
+    with pytest.raises(HilError, match=r"t\.dbc: no message that is sent again and again: none says its cycle time by GenMsg"):
+        run(str(tmp_path / "t.dbc"), "--bitrate", "500k")
+    with (tmp_path / "t.dbc").open("a") as file:
+        file.write('BA_ "GenMsgCycleTime" BO_ 3 10;\n')
+    said = " ".join(run(str(tmp_path / "t.dbc"), "--bitrate", "500k", "--duration", "0.1").split())
+    assert "no node is off the bus, and 4 without GenMsgCycleTime are not sent (M1, M2, M4, ...)." in said
+
+
 def test_a_dbc_whose_cycle_time_is_no_number_of_seconds_is_refused(tmp_path: Path) -> None:
     cycle = 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;\nBA_DEF_DEF_ "GenMsgCycleTime" 0;\nBA_ "GenMsgCycleTime" BO_ 1 1e400;\n'
     (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\nBO_ 1 M: 8 A\n{cycle}')

@@ -74,6 +74,7 @@ def test_a_comparison_and_a_grid_say_what_they_can_of_each_output(cart: Path) ->
     assert "is not summed over outputs of several units" in repr(both)
     grid = hil.sweep(cart, grid={"controller.gain": [[[-1, -1]], [[-2, -1]]]}, runs=2, jobs=1)
     assert grid.answer("sse.place").startswith("best point: ")
+    assert grid.answer("sse") == "squared tracking error: no point is best; at each safety stopped a run, or a run has no number"
     assert "squared tracking error of place" in repr(hil.sweep(cart, runs=2, jobs=1)), "not one that no run has"
     assert "squared tracking error of place" in grid._repr_html_()
 

@@ -54,9 +54,9 @@ def test_a_table_of_traffic_is_known_by_its_ending_and_bounded(tmp_path: Path, m
         read_traffic(tmp_path / "a.txt")
     path = tmp_path / "a.csv"
     path.write_text("can_id,period\n0x12,1\n")
-    assert [each.can_id for each in read_traffic(path)] == [0x12]
+    assert [each.can_id for each in read_traffic(path)[0]] == [0x12]
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()))
-    assert read_traffic(path)
+    assert read_traffic(path)[0]
     monkeypatch.setattr(named_files, "LARGEST", len(path.read_text()) - 1)
     with pytest.raises(HilError, match=r"a\.csv: more than 20 characters"):
         read_traffic(path)
