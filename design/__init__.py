@@ -56,7 +56,6 @@ if TYPE_CHECKING:
     from design.semi_markov_loop.robust_feedback import FeedbackRequest as FeedbackRequest
     from design.semi_markov_loop.robust_feedback import fastest_feedback as fastest_feedback
     from design.semi_markov_loop.robust_feedback import largest_uncertainty as largest_uncertainty
-    from design.semi_markov_loop.robust_feedback import robust_feedback as robust_feedback
     from design.semi_markov_loop.stability import analyse as analyse
     from design.semi_markov_loop.stability import largest_decay as largest_decay
     from design.tracking import TrackingProblem as TrackingProblem

@@ -185,9 +185,9 @@ class RobustScheduled:
         if self.constraint is not None and not isinstance(process, FaultDetection):
             raise FieldError("constraint", "is for a plant that shows the detected mode (Chapter 4)")
         if isinstance(system, JumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "robust"):
-            from design.semi_markov_loop.robust_feedback import robust_feedback
+            from design.semi_markov_loop.robust_feedback import FeedbackRequest
 
-            found = robust_feedback(system, process, gain_bound=bound, decay=self.decay, sections=starts or 2)
+            found = FeedbackRequest(process=process, gain_bound=bound, sections=starts or 2).solve(system, self.decay)
         elif isinstance(system, DelayedJumpSystem) and isinstance(process, SemiMarkov) and asked in ("by-plant", "delayed-hinf"):
             from design.semi_markov_loop.delayed_hinf import delayed_hinf
 

@@ -117,7 +117,20 @@ def tabulate(found: LmiSolution, nodes: Partition, method: Method, schedule: Sch
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeedbackRequest:
-    """What is asked of the gains; see ``robust_feedback`` for the fields."""
+    """Gains K(i, h) that make the loop mean-square stable for every admissible uncertainty and rate (Corollary 2.2, sound).
+
+    Args:
+        process: of the modes.
+        gain_bound: largest spectral norm of any gain.
+        sections: number of equal-probability sections, or a partition.
+        method: ``pwl`` or ``pwc``.
+        schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
+            linear between them or held.
+        condition: largest condition number of X that is searched.
+
+    Raises:
+        ValueError: data that do not fit.
+    """
 
     process: SemiMarkov
     gain_bound: float
@@ -147,6 +160,19 @@ class FeedbackRequest:
     def __str__(self) -> str:
         return f"method {self.method}, {max(map(len, self.starts))} sections, gain norm <= {self.gain_bound:g}"
 
+    def solve(self, system: JumpSystem, decay: float = 0.0) -> JumpCertificate:
+        """Return the certificate of the gains (``.gain``), found again from the gains alone.
+
+        Args:
+            system: the plant.
+            decay: demanded decay rate of E|x|^2 (1/s).
+
+        Raises:
+            ValueError: data that do not fit.
+            Infeasible: no such gains exist (proved) or none could be certified; the message says.
+        """
+        return self.judge(system, self.find(system, decay), decay)
+
     def find(self, system: JumpSystem, decay: float, *, quick: bool = False) -> LmiSolution:
         """Solve the inequalities. Raises Infeasible with the proof, or (``quick``: at once) with the best margin reached."""
         check_at_least_zero(decay=decay)
@@ -175,10 +201,8 @@ class FeedbackRequest:
         gain = tabulate(found, self.nodes, self.method, self.schedule, self.points)
         if gain.norm > self.gain_bound:  # the inequality holds to the solver's tolerance only
             gain = replace(gain, gain=gain.gain * (self.gain_bound / gain.norm))
-        if self.method == "pwl":
-            certificate = analyse(system, gain, self.process, method="pwl", parts=1, decay=decay)
-        else:
-            certificate = analyse(system, gain, self.process, method=self.method, nodes=self.starts, decay=decay)
+        nodes = None if self.method == "pwl" else self.starts
+        certificate = analyse(system, gain, self.process, method=self.method, nodes=nodes, parts=1, decay=decay)
         if certificate.certified:
             return certificate
         raise Infeasible(
@@ -197,47 +221,10 @@ class Synthesis(Protocol):
         """The gains in these matrices with their certificate, or Infeasible."""
 
 
-def robust_feedback(
-    system: JumpSystem,
-    process: SemiMarkov,
-    *,
-    gain_bound: float,
-    sections: int | Partition = 2,
-    method: Method = "pwl",
-    schedule: Schedule = "linear",
-    points: int = 4,
-    decay: float = 0.0,
-    condition: float = CONDITION,
-) -> JumpCertificate:
-    """Gains K(i, h) that make the loop mean-square stable for every admissible uncertainty and rate (Corollary 2.2, sound).
-
-    Args:
-        gain_bound: largest spectral norm of any gain.
-        sections: number of equal-probability sections, or a partition.
-        method: ``pwl`` or ``pwc``.
-        schedule, points: how K(h) of ``pwl`` is handed over: ``points`` per section,
-            linear between them or held.
-        decay: demanded decay rate of E|x|^2 (1/s).
-        condition: largest condition number of X that is searched.
-
-    Returns:
-        The certificate of the gains (``.gain``), found again from the gains alone.
-
-    Raises:
-        ValueError: data that do not fit.
-        Infeasible: no such gains exist (proved) or none could be certified; the message says.
-    """
-    request = FeedbackRequest(
-        process=process, gain_bound=gain_bound, sections=sections, method=method, schedule=schedule, points=points,
-        condition=condition,
-    )  # fmt: skip
-    return request.judge(system, request.find(system, decay), decay)
-
-
 def largest_uncertainty(system: JumpSystem, request: Synthesis, *, tolerance: float = 1e-3) -> tuple[float, JumpCertificate]:
     """The largest scale of the system's uncertainty for which gains are certified, and the certificate of these gains.
 
-    Bisection to a relative ``tolerance``. Raises as ``robust_feedback`` does, where not even scale 0 has gains.
+    Bisection to a relative ``tolerance``. Raises as ``FeedbackRequest.solve`` does, where not even scale 0 has gains.
     """
     if system.uncertainty is None:
         raise FieldError("uncertainty", "there is none to scale")

@@ -20,7 +20,7 @@ from design.processes.rates import constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate
-from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, feedback_program, robust_feedback
+from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, feedback_program
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.stability import analyse, largest_decay
 from hil.thesis import ReportProgress
@@ -59,7 +59,7 @@ def _word(found: LmiSolution) -> str:
 def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
     """What Section 2.5 says of the conditions for the example."""
     process, printed = chapter2_process(), chapter2_system("printed")
-    ours = robust_feedback(printed, process, gain_bound=30.0, sections=1, method="pwc")
+    ours = FeedbackRequest(process=process, gain_bound=30.0, sections=1, method="pwc").solve(printed)
     assert ours.gain is not None
     proof = prove_certificate(ours)
     published = printed_stability(printed, chapter2_gain(), process)
@@ -80,7 +80,7 @@ def feasibility(report_progress: ReportProgress) -> dict[str, Any]:
         "pivot": float(proof.smallest_pivot), "sections": ours.gain.starts_s.shape[1],
         "matched": _word(matched), "no_gains": matched.explain(),
         "K": ", ".join(np.array2string(g[0, 0], precision=2) for g in ours.gain.gain),
-        "ours": robust_feedback(chapter2_system("vertices"), process, gain_bound=100.0, sections=8).verdict,
+        "ours": FeedbackRequest(process=process, gain_bound=100.0, sections=8).solve(chapter2_system("vertices")).verdict,
         "printed_form": verdict_of(published), "constant": verdict_of(constant),
         "forms": {name: [_word(each) for each in found] for name, found in forms.items()},
         "why": {name: found[0].explain() for name, found in forms.items()},

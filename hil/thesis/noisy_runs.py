@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import expm
 
 from design.controllers.scheduled_gain import ScheduledGain
 from design.processes.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path
 from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.period_moments import gain_mode
-from design.semi_markov_loop.second_moments import exponential
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -187,5 +187,5 @@ def _held(system: JumpSystem, gain: ScheduledGain, key: tuple[int, int, int], st
     n, q = e.shape
     block = np.zeros((n + q, n + q))
     block[:n, :n], block[:n, n:] = loop * step_s, e * step_s
-    both = exponential(block)
+    both = expm(block)
     return both[:n, :n], both[:n, n:]

@@ -6,13 +6,13 @@ import sys
 from tests.waiting import LIMIT_S
 
 ORDERS = [
-    "import design; design.robust_feedback; design.delayed_hinf; rf, dh = design.robust_feedback, design.delayed_hinf",
-    "from design import analyse_delayed, delayed_hinf as dh, robust_feedback as rf",
-    "from design import delayed_hinf as dh, fastest_feedback, robust_feedback as rf; import design; dh = design.delayed_hinf",
+    "import design; design.fastest_feedback; design.delayed_hinf; rf, dh = design.fastest_feedback, design.delayed_hinf",
+    "from design import analyse_delayed, delayed_hinf as dh, fastest_feedback as rf",
+    "from design import delayed_hinf as dh, largest_decay, fastest_feedback as rf; import design; dh = design.delayed_hinf",
     "import design.semi_markov_loop.robust_feedback, design.semi_markov_loop.delayed_hinf; "
-    "from design import robust_feedback as rf, delayed_hinf as dh",
-    "import design; design.robust_feedback; from design import *; rf, dh = robust_feedback, delayed_hinf",
-    "from design import *; rf, dh = robust_feedback, delayed_hinf",
+    "from design import fastest_feedback as rf, delayed_hinf as dh",
+    "import design; design.fastest_feedback; from design import *; rf, dh = fastest_feedback, delayed_hinf",
+    "from design import *; rf, dh = fastest_feedback, delayed_hinf",
 ]
 
 

@@ -14,7 +14,7 @@ from design.lmi import prove
 from design.processes.rates import PiecewiseLinearRate, constant_rate
 from design.processes.semi_markov import SemiMarkov
 from design.semi_markov_loop import JumpSystem, VertexUncertainty
-from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty, robust_feedback
+from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_feedback, largest_uncertainty
 from design.semi_markov_loop.second_moments import second_moment_radius
 from design.semi_markov_loop.stability import analyse
 
@@ -25,7 +25,7 @@ STEP = PiecewiseLinearRate(times_s=(0.0, 0.4967, 0.4967), values=(0.01, 0.01, 20
 @pytest.mark.parametrize(("sections", "required"), [(2, 0.72), (8, 1.14)])
 def test_certified_uncertainty_scale_reaches_the_required_one(sections: int, required: float) -> None:
     system = chapter2_system("vertices").scaled(required)
-    certificate = robust_feedback(system, PROCESS, gain_bound=100.0, sections=sections)
+    certificate = FeedbackRequest(process=PROCESS, gain_bound=100.0, sections=sections).solve(system)
     gain = certificate.gain
     assert gain is not None and gain.norm <= 100.0
     assert certificate.certified and certificate.sound and certificate.check() > 0
@@ -69,10 +69,10 @@ def test_more_sections_help_and_never_hurt_and_pwl_beats_pwc() -> None:
 
 def test_theorem_2_4_is_feasible_where_the_text_says_it_is_not() -> None:
     # DEVIATION: "by applying Theorem 2.4, the condition in (2.20) is not feasible" is false for the printed F_A, F_B
-    certificate = robust_feedback(chapter2_system("printed"), PROCESS, gain_bound=30.0, sections=1, method="pwc")
+    certificate = FeedbackRequest(process=PROCESS, gain_bound=30.0, sections=1, method="pwc").solve(chapter2_system("printed"))
     assert certificate.check() > 0 and prove(certificate).proved
     with pytest.raises(Infeasible, match="dual matrices prove"):  # and true for the F that give the printed A_i(t)
-        robust_feedback(chapter2_system("matched"), PROCESS, gain_bound=100.0, sections=1, method="pwc")
+        FeedbackRequest(process=PROCESS, gain_bound=100.0, sections=1, method="pwc").solve(chapter2_system("matched"))
 
 
 def test_printed_synthesis_returns_gains_that_destabilise() -> None:
@@ -86,12 +86,12 @@ def test_printed_synthesis_returns_gains_that_destabilise() -> None:
     assert printed.certified and not printed.sound and printed.gain is not None
     assert analyse(system, printed.gain, process, method="exact").spectral_radius == pytest.approx(5.463, abs=1e-2)
     with pytest.raises(Infeasible, match="no solution with entries up to"):
-        robust_feedback(system, process, gain_bound=1.0, sections=halves)
+        FeedbackRequest(process=process, gain_bound=1.0, sections=halves).solve(system)
 
 
 def test_held_gains_are_certified_as_they_are_held() -> None:
     system = chapter2_system("vertices")
-    certificate = robust_feedback(system, PROCESS, gain_bound=100.0, sections=8, schedule="hold")
+    certificate = FeedbackRequest(process=PROCESS, gain_bound=100.0, sections=8, schedule="hold").solve(system)
     assert certificate.gain is not None and certificate.gain.schedule == "hold"
     assert certificate.certified and certificate.check() > 0
 
@@ -99,8 +99,8 @@ def test_held_gains_are_certified_as_they_are_held() -> None:
 @pytest.mark.slow
 def test_decay_objective_finds_faster_gains_than_stability_alone() -> None:
     system = chapter2_system("printed")
-    plain = robust_feedback(system, PROCESS, gain_bound=30.0, sections=2)
     request = FeedbackRequest(process=PROCESS, gain_bound=30.0, sections=2)
+    plain = request.solve(system)
     fast = fastest_feedback(system, request, tolerance=2e-2)
     assert fast.gain is not None and fast.gain.norm <= 30.0
     assert (fast.decay_rate or 0.0) > max(0.55, plain.decay_rate or 0.0)  # (2.27) as printed: .279 in |x|, .558 in |x|^2
@@ -111,9 +111,9 @@ def test_request_that_no_gain_can_meet_is_reported_before_any_solver_runs() -> N
     a = np.array([[[-1.0, 0.0], [0.0, 0.4]], [[-1.0, 0.0], [0.0, -1.0]]])
     b = np.array([[[1.0], [0.0]], [[1.0], [1.0]]])
     with pytest.raises(Infeasible, match=r"mode 0: the eigenvalue \+0.4 is out of the input's reach"):
-        robust_feedback(JumpSystem(a=a, b=b), slow, gain_bound=10.0)
+        FeedbackRequest(process=slow, gain_bound=10.0).solve(JumpSystem(a=a, b=b))
     quick = SemiMarkov(rates=((None, constant_rate(5.0)), (constant_rate(0.5), None)))
-    assert robust_feedback(JumpSystem(a=a, b=b), quick, gain_bound=10.0, sections=1).certified
+    assert FeedbackRequest(process=quick, gain_bound=10.0, sections=1).solve(JumpSystem(a=a, b=b)).certified
 
 
 @pytest.mark.parametrize(
@@ -129,8 +129,9 @@ def test_request_that_no_gain_can_meet_is_reported_before_any_solver_runs() -> N
 )
 def test_bad_request_gets_one_clear_message(changes: dict[str, object], message: str) -> None:
     request: dict[str, object] = {"gain_bound": 10.0, **changes}
+    decay = float(request.pop("decay", 0.0))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="^" + message):
-        robust_feedback(chapter2_system(), PROCESS, **request)  # type: ignore[arg-type]
+        FeedbackRequest(process=PROCESS, **request).solve(chapter2_system(), decay)  # type: ignore[arg-type]
 
 
 class UpTo:

@@ -26,7 +26,7 @@ from design.processes.partitions import Partition, equal_probability, uniform
 from design.processes.rates import PiecewiseLinearRate, Rate, ScaledRate, WeibullRate, constant_rate
 from design.processes.semi_markov import SemiMarkov, sample_path
 from design.semi_markov_loop import JumpSystem, NormBounded
-from design.semi_markov_loop.second_moments import exponential, second_moment_decay, second_moment_radius
+from design.semi_markov_loop.second_moments import second_moment_decay, second_moment_radius
 from design.semi_markov_loop.stability import analyse, largest_decay, stability_inequalities
 
 PROCESS = chapter2_process()
@@ -75,7 +75,6 @@ def test_monte_carlo_sides_with_the_exact_second_moments() -> None:
     rng = np.random.default_rng(0)
     path = sample_path(STEP_PROCESS, 0, 400.0, rng)
     x, growth = np.array([1.0, 1.0]), 0.0
-    from scipy.linalg import expm
 
     for mode, h in zip(path.modes, np.diff(path.times_s)):
         x = expm(STEP_SYSTEM.a[mode] * h) @ x
@@ -155,7 +154,6 @@ def test_gains_linear_in_the_sojourn_time_are_certified_between_their_nodes_too(
 
 def test_exact_radius_agrees_with_a_simulated_second_moment() -> None:
     # E x x' after one jump, from 20,000 sampled sojourns, against the operator's own first step
-    from scipy.linalg import expm
 
     from design.semi_markov_loop.period_moments import smat, svec
     from design.semi_markov_loop.second_moments import _mode_moments, _operator
@@ -332,13 +330,3 @@ def test_a_gain_that_is_linear_in_the_sojourn_has_the_moments_of_its_integral() 
     within = np.trapezoid(1.5 * np.exp(grown - 1.5 * h), h)
     beyond = 1.5 * np.exp(grown[-1] - 1.5 * span) / (1.5 - 2.0 * (a + b * k1))
     assert second_moment_radius(system, gain, process) == pytest.approx(within + beyond, rel=1e-6)
-
-
-@pytest.mark.parametrize("size", [1, 2, 4, 6])
-def test_stack_agrees_with_scipy(size: int) -> None:
-    rng = np.random.default_rng(size)
-    stack = rng.standard_normal((20, size, size)) * np.geomspace(1e-3, 10, 20)[:, None, None]
-    ours, theirs = exponential(stack), expm(stack)
-    error = np.linalg.norm(ours - theirs, axis=(1, 2)) / np.linalg.norm(theirs, axis=(1, 2))
-    assert error.max() < 1e-12
-    assert exponential(np.zeros((3, size, size))) == pytest.approx(np.stack([np.eye(size)] * 3))
