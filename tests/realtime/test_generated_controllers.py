@@ -121,6 +121,13 @@ def test_without_its_arguments_a_program_says_what_they_are(tmp_path: Path, kind
     assert ended.returncode == 1 and ended.stderr.startswith("usage: python ")
 
 
+def test_the_program_in_c_says_that_its_interface_is_not_there(tmp_path: Path) -> None:
+    """A name of no interface bound the socket to all of them, and a kernel without CAN was "Bad file descriptor"."""
+    ended = subprocess.run([*generate(tmp_path, loop_of("dc-motor-hinf"), "c"), "vcan77"], capture_output=True, text=True)
+    assert ended.returncode == 1
+    assert ended.stderr in ("vcan77: No such device\n", "vcan77: Address family not supported by protocol\n")
+
+
 @LANGUAGES
 @pytest.mark.parametrize("name", ["multisensor-ours", "omni-push", "vtol-fault"])
 def test_a_law_that_is_no_table_is_a_program_that_answers_zeros(tmp_path: Path, language: Language, name: str) -> None:
