@@ -1,28 +1,26 @@
 """The terminal view while a session runs: how far, how well, which delays, how late.
 
-Records arrive through `LiveView.taps` in the session's process (never in a loop process) and only the newest of a
-topic is kept; it is decoded when the picture is drawn, ten times a second. All times are session times from the
-records, so the view reads no clock of its own.
+Records arrive in the session's process (never in a loop process), and the newest of a topic are kept; they are decoded when the
+picture is drawn, ten times a second. All times are session times from the records, so the view reads no clock of its own.
 """
 
 from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from functools import partial
-from struct import Struct
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hil.cli.terminal import visible
-from hil.log import Logged, decode_event
-from hil.log.records import CDR_HEADER, EVENTS_TOPIC
-from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING, channels
+from hil.log import decode_event
+from hil.log.records import EVENTS_TOPIC, Channel
+from hil.log.topics import APPLIED, MEASUREMENT, REFERENCE, ROWS, TIMING
 from hil.measure.signals import PURE, tracked_among
 from hil.measure.summary import percentiles
 from hil.pages.html import text_of
+from hil.pages.live import Records, Tail
 from plants.parts import Signal
 
 if TYPE_CHECKING:
@@ -31,15 +29,15 @@ if TYPE_CHECKING:
 
     from hil.experiment import Experiment
     from hil.log.write import PayloadWriter
+    from hil.rig.loop import Loop
 
 REFRESH_HZ = 10
 RECENT = 2000
 """Slots over which lateness percentiles and delay shares are shown."""
 
 LONGEST_NAME = 20
-SHOWN = (MEASUREMENT.name, REFERENCE.name, APPLIED.name, ROWS.name, TIMING.name, EVENTS_TOPIC)
+SHOWN = (MEASUREMENT.name, REFERENCE.name, APPLIED.name, ROWS.name, TIMING.name)
 
-_TAU = Struct("<ii")  # `/controller/rows` ends with tau and selection, however many rows stand before
 _BLOCKS = "▁▂▃▄▅▆▇█"
 _STYLES = {"warning": "yellow", "error": "bold red"}
 
@@ -53,8 +51,8 @@ class LiveView:
         link: URI of the link; the experiment's own by default.
         console: where to draw; standard error by default.
 
-    Use it as a context manager and give `taps` to `run_session`; leaving it, also by an exception or Ctrl-C, stops the
-    drawing, removes the view and shows the cursor again.
+    Use it as a context manager around `hil.session.run_session`, whose onlooker it is; leaving it, also by an exception or
+    Ctrl-C, stops the drawing, removes the view and shows the cursor again.
     """
 
     def __init__(self, experiment: Experiment, clock: str, *, link: str | None = None, console: Console | None = None) -> None:
@@ -69,42 +67,29 @@ class LiveView:
         self._plant = plant
         self._tracked = tracked_among(plant, [signal.name for signal in plant.outputs])
         self._name_width = min(max(10, *(len(signal.name) for signal in plant.outputs)), LONGEST_NAME)
-        table = channels(Logged(states=plant.states, inputs=plant.inputs, outputs=plant.outputs, n_rows=1))
-        self._dtypes = {topic: channel.schema.dtype for topic, channel in table.items()}
-        self._newest: dict[str, bytes] = {}
-        self._t_ns = -1
-        self._taus: deque[int] = deque(maxlen=RECENT)
-        self._ds: deque[int] = deque(maxlen=RECENT)
-        self._lateness: deque[float] = deque(maxlen=RECENT)
+        self._tails: dict[str, Tail] = {}
         self._errors: deque[float] = deque(maxlen=36)
+        self._timed = -1  # the newest slot whose lateness is counted
         self._worst = 0.0
         self._late = 0
         self._overruns = 0
         self._events: deque[dict[str, Any]] = deque(maxlen=4)
         self._live: Live | None = None
+        self.clock, self.changes = None, None  # it paces nothing, and changes nothing
 
-    @property
-    def taps(self) -> Mapping[str, PayloadWriter]:
-        """Topic to the function that takes its records; empty when there is no terminal to draw on."""
-        return {topic: partial(self.update, topic) for topic in SHOWN} if self._on else {}
+    def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
+        """Take the records that are shown; none where there is no terminal to draw on."""
+        if not self._on:
+            return {}
+        schemas = {topic: channels[topic].schema for topic in SHOWN if topic in channels}
+        self._tails = {topic: Tail(schema, RECENT * schema.dtype.itemsize) for topic, schema in schemas.items()}
+        return {**{topic: tail.put for topic, tail in self._tails.items()}, EVENTS_TOPIC: self._event}
 
-    def update(self, topic: str, t_ns: int, payload: bytes) -> None:
-        """Take one record of any topic; those that are not shown are ignored."""
-        if topic == ROWS.name:
-            self._taus.append(_TAU.unpack_from(payload, len(payload) - _TAU.size)[0])
-        elif topic == EVENTS_TOPIC:
-            self._events.append(decode_event(payload))
-        elif topic == TIMING.name:
-            self._newest[topic] = payload
-            slot = self._record(topic, payload)
-            self._lateness.append(float(slot["lateness_us"]))
-            self._worst = max(self._worst, float(slot["lateness_us"]))
-            self._late += int(slot["late"])
-            self._overruns += int(slot["overrun"])
-        elif topic in SHOWN:
-            self._newest[topic], self._t_ns = payload, t_ns
-            if topic == APPLIED.name and (d := int(self._record(topic, payload)["d"])) >= 0:
-                self._ds.append(d)
+    def _event(self, t_ns: int, payload: bytes) -> None:
+        self._events.append(decode_event(payload))
+
+    def end(self) -> None:
+        """It waits for nothing."""
 
     def __enter__(self) -> LiveView:
         if self._on:
@@ -134,12 +119,13 @@ class LiveView:
         from rich.text import Text
 
         e = self._experiment
-        done_s = max(self._t_ns, 0) / 1e9
+        measured = self._newest(MEASUREMENT.name)
         head = Text.assemble((visible(e.name), "bold"), (f"  seed {e.seed} · {visible(self._where)}", "dim"))
-        if self._t_ns < 0:
+        if not len(measured):
             waited = int(self._console.get_time() - self._begun)
             what = "starting" if "real" in self._where else "computing"
             return Group(head, Text(f"{what} … {f'{waited} s' if waited else ''}", style="dim"))
+        done_s = int(measured["slot"][-1]) * e.period_ns / 1e9
         bar = Table.grid(padding=(0, 1), expand=True)
         bar.add_column(ratio=1)
         bar.add_column(justify="right", width=19)
@@ -160,12 +146,12 @@ class LiveView:
         return Group(head, bar, lines, *events)
 
     def _tracking(self) -> list[tuple[str, str]]:
-        y, r = self._decoded(MEASUREMENT.name), self._decoded(REFERENCE.name)
-        if y is None or r is None:
+        y, r = self._newest(MEASUREMENT.name), self._newest(REFERENCE.name)
+        if not (len(y) and len(r)):
             return []
         rows = []
         for i, signal in enumerate(self._plant.outputs):
-            now, wanted = float(y[i]), float(r[i])
+            now, wanted = float(y[-1][i]), float(r[-1][i])
             parts = [_quantity(now, signal)]
             if signal.name in self._tracked:
                 parts += [f"error {text_of(now - wanted):<9}", f"reference {text_of(wanted):<6}"]
@@ -182,37 +168,39 @@ class LiveView:
         return next((line for line in reversed(lines) if len(line) <= room), lines[0])
 
     def _input(self) -> list[tuple[str, str]]:
-        applied = self._decoded(APPLIED.name)
-        if applied is None:
+        applied = self._newest(APPLIED.name)
+        if not len(applied):
             return []
-        return [("input", "   ".join(_quantity(float(applied[i]), signal) for i, signal in enumerate(self._plant.inputs)))]
+        parts = [_quantity(float(applied[-1][i]), signal) for i, signal in enumerate(self._plant.inputs)]
+        return [("input", "   ".join(parts))]
 
     def _delays(self) -> list[tuple[str, str]]:
         shown: list[tuple[str, str]] = []
-        for name, values in (("τ", list(self._taus)), ("d", list(self._ds))):
+        for name, topic, field in (("τ", ROWS.name, "tau"), ("d", APPLIED.name, "d")):
+            records = self._newest(topic)
+            values = [age for age in (records[field].tolist() if len(records) else ()) if age >= 0 or topic == ROWS.name]
             if values:
                 shares = ", ".join(f"{age}: {100 * n / len(values):.0f} %" for age, n in sorted(Counter(values).items()))
                 shown.append(("" if shown else "delays", f"{name} = {values[-1]} ({shares})"))
         return shown
 
     def _times(self) -> list[tuple[str, str]]:
-        if not self._lateness:
+        timed = self._newest(TIMING.name)
+        if not len(timed):
             return []
-        lateness = percentiles(np.array(self._lateness))
-        slot = self._decoded(TIMING.name)
-        trip = float(slot["round_trip_us"]) if slot is not None else float("nan")
-        known = {name: us for name, us in lateness.items() if name in ("p50", "p99") and us is not None}
+        new = timed[timed["slot"] > self._timed]
+        self._timed, self._worst = int(timed["slot"][-1]), float(new["lateness_us"].max(initial=self._worst))
+        self._late, self._overruns = self._late + int(new["late"].sum()), self._overruns + int(new["overrun"].sum())
+        known = {name: us for name, us in percentiles(timed["lateness_us"]).items() if name in ("p50", "p99") and us is not None}
         text = "   ".join(f"{name} {us:.0f} µs" for name, us in (known | {"max": self._worst}).items())
         missed = f"{self._late} late, {self._overruns} overruns"
+        trip = float(timed["round_trip_us"][-1])
         return [("lateness", text), ("round trip", f"{text_of(trip, 3)} µs"), ("missed", missed)]
 
-    def _decoded(self, topic: str) -> np.void | None:
-        payload = self._newest.get(topic)
-        return None if payload is None else self._record(topic, payload)
-
-    def _record(self, topic: str, payload: bytes) -> np.void:
-        found: np.void = np.frombuffer(payload, self._dtypes[topic], 1, len(CDR_HEADER))[0]
-        return found
+    def _newest(self, topic: str) -> Records:
+        """Return the newest records of a topic, `RECENT` at most."""
+        tail = self._tails.get(topic)
+        return np.empty(0, np.dtype([])) if tail is None else tail.records()[-RECENT:]
 
 
 def _quantity(value: float, signal: Signal) -> str:

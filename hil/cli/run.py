@@ -177,7 +177,6 @@ def run(
         with signals_later():
             path = reserve(output, f"{checked.name}-{clock}-seed{checked.seed}", force, mode)
         with ExitStack() as views:
-            taps = None
             onlooker: Onlooker | None = None
             if live:
                 from hil.pages.live.watch import watched
@@ -187,11 +186,13 @@ def run(
                 onlooker = views.enter_context(foxglove_beside(onlooker, foxglove))
             if not (wants_json() or quiet or sys.stderr is None or not sys.stderr.isatty()):
                 from hil.cli.live_view import LiveView
+                from hil.pages.viewers import Beside
 
-                taps = views.enter_context(LiveView(checked, clock, link=uri)).taps
+                view = views.enter_context(LiveView(checked, clock, link=uri))
+                onlooker = view if onlooker is None else Beside(onlooker, view)
             session = run_session(
                 checked, clock=clock, link=uri, path=path, external=external, wait_s=wait,  # type: ignore[arg-type]
-                taps=taps, signals=signals, index=index, onlooker=onlooker,  # type: ignore[arg-type]
+                signals=signals, index=index, onlooker=onlooker,  # type: ignore[arg-type]
             )  # fmt: skip
     except BaseException:  # Ctrl-C too
         if path is not None:

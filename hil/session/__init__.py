@@ -21,7 +21,7 @@ from hil.experiment import Experiment
 from hil.log import DEPARTED, PLUG_IN_FAILED, WITHDRAWN
 from hil.log.records import Channel
 from hil.log.topics import channels_of
-from hil.log.write import PayloadWriter, Sink, TeeSink, harmless, published, together
+from hil.log.write import PayloadWriter, Sink, TeeSink, harmless, published
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.mcap_writer import Index
 from hil.log.write.provenance import Provenance
@@ -77,7 +77,6 @@ def run_session(
     path: Path,
     external: bool = False,
     wait_s: float | None = None,
-    taps: Mapping[str, PayloadWriter] | None = None,
     signals: str | None = None,
     index: Index = "full",
     onlooker: Onlooker | None = None,
@@ -91,7 +90,6 @@ def run_session(
         path: the log to write.
         external: an external controller answers on the link.
         wait_s: how long the rig waits for a first answer, s; by default 120 for an external controller.
-        taps: topic to a function that gets its records as they come, for a live view.
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
         onlooker: observes the run, may change it, and in virtual time pace it.
@@ -135,13 +133,11 @@ def run_session(
     now = None if clock == "virtual" else (lambda: monotonic_ns() / 1e9)
     keep = finished.summary_needs(loop) if clock == "virtual" else None  # nothing is read back then
     table = channels_of(loop, on_can=on.on_can)
-    if onlooker is not None:
-        taps = together(taps or {}, onlooker.begin(loop, table))
     with (
-        published(signals, table, taps) as publishing,
+        published(signals, table, {} if onlooker is None else onlooker.begin(loop, table)) as publishing,
         McapSink(path, table, provenance, now=now, index=index, keep=keep) as sink,
     ):
-        observers = harmless(publishing or {}, sink)
+        observers = harmless(publishing, sink)
         outcome: dict[str, Any] = {}
         if clock == "virtual":
             outcome = run_in_virtual_time(loop, sink, TeeSink(sink, observers) if observers else sink, onlooker)

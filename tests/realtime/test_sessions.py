@@ -28,6 +28,7 @@ from hil.session import run_session
 from hil.session.replay.replay import verify
 from tests.foreign_session import drive
 from tests.forked_program import forked
+from tests.onlooker import Looks
 from tests.ports import free_port
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command
@@ -322,7 +323,9 @@ def test_a_restart_on_the_time_line_ends_the_controller_process_and_starts_anoth
         gap, answered[0] = t_ns - answered[0], t_ns
         return gap > 60_000_000
 
-    found = run_session(experiment, clock="real", link=links()[0], path=tmp_path / "x.mcap", taps={"/controller/rows": stop})
+    found = run_session(
+        experiment, clock="real", link=links()[0], path=tmp_path / "x.mcap", onlooker=Looks({"/controller/rows": stop})
+    )
     assert stopped and found.status == 130, found.summary
     assert [event["kind"] for event in found.run.events if event["kind"].startswith("fault")] == ["fault: controller-restart"]
     assert not {"controller_lost", "second_controller"} & set(found.summary["problems"])

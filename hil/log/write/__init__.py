@@ -132,8 +132,8 @@ class TeeSink(Sink):
 
 @contextmanager
 def published(
-    uri: str | None, channels: Mapping[str, Channel], observers: Mapping[str, PayloadWriter] | None
-) -> Iterator[Mapping[str, PayloadWriter] | None]:
+    uri: str | None, channels: Mapping[str, Channel], observers: Mapping[str, PayloadWriter]
+) -> Iterator[Mapping[str, PayloadWriter]]:
     """Give the observers of a session, with those that publish its records where that is asked for.
 
     Args:
@@ -151,7 +151,7 @@ def published(
 
     schemas = {topic: (channel.schema.name, channel.schema.text) for topic, channel in channels.items() if not channel.schema.raw}
     with SignalPublisher(uri, schemas) as publisher:
-        yield together(observers or {}, publisher.observers)
+        yield together(observers, publisher.observers)
 
 
 def harmless(observers: Mapping[str, PayloadWriter], sink: Sink) -> dict[str, PayloadWriter]:

@@ -1,4 +1,6 @@
 import io
+from collections.abc import Mapping
+from typing import TypeAlias
 
 import pytest
 from rich.console import Console
@@ -8,8 +10,11 @@ from hil.cli.live_view import LiveView
 from hil.compose import compose
 from hil.experiment import Experiment, load_experiment
 from hil.log.topics import channels_of
-from hil.log.write import MemorySink
+from hil.log.write import MemorySink, PayloadWriter
+from hil.rig.loop import Loop
 from hil.runtime.virtual import run_virtual
+
+Recorded: TypeAlias = tuple[Experiment, MemorySink, Loop]
 
 
 def terminal(width: int = 110) -> Console:
@@ -22,29 +27,33 @@ def written(console: Console) -> str:
 
 
 @pytest.fixture(scope="module")
-def recorded() -> tuple[Experiment, MemorySink]:
+def recorded() -> Recorded:
     experiment = load_experiment("dc-motor-hinf", ['duration="20 s"'])
     loop = compose(experiment, certify=False)
     sink = MemorySink(channels_of(loop))
     run_virtual(loop, 0, sink)
     sink.event(19_000_000_000, "late", "no control packet before the deadline", slot=380, severity="warning")
-    return experiment, sink
+    return experiment, sink, loop
 
 
-def feed(view: LiveView, sink: MemorySink) -> None:
+def feed(view: LiveView, sink: MemorySink, loop: Loop) -> Mapping[str, PayloadWriter]:
+    """Hand the records over as a session does; return the receivers."""
+    takers = view.begin(loop, channels_of(loop))
     for topic, payloads in sink.payloads.items():
         for t_ns, payload in zip(sink.times[topic], payloads):
-            view.update(topic, t_ns, payload)
+            takers.get(topic, lambda *_: None)(t_ns, payload)
+    return takers
 
 
-def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Experiment, MemorySink]) -> None:
-    experiment, sink = recorded
+def test_view_shows_progress_error_delays_lateness_and_events(recorded: Recorded) -> None:
+    experiment, sink, loop = recorded
     console = terminal()
     view = LiveView(experiment, "real", link="can:hil:rig0", console=console)
-    feed(view, sink)
-    pack = channels_of(compose(experiment, certify=False))["/timing/slot"].schema.pack
+    takers = feed(view, sink, loop)
+    pack = channels_of(loop)["/timing/slot"].schema.pack
     for k in range(100):
-        view.update("/timing/slot", k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
+        takers["/timing/slot"](k, pack(20.0 + k, 140.0, 60.0, k, int(k == 7), 0))
+        view.render()  # what was counted is not counted again
     console.print(view.render())
     text = written(console)
     for part in ("dc-motor-hinf", "can:hil:rig0", "19.9", "of 20 s", "reference 3", "error", "τ = ", "d = "):
@@ -52,36 +61,33 @@ def test_view_shows_progress_error_delays_lateness_and_events(recorded: tuple[Ex
     assert "p50 70 µs   p99 118 µs   max 119 µs" in text and "1 late, 0 overruns" in text and "no control packet" in text
 
 
-def test_nothing_is_drawn_or_tapped_without_a_terminal(recorded: tuple[Experiment, MemorySink]) -> None:
-    experiment, sink = recorded
+def test_nothing_is_drawn_or_tapped_without_a_terminal(recorded: Recorded) -> None:
+    experiment, sink, loop = recorded
     console = Console(file=io.StringIO(), force_terminal=False)
     with LiveView(experiment, "real", console=console) as view:
-        assert view.taps == {}
-        feed(view, sink)
+        assert feed(view, sink, loop) == {}
     assert written(console) == ""
 
 
-def test_interrupt_restores_the_terminal(recorded: tuple[Experiment, MemorySink]) -> None:
-    experiment, sink = recorded
+def test_interrupt_restores_the_terminal(recorded: Recorded) -> None:
+    experiment, sink, loop = recorded
     console = terminal()
     view = LiveView(experiment, "real", console=console)
     with pytest.raises(KeyboardInterrupt), view:
-        feed(view, sink)
+        feed(view, sink, loop)
         raise KeyboardInterrupt
     text = written(console)
     assert text.count("\x1b[?25l") == text.count("\x1b[?25h") == 1
     assert text.rindex("\x1b[?25h") > text.rindex("\x1b[?25l")
 
 
-def test_view_before_the_first_record_says_that_it_waits(recorded: tuple[Experiment, MemorySink]) -> None:
+def test_view_before_the_first_record_says_that_it_waits(recorded: Recorded) -> None:
     console = terminal()
     console.print(LiveView(recorded[0], "real", console=console).render())
     assert "starting" in written(console)
 
 
-def test_view_says_how_long_a_design_or_a_proof_takes(
-    recorded: tuple[Experiment, MemorySink], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_says_how_long_a_design_or_a_proof_takes(recorded: Recorded, monkeypatch: pytest.MonkeyPatch) -> None:
     console = terminal()
     view = LiveView(recorded[0], "virtual", console=console)
     now = console.get_time()
@@ -99,8 +105,8 @@ def test_view_of_many_outputs_keeps_names_whole_and_one_line_each_at_sixty_colum
     for width in (40, 60, 110):
         console = terminal(width)
         view = LiveView(experiment, "real", console=console)
-        feed(view, sink)
-        view.update("/timing/slot", 0, channels_of(loop)["/timing/slot"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
+        takers = feed(view, sink, loop)
+        takers["/timing/slot"](0, channels_of(loop)["/timing/slot"].schema.pack(20.0, 140.0, 60.0, 0, 0, 0))
         console.print(view.render())
         pictures[width] = Text.from_ansi(written(console)).plain.splitlines()
     heights = [len(lines) - next(i for i, line in enumerate(lines) if line.endswith(" of 0.2 s")) for lines in pictures.values()]

@@ -17,6 +17,7 @@ from hil.cli.run import let_go
 from hil.experiment import shipped
 from hil.log.read import read_run
 from tests.hil.cli.conftest import Hil
+from tests.onlooker import Looks
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command
 
@@ -159,7 +160,9 @@ def test_a_run_holds_its_log_while_it_writes(tmp_path: Path) -> None:
 
     from hil.session import run_session
 
-    run_session(hil.load_experiment("dc-motor-hinf", duration=1), path=tmp_path / "a.mcap", taps={"/plant/state": look})
+    run_session(
+        hil.load_experiment("dc-motor-hinf", duration=1), path=tmp_path / "a.mcap", onlooker=Looks({"/plant/state": look})
+    )
     assert seen == [True]
 
 

@@ -29,6 +29,7 @@ from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
 from hil.sweeps import statistics
 from hil.sweeps.seeds import here, run_sweep
+from tests.onlooker import Looks
 from tests.warm_hil import hil_command
 from transport.packets import ControlPacket, SensorPacket, decode, encode_control, encode_sensor
 
@@ -261,7 +262,7 @@ def test_a_live_view_sees_a_run_in_virtual_time_and_leaves_the_log_as_it_is(tmp_
     experiment = load_experiment("dc-motor-hinf", ["duration=2"])
     seen: list[int] = []
     taps = {"/plant/state": lambda t_ns, payload: seen.append(t_ns), "/events": lambda t_ns, payload: seen.append(-1)}
-    one = run_session(experiment, path=tmp_path / "a.mcap", taps=taps)
+    one = run_session(experiment, path=tmp_path / "a.mcap", onlooker=Looks(taps))
     two = run_session(experiment, path=tmp_path / "b.mcap")
     assert seen.count(-1) == len(one.run.events) and len(seen) == 40 + seen.count(-1)
     assert one.summary["log"]["sha256"] == two.summary["log"]["sha256"]
