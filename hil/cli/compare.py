@@ -13,7 +13,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, answer, json_option, print_folded, visible
+from hil.cli.terminal import Working, answer, json_option, print_folded, print_written
 from hil.errors import HilError, nearest
 
 if TYPE_CHECKING:
@@ -91,8 +91,7 @@ def _show_comparison(comparison: Comparison, output: Path | None) -> None:
     said = (comparison.measured()[1], SHORTER if comparison.stopped else "")
     note = "; ".join([f"differences are against {comparison.first}, run by run on the same delays", *filter(None, said)])
     print_table(Table(columns=heads, rows=rows, note=note), folds=True)
-    if output is not None:
-        print(f"written: {visible(output)}")
+    print_written(output)
 
 
 @click.command()

@@ -15,7 +15,7 @@ import click
 
 from hil.cli.option_types import LARGEST, Duration, NumberList, Ratio, Within
 from hil.cli.page_text import show_page
-from hil.cli.terminal import Working, answer, json_option, print_facts
+from hil.cli.terminal import Working, answer, json_option, print_facts, print_written
 from hil.errors import HilError, located
 
 if TYPE_CHECKING:
@@ -108,7 +108,12 @@ def command(
         *weighed,
         ("taps", f"{len(found.coupler.taps_m_per_n)}, m/N: {_listed(found.coupler.taps_m_per_n)}", ""),
     )  # fmt: skip
-    answer(document, print_facts, facts)
+
+    def show() -> None:
+        print_facts(facts)
+        print_written(path, header)
+
+    answer(document, show)
 
 
 def _listed(taps: tuple[float, ...]) -> str:
@@ -174,4 +179,4 @@ def stiffness_map(
             writer.writerow({**asdict(cell), "taps_m_per_n": " ".join(map(repr, cell.taps_m_per_n))})
         write_output(table, text.getvalue())
     document = {"device": device, "cells": [asdict(cell) for cell in cells]}
-    show_page(stiffness_page(cells, **device), document, output)
+    show_page(stiffness_page(cells, **device), document, output, table)

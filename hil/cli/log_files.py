@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.terminal import Working, answer, json_option, print_each_folded, print_folded, visible
+from hil.cli.terminal import Working, answer, json_option, print_each_folded, print_folded, print_written, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -67,7 +67,7 @@ def recover(file: Path, output: Path | None) -> None:
     with Working(f"records of {file}"):
         found = recover(file, target).text
     print_each_folded(found.splitlines())
-    print(f"written: {visible(target)}")
+    print_written(target)
 
 
 @click.command()
@@ -126,7 +126,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
         click.echo(text, nl=False)
     else:
         write_output(output, text, replace=force)
-        click.echo(f"written: {visible(output)}")
+        print_written(output)
 
 
 ROWS = 1 << 15  # that are written at a time

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from hil.cli.terminal import NARROWEST, Line, answer, console, print_folded, print_lines, terminal_columns, visible
+from hil.cli.terminal import NARROWEST, Line, answer, console, print_folded, print_lines, print_written, terminal_columns, visible
 from transport.draws import CORRUPTED, CUT, OFF_BUS, REASONS
 
 if TYPE_CHECKING:
@@ -102,13 +102,14 @@ def print_page(page: Page) -> None:
                 print_folded(block.text.translate(_TYPED))
 
 
-def show_page(page: Page, document: object, path: Path | None) -> None:
+def show_page(page: Page, document: object, path: Path | None, table: Path | None = None) -> None:
     """Write a page where a path is given; print it without its figures, or as JSON.
 
     Args:
         page: the answer.
         document: the same as JSON values.
         path: of the page; None: none is written.
+        table: a file that was written before, to be named, too.
 
     Raises:
         HilError: the file cannot be written.
@@ -117,7 +118,12 @@ def show_page(page: Page, document: object, path: Path | None) -> None:
 
     if path is not None:
         write_output(path, page.html())
-    answer(document, print_page, page)
+
+    def show() -> None:
+        print_page(page)
+        print_written(path, table)
+
+    answer(document, show)
 
 
 UNLIKELY: Final = 0.01

@@ -14,7 +14,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, answer, json_option, print_folded, visible
+from hil.cli.terminal import Working, answer, json_option, print_folded, print_written, visible
 from hil.errors import HilError, located, nearest
 
 if TYPE_CHECKING:
@@ -141,7 +141,8 @@ def command(
         from hil.pages.many_runs import sweep_page
 
         write_output(output, sweep_page(found))
-    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, (table, output))
+    written = (table, output if out["runs"] else None)
+    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, written)
     end_interrupted(found.interrupted, resume, "FILE")
     if rule is not None and not found.reached:
         sys.exit(1)
@@ -191,8 +192,7 @@ def _show(out: dict[str, Any], titles: dict[str, str], written: Sequence[Path | 
         _show_metrics(out, titles)
     else:
         print("no run ended, so there is nothing to show")
-    for path in filter(None, written):
-        print(f"written: {visible(path)}")
+    print_written(*written)
 
 
 def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.cli.page_text import print_table
-from hil.cli.terminal import Working, answer, print_folded, visible
+from hil.cli.terminal import Working, answer, print_folded, print_written, visible
 from hil.errors import HilError
 
 if TYPE_CHECKING:
@@ -141,8 +141,7 @@ def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: 
             print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
     for said in (*(sweep.answer(q.name) for q in sweep.judged()[:1]), *sweep.said()):
         print_folded(said)
-    for path in filter(None, (page, table)):
-        print(f"written: {visible(path)}")
+    print_written(page, table)
 
 
 def points_of(grids: Sequence[str], ranges: Sequence[str], count: int | None) -> Points:

@@ -20,6 +20,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TextIO, TypeVar
 import click
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from rich.console import Console
     from rich.progress import Progress
 
@@ -86,6 +88,12 @@ def print_folded(text: str, indent: str = "") -> None:
     if text:
         shown = fill(visible(text), terminal_columns(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
         click.echo(shown)
+
+
+def print_written(*paths: Path | None) -> None:
+    """Print the name of each file that was written, one a line."""
+    for path in filter(None, paths):
+        click.echo(f"written: {visible(path)}")
 
 
 def print_each_folded(lines: Iterable[str]) -> None:

@@ -15,10 +15,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from design.controllers.rendered_wall import WallController
 from hil.log import CHANGE, decode_event
 from hil.log.records import CDR_HEADER, EVENTS_TOPIC, Channel, Schema
 from hil.log.run import Run
-from hil.log.topics import CA, MEASUREMENT, SC, STATE, TIMING, panels
+from hil.log.topics import CA, MEASUREMENT, REFERENCE, SC, STATE, TIMING, panels
 from hil.log.write import PayloadWriter
 from hil.rig.loop import Loop
 from hil.runtime.changes import END, LATE, Change, Changes
@@ -167,7 +168,8 @@ class Side:
         e = loop.experiment
         self.first = self.loop = loop
         self.name, self.period_s = e.name, float(e.period)
-        self.traces = traces_of(schemas)
+        follows = not isinstance(loop.controller, WallController)  # who renders a wall follows no reference
+        self.traces = tuple(each for each in traces_of(schemas) if follows or each.topic != REFERENCE.name)
 
     def _event(self, t_ns: int, payload: bytes) -> None:
         self._note(decode_event(payload))

@@ -87,3 +87,20 @@ def test_a_design_overwrites_only_with_force(cli: Hil, tmp_path: Path) -> None:
     assert status == 2 and "--force" in err and mine.read_text() == "mine"
     assert cli(*arguments, "--force")[0] == 0 and '"hilrig-design/1"' in mine.read_text()
     assert cli(*arguments[:-1], "")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("command", "files"),
+    [
+        (["design", "wall", "--delay", "0", "-o", "wall.json", "--c", "wall.h"], ["wall.json", "wall.h"]),
+        (["stiffness-map", "--period", "1ms", "--delay", "0", "--hand", "0", "-o", "map.html", "--csv", "map.csv"],
+         ["map.html", "map.csv"]),
+        (["can", "analyse", "t.csv", "--bitrate", "500k", "--duration", "0.1", "-o", "bus.html"], ["bus.html"]),
+    ],
+)  # fmt: skip
+def test_a_command_says_what_it_has_written(cli: Hil, command: list[str], files: list[str]) -> None:
+    Path("t.csv").write_text("name,can_id,period,length\nm,1,10 ms,8\n")
+    status, out, _ = cli(*command)
+    assert status == 0 and out.splitlines()[-len(files) :] == [f"written: {name}" for name in files]
+    assert all(Path(name).stat().st_size for name in files)
+    assert "written" not in cli(*command, "--force", "--json")[1]

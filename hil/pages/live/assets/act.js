@@ -29,9 +29,9 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   };
   const row = (...parts) => { const made = text("div", "", { className: "row" }); made.append(...parts); return made; };
 
-  // Reference: a slider or a number for each output.
+  // Reference: a slider or a number for each output, where the loop follows one.
   const wanted = about.outputs.map(() => 0), follow = [];
-  field("Reference", ...about.outputs.map((s, i) => {
+  if (about.traces.some((trace) => trace.topic === "/reference")) field("Reference", ...about.outputs.map((s, i) => {
     const box = input(`reference of ${s.name}, ${s.unit}`, 0), slide = Object.assign(document.createElement("input"), { type: "range", min: -5, max: 5, step: 0.05, value: 0 });
     slide.setAttribute("aria-label", `drag the reference of ${s.name}`);
     const set = (v) => { wanted[i] = +v; box.value = slide.value = v; };
@@ -152,7 +152,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
     apply() { if (drafts.pending) { apply(drafts.pending.path, drafts.pending.value); done(); } },
     drop() { if (drafts.pending) { done(); draft.replaceChildren(text("p", "dropped")); } },
     show(now, all) {
-      about.outputs.forEach((s, i) => follow[i](all[0].scopes.curves.find((c) => c.topic === "/reference" && c.field === s.name)?.last));
+      about.outputs.forEach((s, i) => follow[i]?.(all[0].scopes.curves.find((c) => c.topic === "/reference" && c.field === s.name)?.last));
       const key = JSON.stringify([now, all[0].now.changes]);
       if (key === self.shown) return;
       self.shown = key;

@@ -206,6 +206,7 @@ def test_under_one_hand_the_certified_wall_is_calm_and_that_of_theorem_6_1_gives
         words = "window.hilLive.runs.map(r => r.values.textContent)"
         shows(browser, f"{words}[0]", "the wall has given no energy: passive so far")
         shows(browser, f"{words}[1]", "mJ more than damping took: not passive")
+        assert "Reference" not in browser.evaluate("[...document.querySelectorAll('legend')].map(each => each.textContent)")
         browser.screenshot(tmp_path / "wall.png")
         assert browser.problems == []
     finally:

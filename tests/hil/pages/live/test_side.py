@@ -62,6 +62,13 @@ def test_a_plant_that_is_a_table_of_lists_may_change_entry_by_entry() -> None:
     assert about([side], "here")["runs"][0]["fields"] == {"plant.saturation.0": 3.0, "plant.saturation.1": 4.0}
 
 
+def test_a_wall_follows_no_reference_and_shows_none() -> None:
+    for name, shown in (("omni-push", False), ("dc-motor-hinf", True)):
+        side, loop = Side(PacedClock(), acts=True), compose(load_experiment(name))
+        side.begin(loop, channels_of(loop))
+        assert ("/reference" in {each.topic for each in side.traces}) == shown, name
+
+
 def test_the_page_waits_for_no_other_experiment(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a page is drawn from loads nothing; the controllers that it offers come behind it."""
     side = Side(PacedClock(), acts=True)
