@@ -25,7 +25,8 @@ from hil.plugins.user_plugins import user_failure
 from hil.rig.can_bus import bus_nodes, can_bus_faults, can_bus_of, can_faults
 from hil.rig.receiver import Receiver
 from hil.rig.schedules import FaultSchedule, beyond_the_end, fault_schedule, fault_schedule_faults
-from hil.rig.sensors import Sensor, SharedMedium, node_faults, sensor_nodes, sensors_of, shared_media
+from hil.rig.sensors import Sensor, SharedMedium, node_faults, sensors_of, shared_media
+from hil.rig.slotted_media import sensor_nodes
 from plants.parts import Signal
 from plants.parts.protocols import JumpPlant, MovesOtherwise, Plant
 from transport.laws import NetworkLaw, prepare

@@ -33,6 +33,7 @@ from hil.rig.can_bus import can_bus_of
 from hil.rig.delay_chains import Chains, begun, within_reach
 from hil.rig.receiver import Received, recorded_chain
 from hil.rig.schedules import as_one, no_commands
+from hil.rig.slotted_media import slotted
 from transport.errors import NotKnown
 from transport.laws import AgeChain, RecordedLaw
 
@@ -143,7 +144,8 @@ def _beside_bands(rig: RigSpec, controller: Controller, distinguished: int | Seq
     for medium in rig.media:
         if medium.table.loss:
             return f"network.media.{medium.name}.loss loses what a node sent last"
-        if medium.table.kind == "can-arbitration":
+        slots = slotted(medium, rig.sensors)
+        if slots is not None and slots.waits:
             return f"network.media.{medium.name} lets others send sooner while a node is silent"
     if not isinstance(controller, GainTable | LinearFeedback):
         return "[controller] is judged over nodes that send in every slot"

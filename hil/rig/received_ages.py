@@ -10,7 +10,7 @@ one state: the controller holds the sample.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import product
 from math import lcm
 from typing import TYPE_CHECKING, NamedTuple
@@ -19,7 +19,8 @@ import numpy as np
 
 from hil.rig import RigSpec
 from hil.rig.receiver import SURE, Chance, Channel, Received, channel_of
-from hil.rig.sensors import Sensor, SharedMedium
+from hil.rig.sensors import Sensor
+from hil.rig.slotted_media import SlottedMedium, slotted
 from transport.errors import NotKnown
 
 if TYPE_CHECKING:
@@ -30,7 +31,6 @@ MOST_STATES = 1024
 
 BANDS = ("dead-band", "relative")
 """Triggers of a node that is silent only while what it measures is near what it sent."""
-_MEDIA = ("round-robin", "random", "can-arbitration")
 
 
 class State(NamedTuple):
@@ -40,10 +40,6 @@ class State(NamedTuple):
     media: tuple[object, ...]
     laws: tuple[int, ...]
     sent: tuple[tuple[int, ...], ...]
-
-
-Offers = dict[int, int]  # node: age of the sample that it sends in this slot
-Turned = Iterator[tuple[object, Offers, float]]
 
 
 def received_ages(
@@ -65,10 +61,12 @@ def received_ages(
     """
     from design.processes.delay_chain import DelayChain
 
-    sensors, media = rig.sensors, rig.media
-    for medium in media:
-        if medium.table.kind not in _MEDIA:
-            raise NotKnown(f"network.media.{medium.name} is of kind {medium.table.kind!r}, whose delays no chain knows")
+    sensors = rig.sensors
+    media: list[SlottedMedium] = []
+    for shared in rig.media:
+        if (medium := slotted(shared, sensors)) is None:
+            raise NotKnown(f"network.media.{shared.name} is of kind {shared.table.kind!r}, whose delays no chain knows")
+        media.append(medium)
     for sensor in sensors:
         kind, trigger = sensor.trigger.kind, f"{sensor.path}.trigger ({sensor.trigger.kind}) lets a node keep silent"
         if kind in BANDS and bands:
@@ -89,8 +87,8 @@ def received_ages(
             raise NotKnown(f"{way.path}: {said}")
         channels.append(found)
     counts = [distinguished] * len(sensors) if isinstance(distinguished, int) else list(distinguished)
-    on_bus = {n for medium in media if medium.table.kind == "can-arbitration" for n in medium.nodes}
-    waits = [s.clock.every - 1 if n in on_bus else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
+    waiting = {n for medium in media if medium.waits for n in medium.members}
+    waits = [s.clock.every - 1 if n in waiting else 0 for n, s in enumerate(sensors)]  # then a newer sample takes its place
     far = [max(each.oldest + wait, count - 2) + 1 for each, wait, count in zip(channels, waits, counts)]  # received before: held
     states, steps = _explored(sensors, media, channels, far)
     if not states:
@@ -119,12 +117,11 @@ def received_ages(
 
 
 def _explored(
-    sensors: Sequence[Sensor], media: Sequence[SharedMedium], channels: Sequence[Channel], far: Sequence[int]
+    sensors: Sequence[Sensor], media: Sequence[SlottedMedium], channels: Sequence[Channel], far: Sequence[int]
 ) -> tuple[dict[State, bool], list[tuple[int, int, Chance]]]:
     """Return every reachable state (true: in slot 0), and the transitions between them; nothing if there are too many."""
-    turns = [_turns(medium, sensors) for medium in media]
-    free = [n for n in range(len(sensors)) if not any(n in medium.nodes for medium in media)]
-    cycle = lcm(*(s.clock.every for s in sensors), *(len(m.nodes) for m in media if m.table.kind == "round-robin"))
+    free = [n for n in range(len(sensors)) if not any(n in medium.members for medium in media)]
+    cycle = lcm(*(s.clock.every for s in sensors), *(medium.cycle for medium in media))
     if cycle > MOST_STATES:
         return {}, []
     due = [[sensors[n].clock.every == 1 or t % sensors[n].clock.every == sensors[n].clock.phase
@@ -136,7 +133,8 @@ def _explored(
             [(at, SURE) for at in channel.begins] if state is None else channel.follows(state.laws[n])
             for n, channel in enumerate(channels)
         ]
-        medium_outcomes = [list(turn(None if state is None else state.media[i], t, due[t])) for i, turn in enumerate(turns)]
+        before = [None] * len(media) if state is None else state.media
+        medium_outcomes = [list(medium.outcomes(at, t, due[t])) for medium, at in zip(media, before)]
         of_free_nodes = {n: 0 for n in free if due[t][n]}
         for media_now in product(*medium_outcomes):
             offers, chance = dict(of_free_nodes), 1.0
@@ -168,36 +166,3 @@ def _explored(
         if len(number) > MOST_STATES:
             return {}, []
     return reachable, transitions
-
-
-def _turns(medium: SharedMedium, sensors: Sequence[Sensor]) -> Callable[[object, int, Sequence[bool]], Turned]:
-    """Return what happens on a medium in a slot: (state before or None, slot in the cycle, who is due) to its outcomes."""
-    table, nodes, loss = medium.table, medium.nodes, medium.table.loss
-
-    def fates(sending: Sequence[tuple[int, int]]) -> Iterator[tuple[Offers, float]]:
-        """Yield the packets that are not lost, of (node, age of its sample), with their probability."""
-        for lost in product(*([(False, 1.0 - loss), (True, loss)] if loss else [(False, 1.0)] for _ in sending)):
-            share = 1.0
-            for _, chance in lost:
-                share *= chance
-            yield {node: age for (node, age), (gone, _) in zip(sending, lost) if not gone}, share
-
-    def in_order(before: object, t: int, due: Sequence[bool]) -> Turned:
-        node = nodes[(t + table.phase) % len(nodes)]
-        for offers, share in fates([(node, 0)] if due[node] else []):
-            yield None, offers, share
-
-    def by_chance(before: object, t: int, due: Sequence[bool]) -> Turned:
-        row = table.shares() if before is None else table.transition()[before]  # type: ignore[call-overload]
-        for at, chance in enumerate(row):
-            for offers, share in fates([(nodes[at], 0)] if due[nodes[at]] else []) if chance else ():
-                yield at, offers, share * chance
-
-    def on_bus(before: object, t: int, due: Sequence[bool]) -> Turned:
-        waiting = {node: age + 1 for node, age in before or ()} | {node: 0 for node in nodes if due[node]}  # type: ignore[attr-defined]
-        first = sorted(waiting, key=lambda node: sensors[node].can_id)[: table.frames]
-        left = tuple(sorted((node, age) for node, age in waiting.items() if node not in first))
-        for offers, share in fates([(node, waiting[node]) for node in first]):
-            yield left, offers, share
-
-    return dict(zip(_MEDIA, (in_order, by_chance, on_bus), strict=True))[table.kind]

@@ -1,4 +1,4 @@
-"""The sensor nodes of an experiment: one list of one or more, what is wrong with them, and what the theory takes of them.
+"""The sensor nodes of an experiment: one list of one or more, the media that they share, and what is wrong with them.
 
 They count by their number, or by the CAN identifier that decides the arbitration; `hil.rig.RigSpec` has them for every room.
 """
@@ -6,20 +6,16 @@ They count by their number, or by the CAN identifier that decides the arbitratio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import lcm
 
 from msgspec import Struct
 
-from design.controllers import SensorNodes, Turns, packet_samples
+from design.controllers import packet_samples
 from hil.errors import nearest
 from hil.experiment.nodes import ClockTable, Medium, TriggerTable
 from hil.experiment.tables import Experiment
-from transport.errors import NotKnown
 from transport.laws import BoundedAge, NetworkLaw
-from transport.laws.delay_states import delay_states
 from transport.links.can_identifiers import FRAGMENTS, derived
 from transport.links.traits import CanFraming
-from transport.medium import SampleClock
 from transport.packets import MAX_OUTPUTS, MAX_VALUES
 
 
@@ -170,110 +166,3 @@ def shared_media(e: Experiment, names: Sequence[str]) -> tuple[SharedMedium, ...
         for name, medium in e.network.media.items()
         if medium.kind != "independent"
     )
-
-
-def sensor_nodes(sensors: Sequence[Sensor], shared: Sequence[SharedMedium]) -> SensorNodes:
-    """Return the sensor nodes as a controller and the theory see them.
-
-    Args:
-        sensors: the nodes, by number.
-        shared: media on which they take turns.
-    """
-    mixed = len(shared) > 1 or any(set(medium.nodes) != set(range(len(sensors))) for medium in shared)
-    on_bus = bool(shared) and not mixed and shared[0].table.kind == "can-arbitration"
-    turns, unforeseen = None, ""
-    if shared and not mixed:
-        try:
-            turns = _turns(shared[0], sensors)
-        except NotKnown as why:
-            unforeseen = str(why)
-    return SensorNodes(
-        names=tuple(s.name for s in sensors),
-        outputs=tuple(s.outputs for s in sensors),
-        buffers=tuple(s.buffer for s in sensors),
-        delays=tuple(_constant_delay(s.law) for s in sensors),
-        turns=turns,
-        silent=tuple(s.name for s in sensors if s.trigger.kind != "every-slot" or (s.clock.every > 1 and not on_bus)),
-        mixed=mixed,
-        unforeseen=unforeseen,
-    )
-
-
-def _turns(shared: SharedMedium, sensors: Sequence[Sensor]) -> Turns:
-    table = shared.table
-    if table.kind == "can":
-        raise NotKnown("the theory knows no chain of the delays that a CAN bus in time makes")
-    if table.kind == "can-arbitration":
-        return Turns(received=bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors]), loss=table.loss)
-    if table.kind == "round-robin":
-        return Turns(order=shared.nodes, phase=table.phase, loss=table.loss)
-    position = {node: i for i, node in enumerate(shared.nodes)}
-    every, matrix, shares = range(len(position)), table.transition(), table.shares()
-    transition = tuple(tuple(matrix[position[a]][position[b]] for b in every) for a in every)
-    return Turns(transition=transition, initial=tuple(shares[position[a]] for a in every), loss=table.loss)
-
-
-def _constant_delay(law: NetworkLaw) -> int | None:
-    states = delay_states(law)
-    if states is None:
-        return None
-    ages: Sequence[int] = sorted({int(age) for age in states.ages})
-    return ages[0] if len(ages) == 1 else None
-
-
-MOST_PHASES = 64
-"""The theory takes one matrix per slot of the cycle, each on the stacked state."""
-
-BusCycle = tuple[tuple[tuple[int, int], ...], ...]
-
-
-def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle:
-    """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries.
-
-    There is one where the clocks of its nodes draw nothing.
-
-    The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots
-    may lack samples from before slot 0 only, which were zero and are not needed.
-
-    Args:
-        clocks: of all nodes, by number.
-        frames: frames that the bus carries in a slot.
-        identifiers: of all nodes, of which the lowest wins; by default their numbers.
-
-    Raises:
-        NotKnown: there is no such cycle, or it is too long.
-    """
-    from transport.medium.scheduled import Arbitration
-
-    order = sorted(range(len(clocks)), key=lambda node: identifiers[node] if identifiers else node)
-    rank = {node: place for place, node in enumerate(order)}
-    drawn = [i for i, clock in enumerate(clocks) if clock.drawn]
-    if drawn:
-        raise NotKnown(f"the theory knows no bus whose nodes have clocks that draw: nodes {drawn}")
-    common = lcm(*(clock.every for clock in clocks))
-    if common > MOST_PHASES:
-        said = f"the clocks of the nodes come together every {common} slots"
-        raise NotKnown(f"{said}, the theory takes cycles of {MOST_PHASES} slots")
-    running, bus = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks], Arbitration(frames)
-    carried: list[tuple[tuple[int, int], ...]] = []
-    seen: dict[tuple[tuple[int, int], ...], int] = {}
-    while True:
-        k = len(carried)
-        if k % common == 0:
-            state = tuple(sorted((node, k - waiting.slot) for node, waiting in bus.waiting.items()))
-            if state in seen:
-                first = seen[state]
-                break
-            seen[state] = k
-        for node, clock in enumerate(running):
-            if clock.due(k):
-                bus.offer(rank[node], k, None)
-        carried.append(tuple((order[place], k - waiting.slot) for place, waiting in bus.winners()))
-    period = len(carried) - first
-    if period > MOST_PHASES:
-        raise NotKnown(f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots")
-    cycle = tuple(carried[first + (k - first) % period] for k in range(period))
-    for k in range(first):
-        if carried[k] != tuple((node, age) for node, age in cycle[k % period] if age <= k):
-            raise NotKnown(f"the bus needs {first} slots until it repeats itself, and the theory takes it from slot 0")
-    return cycle

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
@@ -34,7 +34,7 @@ class RoundRobin:
     Reference: thesis (5.2).
     """
 
-    def __init__(self, order: Sequence[int], phase: int, loss: float, rng: np.random.Generator) -> None:
+    def __init__(self, order: Iterable[int], phase: int, loss: float, rng: np.random.Generator) -> None:
         self._order, self._at, self._loss, self._random = tuple(order), phase, loss, rng.random
 
     def turn(self) -> tuple[int, bool]:
@@ -58,7 +58,7 @@ class RandomTurns:
     """
 
     def __init__(
-        self, nodes: Sequence[int], matrix: Sequence[Sequence[float]], initial: Sequence[float], loss: float,
+        self, nodes: Iterable[int], matrix: Sequence[Sequence[float]], initial: Sequence[float], loss: float,
         rng: np.random.Generator,
     ) -> None:  # fmt: skip
         self._nodes, self._initial = tuple(nodes), cumulative(initial)
@@ -73,33 +73,29 @@ class RandomTurns:
 
 
 class ScheduledMedium:
-    """Nodes with channels of their own, some of which take turns; see `transport.medium.Medium`.
+    """Nodes that take turns, with channels of their own; see `transport.medium.Medium`.
 
     What a node sends in its turn travels through the node's own channel; what it offers out of turn is not sent.
 
     Args:
         channels: the emulated network of each node.
-        schedules: (nodes that share a medium, whose turn it is) for each shared medium; a node in none sends when it will.
+        turns: whose turn it is.
     """
 
-    def __init__(self, channels: Sequence[Impairment], schedules: Sequence[tuple[Sequence[int], Turns]]) -> None:
-        self._channels = tuple(channels)
-        self._turns = [turns for _, turns in schedules]
-        self._shared = {node: i for i, (nodes, _) in enumerate(schedules) for node in nodes}
-        self._slot = -1
-        self._now: list[tuple[int, bool]] = []
+    def __init__(self, channels: Sequence[Impairment], turns: Turns) -> None:
+        self._channels, self._turns = tuple(channels), turns
+        self._slot, self._now = -1, (-1, False)  # whose turn it is, and whether what is sent gets lost
         self._lost: list[tuple[int, Draw]] = []
 
     def _open(self, k: int) -> None:
         while self._slot < k:
             self._slot += 1
-            self._now = [turns.turn() for turns in self._turns]
+            self._now = self._turns.turn()
 
     def may_send(self, node: int, k: int) -> bool:
         """Return whether it is the node's turn, see `Medium.may_send`."""
         self._open(k)
-        shared = self._shared.get(node)
-        return shared is None or self._now[shared][0] == node
+        return self._now[0] == node
 
     def offer(self, node: int, k: int, packet: object) -> None:
         """Send a packet, see `Medium.offer`.
@@ -109,8 +105,7 @@ class ScheduledMedium:
         """
         if not self.may_send(node, k):
             raise FieldError("node", f"{node} sends in slot {k}, which belongs to another node")
-        shared = self._shared.get(node)
-        if shared is not None and self._now[shared][1]:
+        if self._now[1]:
             self._lost.append((node, Draw(k, k, NO_MODE, 0, nan, LOST)))
         else:
             self._channels[node].offer(k, packet)

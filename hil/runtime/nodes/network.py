@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.experiment.rig_tables import RESTART, Fault
 from hil.rig.loop import Loop
-from hil.rig.sensors import Sensor, SharedMedium
+from hil.rig.sensors import Sensor
+from hil.rig.slotted_media import slotted
 from hil.runtime.nodes import begun, rng_for
 from hil.runtime.nodes.journal import Journal
 from transport.draws import DELIVERED, DISORDERED, DUPLICATED
@@ -18,7 +19,6 @@ from transport.packets import packet_size
 
 if TYPE_CHECKING:
     from hil.runtime.nodes.can_network import CanNetwork
-    from transport.medium.scheduled import Turns
 
 
 _CAME = frozenset((DELIVERED, DISORDERED, DUPLICATED))
@@ -65,27 +65,18 @@ def _new(delivery: Delivery) -> Delivery:
 
 
 def _shared_medium(loop: Loop, channels: Sequence[Impairment], seed: int, bus: CanNetwork | None) -> Medium:
-    from transport.medium.scheduled import ArbitratedBus, ScheduledMedium
-
     parts: list[tuple[Sequence[int], Medium]] = []
-    turning = []
     for shared in loop.rig.media:
-        if shared.table.kind == "can":
+        slots = slotted(shared, loop.rig.sensors)
+        if slots is None:
             assert bus is not None
             own = sorted(shared.nodes)
             parts.append((own, bus.to_controller([channels[i] for i in own])))
-        elif shared.table.kind == "can-arbitration":
-            own = sorted(shared.nodes, key=lambda node: loop.rig.sensors[node].can_id)  # a lower identifier wins
-            rng = rng_for(seed, f"medium.{shared.name}")
-            parts.append((own, ArbitratedBus([channels[i] for i in own], shared.table.frames, shared.table.loss, rng)))
         else:
-            turning.append(shared)
-    on_a_bus = {node for nodes, _ in parts for node in nodes}
-    others = [i for i in range(len(channels)) if i not in on_a_bus]
-    taking_turns = [[others.index(node) for node in shared.nodes] for shared in turning]
-    schedules = [(own, _turns(shared, own, seed)) for shared, own in zip(turning, taking_turns)]
-    parts.append((others, ScheduledMedium([channels[i] for i in others], schedules)))
-    return SplitMedium(parts) if on_a_bus else parts[0][1]
+            rng = rng_for(seed, f"medium.{shared.name}")
+            parts.append((slots.members, slots.running([channels[i] for i in slots.members], rng)))
+    others = [i for i in range(len(channels)) if not any(i in nodes for nodes, _ in parts)]
+    return SplitMedium([*parts, (others, IndependentChannels([channels[i] for i in others]))] if others else parts)
 
 
 def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
@@ -100,15 +91,6 @@ def clock_of(sensor: Sensor, seed: int) -> SampleClock | None:
         return None
     rng = rng_for(seed, f"clock.{sensor.name}") if table.drawn else None
     return SampleClock(every=table.every, phase=None if table.random_phase else table.phase, jitter=table.jitter, rng=rng)
-
-
-def _turns(shared: SharedMedium, nodes: Sequence[int], seed: int) -> Turns:
-    from transport.medium.scheduled import RandomTurns, RoundRobin
-
-    table, rng = shared.table, rng_for(seed, f"medium.{shared.name}")
-    if table.kind == "round-robin":
-        return RoundRobin(nodes, table.phase, table.loss, rng)
-    return RandomTurns(nodes, table.transition(), table.shares(), table.loss, rng)
 
 
 class FaultInjector:

@@ -18,7 +18,7 @@ from hil.measure.view import view_of
 from hil.pages import Figure
 from hil.pages.sections.traffic import sensor_nodes
 from hil.rig.loop import Loop
-from hil.rig.sensors import bus_cycle
+from hil.rig.slotted_media import bus_cycle
 from hil.runtime.virtual import simulate
 from hil.session import run_session
 from hil.session.replay.replay import verify

@@ -9,8 +9,8 @@ import pytest
 
 from transport.draws import DELIVERED, LOST, REPLACED
 from transport.laws.age import ConstantAge
-from transport.medium import Medium, SampleClock, SplitMedium
-from transport.medium.independent import impair
+from transport.medium import IndependentChannels, Medium, SampleClock, SplitMedium
+from transport.medium.independent import Impairment, impair
 from transport.medium.scheduled import ArbitratedBus, RandomTurns, RoundRobin, ScheduledMedium
 
 
@@ -26,13 +26,14 @@ def lost_and_came(shared: Medium, slots: int) -> tuple[int, int]:
     return lost, came
 
 
-def medium(turns: RoundRobin | RandomTurns, nodes: tuple[int, ...], count: int, age: int = 0) -> ScheduledMedium:
-    channels = [impair(ConstantAge(age=age), np.random.default_rng(n), 0.05, 0.03) for n in range(count)]
-    return ScheduledMedium(channels, [(nodes, turns)])
+def channels(count: int, age: int = 0) -> list[Impairment]:
+    return [impair(ConstantAge(age=age), np.random.default_rng(n), 0.05, 0.03) for n in range(count)]
 
 
 def test_the_cycle_begins_at_its_phase_and_a_node_on_no_medium_sends_in_every_slot() -> None:
-    shared = medium(RoundRobin((2, 0, 1), 1, 0.0, np.random.default_rng(0)), (2, 0, 1), 4, age=1)
+    *turning, free = channels(4, age=1)
+    scheduled = ScheduledMedium(turning, RoundRobin((2, 0, 1), 1, 0.0, np.random.default_rng(0)))
+    shared = SplitMedium([((0, 1, 2), scheduled), ((3,), IndependentChannels([free]))])
     senders = []
     for k in range(7):
         senders.append([n for n in range(4) if shared.may_send(n, k)])
@@ -44,7 +45,7 @@ def test_the_cycle_begins_at_its_phase_and_a_node_on_no_medium_sends_in_every_sl
 
 
 def test_sending_out_of_turn_is_a_fault_of_the_caller() -> None:
-    shared = medium(RoundRobin((0, 1), 0, 0.0, np.random.default_rng(0)), (0, 1), 2)
+    shared = ScheduledMedium(channels(2), RoundRobin((0, 1), 0, 0.0, np.random.default_rng(0)))
     with pytest.raises(ValueError, match="node: 1 sends in slot 0"):
         shared.offer(1, 0, "x")
 
@@ -64,7 +65,7 @@ def test_turns_follow_their_chain_and_losses_their_probability() -> None:
 
 
 def test_what_is_lost_on_the_medium_never_comes_and_is_booked() -> None:
-    lost, came = lost_and_came(medium(RoundRobin((0,), 0, 0.5, np.random.default_rng(1)), (0,), 1), 200)
+    lost, came = lost_and_came(ScheduledMedium(channels(1), RoundRobin((0,), 0, 0.5, np.random.default_rng(1))), 200)
     assert lost + came == 200 and 60 < lost < 140
 
 
@@ -132,8 +133,7 @@ def test_a_packet_for_a_past_slot_or_a_second_one_is_a_fault_of_the_caller() -> 
 
 def test_media_side_by_side_keep_their_nodes() -> None:
     """Nodes 0 and 2 take turns, nodes 1 and 3 share a bus."""
-    channels = [impair(ConstantAge(age=0), np.random.default_rng(n), 0.05, 0.03) for n in range(2)]
-    turning = ScheduledMedium(channels, [((0, 1), RoundRobin((1, 0), 0, 0.0, np.random.default_rng(5)))])
+    turning = ScheduledMedium(channels(2), RoundRobin((1, 0), 0, 0.0, np.random.default_rng(5)))
     medium = SplitMedium([((1, 3), bus(2)), ((0, 2), turning)])
     seen = []
     for k in range(3):
