@@ -157,7 +157,7 @@ def meets_printed_condition(coupler: Coupler, damping_n_s_per_m: float) -> bool:
     return is_passive_over(coupler, PERIOD_S, damping_n_s_per_m, 0)
 
 
-def least_real_part(device: HeldDevice, delay: int) -> float:
+def least_real_part(device: HeldDevice, delay: int, *, twice: bool = False) -> float:
     """Return the least real part on a grid of ((z-1)/(T z) F(z) + (z-1)/(2 b z)) z^-n, which (6.10) says is positive real.
 
     F is the zero-order hold of the position, without a hand: the printed 1/s^2 belongs to the velocity.
@@ -165,11 +165,14 @@ def least_real_part(device: HeldDevice, delay: int) -> float:
     Args:
         device: m and b.
         delay: n in samples.
+        twice: 1/s^2 over the position M(s), as printed, so that F integrates once too often.
     """
     A, B = device.discretise(PERIOD_S)
     z = np.exp(1j * np.pi * np.arange(1, 20_001) / 20_000)  # angles in (0, pi]
     # C (z I - A)^-1 B of a second-order A with A[1, 0] = 0
     held = B[0] / (z - A[0, 0]) + A[0, 1] * B[1] / ((z - A[0, 0]) * (z - A[1, 1]))
+    if twice:  # m x + b times the integral of x is the input integrated twice
+        held = (PERIOD_S**2 * (z + 1) / (2 * (z - 1) ** 2) - device.mass_kg * held) / device.damping_n_s_per_m
     b = device.damping_n_s_per_m
     value: npt.NDArray[np.complex128] = ((z - 1) / (PERIOD_S * z) * held + (z - 1) / (2 * b * z)) * z**-delay
     return float(value.real.min())

@@ -25,7 +25,7 @@ from hil.pages import Figure, Histogram, Series
 from hil.runtime.virtual import simulate
 from hil.thesis import Plot, ReportProgress
 from hil.thesis.judgement import TAIL
-from hil.thesis.statements import Statement, above, mean, run
+from hil.thesis.statements import Statement, above, below, mean, run
 
 FloatArray = npt.NDArray[np.float64]
 DT_S = 0.01
@@ -50,12 +50,11 @@ def one_run(published: JumpLoop, reference: JumpLoop) -> Plot:
     return Plot(title="Figure 2.2", panels=tuple(panels), intro="One run of both controllers, and 20 semi-Markov paths.")
 
 
-def monte_carlo_average(published: JumpLoop, reference: JumpLoop, settled: dict[str, FloatArray]) -> Plot:
+def monte_carlo_average(ours: FloatArray, other: FloatArray, settled: dict[str, FloatArray]) -> Plot:
     """Figure 2.3: average states, and the distribution of the settling times (2.28), s, of both gains by their names."""
-    ours, other = (mean_states(loop, RUNS, duration_s=10.0, dt_s=DT_S, seed=SEED) for loop in (published, reference))
+    t: FloatArray = np.asarray(np.arange(len(ours)) * DT_S)
     panels: list[Figure | Histogram] = [
-        _beside(f"2.3a: mean of x{n + 1}, {RUNS} runs", f"E x{n + 1}", ours.time_s, ours.mean[:, n], other.mean[:, n])
-        for n in (0, 1)
+        _beside(f"2.3a: mean of x{n + 1}, {RUNS} runs", f"E x{n + 1}", t, ours[:, n], other[:, n]) for n in (0, 1)
     ]
     for name, values in settled.items():
         counts, edges = np.histogram(values[np.isfinite(values)], bins=60)
@@ -128,13 +127,12 @@ def settling(report_progress: ReportProgress) -> dict[str, Any]:
         times[name] = settling_times(loop, RUNS, duration_s=duration_s, seed=SEED)
     report_progress("figures", len(asked), len(asked) + 1)
     settled = {label: times[name] for name, (label, *_) in PRINTED.items()}
+    means = [mean_states(loop_of(gain), RUNS, duration_s=10.0, dt_s=DT_S, seed=SEED).mean for gain in (ours, other)]
+    past = [(-np.sign(CHAPTER2_START) * mean).max(axis=0) for mean in means]
+    figures = one_run(loop_of(ours), loop_of(other)), monte_carlo_average(means[0], means[1], settled), convergence(settled)
     return times_in_numbers(times) | {
-        "figures": (
-            one_run(loop_of(ours), loop_of(other)),
-            monte_carlo_average(loop_of(ours), loop_of(other), settled),
-            convergence(settled),
-        )
-    }
+        "overshoot": past[0] / past[1], "past": past, "least": [mean.min(axis=0) for mean in means], "figures": figures,
+    }  # fmt: skip
 
 
 def times_in_numbers(times: dict[str, FloatArray]) -> dict[str, Any]:
@@ -206,6 +204,14 @@ SETTLING = (
     Statement(
         "(2.27) settles faster than [1, 2]", "faster", (above("mean difference less 4 standard errors (s)", "ahead", 0),),
         basis=BASIS,
+    ),
+    Statement(
+        "Figure 2.3a: the average states converge with less overshoot than with [1, 2]", "less overshoot",
+        tuple(below(f"overshoot of E x{n + 1} past 0, (2.27) over [1, 2]", f"overshoot[{n}]", 1) for n in (0, 1)),
+        (above("overshoot of E x1 past 0, (2.27) over [1, 2]", "overshoot[0]", 1),),
+        computed="E x1 falls from 5 to {least[0][0]:.2f} and {least[1][0]:.2f}; E x2 rises from -4 to {past[0][1]:.2f} and "
+        "{past[1][1]:.2f}",
+        basis=f"before E x2 rises it falls to {{least[0][1]:.2f}} and {{least[1][1]:.2f}}; {BASIS}",
     ),
     *(
         Statement(

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.as_printed import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_system
+from design.as_printed import CHAPTER3_START, chapter3_gain, chapter3_process, chapter3_rate_bounds, chapter3_system
 from design.as_printed.chapters_2_to_4 import delayed_section, free_gains, inequality_at
 from design.processes.partitions import Partition
 from design.semi_markov_loop.certificate import JumpCertificate
@@ -92,7 +92,7 @@ def rates_inside(certificate: JumpCertificate) -> tuple[float, float]:
 
 def partitions(report_progress: ReportProgress) -> dict[str, Any]:
     """Every number of this stage."""
-    system, process, gain = chapter3_system(), chapter3_process(), chapter3_gain()
+    system, process, gain, high = chapter3_system(), chapter3_process(), chapter3_gain(), chapter3_rate_bounds()[1]
     report_progress("interval matrices", 0, 4)
     boxes = {corners: interval_matrices(corners) for corners in ("all", "two")}
     levels: dict[str, list[float]] = {"one": [], "two": []}
@@ -109,6 +109,7 @@ def partitions(report_progress: ReportProgress) -> dict[str, Any]:
     quiet = delayed_runs(system, gain, process, start=CHAPTER3_START, runs=RUNS, duration_s=DURATION_S, noise_s=1.0, noise=False)
     size = (quiet.x**2).sum(axis=2).mean(axis=0) / float(np.square(CHAPTER3_START).sum())
     return {
+        "eta": float(high.sum(axis=2).max()), "largest": float(high.max()),
         "boxes": boxes, "corners": at_corners, "inside": inside, "levels": levels,
         "less": [one / two for one, two in zip(levels["one"], levels["two"], strict=True)],
         "rate": decay.rate, "sigma": decay.coefficient, "peak": float(size.max()),
@@ -117,6 +118,14 @@ def partitions(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 PARTITIONS = (
+    Statement(
+        "(3.35): eta(h) <= max of the upper rates",
+        "eta(h) <= max lambda_ij",
+        (below("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
+        (above("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
+        computed="eta(h) up to {eta:g}/s, the largest lambda_ij {largest:g}/s",
+        basis="a row of (3.4) sums to 0, so that eta is a sum of rates; the conditions here have it so",
+    ),
     Statement(
         "Lemma 3.1: a symmetric matrix that is negative definite at all corners of its entries is so between them",
         "A < 0",

@@ -32,13 +32,21 @@ from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 from hil.thesis import Chapter, Plot, Stage
-from hil.thesis.chapter6_equations import EQUATIONS, STATEMENTS, distortion_norm, equations, loop_of, safe_coupler, statements
+from hil.thesis.chapter6_equations import (
+    EQUATIONS,
+    READINGS,
+    STATEMENTS,
+    TIP_M,
+    bare_n_s_per_m,
+    distortion_norm,
+    equations,
+    loop_of,
+    safe_coupler,
+    statements,
+)
 from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
 from hil.thesis.statements import Statement, above, below, exactly, mean, says, within
 from plants.omni import Omni
-
-TIP_M = 0.135
-"""From joint to tip of the device, m (`Omni.lever_m`)."""
 
 
 def identification() -> dict[str, Any]:
@@ -135,12 +143,13 @@ def passivity(device: HeldDevice) -> dict[str, Any]:
     printed = theorem_61_coupler(b)
     loop = loop_of(device, printed)
     return {
-        "b": b, "bare": min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS),
-        "B": min(m.damping_n_s_per_m for m in MATERIALS),
+        "b": b, "bare": [bare_n_s_per_m(materials) for materials in READINGS.values()],
+        "B": [min(m.damping_n_s_per_m for m in materials) for materials in READINGS.values()],
         "radius": [max(loop.radius(m, n, 0) for m in MATERIALS) for n in (0, 1, DELAY)],
         "meets": "meets (6.9)" if meets_printed_condition(printed, b) else "misses (6.9)",
         "moments": loop.jump_system(MATERIALS, LAMBDA, DELAY, 0).radius(),
-        "real": [least_real_part(device, n) for n in (0, DELAY)], "press": [energy_of_a_press(r) for r in ("plain", "energy")],
+        "real": [least_real_part(device, n) for n in (0, DELAY)], "twice": least_real_part(device, 0, twice=True),
+        "press": [energy_of_a_press(r) for r in ("plain", "energy")],
     }  # fmt: skip
 
 
@@ -198,11 +207,14 @@ def push_plot(device: HeldDevice, safe: Coupler) -> Plot:
 PASSIVITY = (
     Statement(
         "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed", "not b > K T/2 + |B|",
-        (
-            above("least K T/2 + |B| of the materials, N s/m,", "bare", "b"),
-            above("least |B|, which remains as T -> 0,", "B", "b"),
+        tuple(
+            above(f"least {what}, {reading},", f"{name}[{n}]", "b")
+            for n, reading in enumerate(READINGS)
+            for what, name in (("K T/2 + |B| of the materials", "bare"), ("|B|, which remains as T -> 0", "B"))
         ),
-        basis="metre reading, b = {b:g} N s/m: it fails for every material at every period, so that a coupler is needed",
+        readings=True,
+        basis="b = {b:g}: at the tip it fails for every material at every period, so that a coupler is needed; at the joint it "
+        "holds. The units of (6.1) and (6.2) contradict each other",
     ),
     Statement(
         "Theorem 6.1: (6.9) makes the networked system oscillation free", "for every passive hand, over the delays",
@@ -222,6 +234,11 @@ PASSIVITY = (
         "(6.10) is positive real", "for every delay", (above("least real part at six samples", "real[1]", 0),),
         (above("least real part without delay", "real[0]", 0), below("at six samples", "real[1]", 0)),
         basis="z^-n times a positive real function is not positive real",
+    ),
+    Statement(
+        "(6.10) without delay, F(z) as printed, with 1/s^2 M(s)", "positive real", (above("least real part", "twice", 0),),
+        (below("least real part", "twice", 0), above("the same with 1/s M(s)", "real[0]", 0)),
+        basis="M(s) of (6.1) is a position already: F integrates once too often",
     ),
     Statement(
         "(6.11): the switching wall is passive", "v f >= change of V_E",

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from design.as_printed.chapters_5_and_6 import DELAY, LAMBDA, PERIOD_S, meets_printed_attenuation, meets_printed_condition
 from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
-from design.controllers.wall import MATERIALS, Contact, Wall
+from design.controllers.wall import MATERIALS, Contact, Material, Wall
 from design.controllers.wall_pattern import Patch, Pattern, material_chain, square_rows
 from design.jump_linear.bounded_real import hinf_norm
 from design.passivity import HapticLoop, HeldDevice, push_response
@@ -30,6 +32,24 @@ DISTINGUISHABLE = 0.01
 SIDE_M = 0.02
 STEP_M = 0.15 * math.pi * SIDE_M
 """Of the squares of the wall's pattern, and of the avatar in a sample."""
+
+
+TIP_M = 0.135
+"""From joint to tip of the device, m (`Omni.lever_m`)."""
+
+READINGS: dict[str, tuple[Material, ...]] = {
+    "at the tip, in m": MATERIALS,
+    "at the joint, in rad": tuple(
+        replace(m, stiffness_n_per_m=m.stiffness_n_per_m * TIP_M**2, damping_n_s_per_m=m.damping_n_s_per_m * TIP_M**2)
+        for m in MATERIALS
+    ),
+}
+"""The walls as the device meets them: (6.1) maps a torque to an angle, (6.2) and 6.5 have kg, N s/m and N/m."""
+
+
+def bare_n_s_per_m(materials: Sequence[Material]) -> float:
+    """Return the least K_i T/2 + |B_i|, the damping that a wall needs without a coupler, in N s/m."""
+    return min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in materials)
 
 
 def loop_of(device: HeldDevice, coupler: Coupler) -> HapticLoop:
@@ -65,7 +85,7 @@ def equations(device: HeldDevice) -> dict[str, Any]:
     printed = meets_printed_attenuation(MATERIALS, LAMBDA, wave, cutoff_hz=CUTOFF_HZ, gamma=LEVEL_N_PER_M)
     meant = distortion_norm(wave, CUTOFF_HZ)
     ceiling = ceiling_n_per_m(PERIOD_S, device.damping_n_s_per_m, DELAY)
-    felt = [1.0 / (1.0 / m.stiffness_n_per_m + 1.0 / ceiling) for m in MATERIALS]
+    felt = [[1.0 / (1.0 / m.stiffness_n_per_m + 1.0 / ceiling) for m in materials] for materials in READINGS.values()]
     return {
         "far": float(np.abs(np.linalg.eigvals(A)).max()), "angle": float(B[0]),
         "rows": float(np.abs(law.sum(axis=1) - 1.0).max()), "entry": float(law.min()),
@@ -73,7 +93,7 @@ def equations(device: HeldDevice) -> dict[str, Any]:
         "radius": loop_of(device, wave).jump_system(MATERIALS, zeros, DELAY, 0).radius(),
         **_closed_loop(device), "force": max(map(_force_error, range(3))), "split": _split_error(wave.taps_m_per_n),
         "certifies": "certifies" if printed else "does not certify", "share": LEVEL_N_PER_M / meant, "norm": meant,
-        "felt": (felt[0] - felt[1]) / felt[0], "ceiling": ceiling,
+        "felt": [(first - second) / first for first, second, _ in felt], "ceiling": ceiling,
     }  # fmt: skip
 
 
@@ -164,9 +184,13 @@ EQUATIONS = (
     ),
     Statement(
         "6.5.2: it is clear that different parts of the wall have different stiffness", "1000 and 800 N/m",
-        (above("relative difference of the stiffness felt", "felt", DISTINGUISHABLE),),
-        (below("that difference", "felt", DISTINGUISHABLE),),
-        basis="metre reading: a rendering that is safe for every passive hand is at most {ceiling:.4g} N/m stiff",
+        tuple(
+            above(f"relative difference of the stiffness felt, {reading},", f"felt[{n}]", DISTINGUISHABLE)
+            for n, reading in enumerate(READINGS)
+        ),
+        readings=True,
+        basis="a rendering that is safe for every passive hand has at most {ceiling:.4g} N/m, or N m/rad; the units of (6.1) and "
+        "(6.2) contradict each other",
     ),
 )
 # fmt: on
@@ -193,7 +217,7 @@ def statements(device: HeldDevice) -> dict[str, Any]:
     return {
         "b": b, "least_b": 0.99 * b, "needed": needed, "repeated": float(np.abs(repeated - once).max()), "leaving": leaving,
         "least": leaving.min(), "most": leaving.max(), "ages": _equalised(),
-        "bare": min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in MATERIALS),
+        "bare": bare_n_s_per_m(MATERIALS),
         "nearer": distortion_norm(absent, 3.0, mixed=False) / distortion_norm(wave, 3.0, mixed=False),
         "farther": ABSENT_M_PER_N / wave.static_compliance_m_per_n,
         "meets": "meets (6.9)" if meets_printed_condition(proper, b) else "misses (6.9)", **_attenuation(wave),
@@ -262,7 +286,7 @@ STATEMENTS = (
             below("damping that the wall needs with the coupler, N s/m,", "needed", "b"),
             above("without one, N s/m,", "bare", "b"),
         ),
-        basis="the stiffest coupler for 0 to 8 samples of delay, for any passive wall and hand",
+        basis="the stiffest coupler for 0 to 8 samples of delay, for any passive wall and hand; metre reading",
     ),
     Statement(
         "(6.7): it is equivalent to the least distortion", "the same minimum",

@@ -40,6 +40,7 @@ PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
 NAME = {"motor": "motor", "vtol": "VTOL"}
 NAMES = {"h2": "H2", "hinf": "H-infinity"}
 PROBLEMS = (("vtol", "hinf"), ("vtol", "h2"), ("motor", "hinf"), ("motor", "h2"))
+RIVALS = ("previous", "generated")
 INFORMATION = ("constant", "tau", "previous", "generated", "total", "applied", "both")
 WORDS = {
     "constant": "nothing", "tau": "tau", "previous": "d before", "generated": "d made", "total": "age", "applied": "d applied",
@@ -98,9 +99,13 @@ def _norm(design: Design, objective: str) -> float:
 
 def information(report_progress: ReportProgress) -> dict[str, Any]:
     """What each piece of information is worth, on both plants, and the printed rule against [53]."""
-    asked = [(name, {"objective": objective, "information": i, "starts": 1}) for name, objective in SERIES for i in INFORMATION]
-    norms = iter(_norms(asked, report_progress))
-    values = {key: [next(norms) for _ in INFORMATION] for key in SERIES}
+    keys = [(*key, z, i) for key in SERIES for z, patterns in (("sum", RIVALS), ("stacked", INFORMATION)) for i in patterns]
+    asked = [
+        (name, {"objective": objective, "output": z, "information": i, "starts": 1 if z == "stacked" else 0})
+        for name, objective, z, i in keys
+    ]
+    norms = dict(zip(keys, _norms(asked, report_progress), strict=True))
+    values = {key: [norms[*key, "stacked", i] for i in INFORMATION] for key in SERIES}
     bars = Bars(
         title="Best norm by what the gain may depend on, relative to one constant gain",
         categories=[WORDS[i] for i in INFORMATION], y_label="norm / norm of one gain",
@@ -111,8 +116,12 @@ def information(report_progress: ReportProgress) -> dict[str, Any]:
         note="Besides tau: d before the packet was made [53], when it was made (printed), when it is applied, or both; age is "
         "the sum of tau and d. Stacked z, R = 0.01, uniform initial distribution.",
     )  # fmt: skip
-    named = {f"{name}_{objective}": dict(zip(INFORMATION, found, strict=True)) for (name, objective), found in values.items()}
-    for found in named.values():
+    named: dict[str, dict[str, Any]] = {
+        f"{name}_{objective}": dict(zip(INFORMATION, found, strict=True)) for (name, objective), found in values.items()
+    }
+    for key, found in zip(SERIES, named.values(), strict=True):
+        found["sum"] = {i: norms[*key, "sum", i] for i in RIVALS}
+        found["sum"]["before"] = found["sum"]["generated"] / found["sum"]["previous"] - 1
         found["gained"] = 1 - found["applied"] / found["generated"]
         found["before"], found["one"] = (found["generated"] / found[name] - 1 for name in ("previous", "constant"))
     return named | {"figures": (Plot(title="What the actuator knows", panels=(bars,)),)}
@@ -225,12 +234,15 @@ INFORMED = tuple(
     Statement(
         f"{NAME[name]}, {NAMES[objective]}: the row for d at generation is more effective than the one before [53]",
         "more effective (Remark 7.3, Section 7.5)",
-        (below(f"smallest {NAMES[objective]} norm over that with d before, less 1", f"{key}[before]", -TIE),),
-        (above(f"smallest {NAMES[objective]} norm over that with d before, less 1", f"{key}[before]", TIE),),
-        computed=f"{{{key}[generated]:.5f}} against {{{key}[previous]:.5f}} with d before; d at application "
-        f"{{{key}[applied]:.5f}}",
+        tuple(
+            below(f"smallest {NAMES[objective]} norm over that with d before, less 1, z {z},", f"{key}{at}[before]", -TIE)
+            for z, at in (("a sum", "[sum]"), ("stacked", ""))
+        ),
+        readings=True,
+        computed=f"z a sum, as printed: {{{key}[sum][generated]:.5f}} against {{{key}[sum][previous]:.5f}} with d before; "
+        f"stacked: {{{key}[generated]:.5f}} against {{{key}[previous]:.5f}}, d at application {{{key}[applied]:.5f}}",
         basis="by (7.9)-(7.13) the applied row belongs to the d of the slot that made the packet; the actuator knows the "
-        f"current one, which gains {{{key}[gained]:.1%}}; stacked z, R = 0.01",
+        f"current one, which gains {{{key}[gained]:.1%}} (z stacked); R = 0.01",
     )
     for name, objective in SERIES for key in [f"{name}_{objective}"]
 ) + tuple(

@@ -29,9 +29,10 @@ from hil.thesis.chapter7_delays import (
 )
 from hil.thesis.chapter7_designs import PLANTS, published
 from hil.thesis.chapter7_friction import Imperfections, loop_of
-from hil.thesis.chapter7_models import H2, NETWORK, VTOL_LOCAL, motor, peak, vtol
+from hil.thesis.chapter7_models import H2, NETWORK, SMALL_PEAK, VTOL_LOCAL, motor, vtol
 from hil.thesis.chapter7_runs import (
     PERIODS_S,
+    TABLE_7_1,
     TABLE_7_1_ROWS,
     TABLE_7_2_ROWS,
     errors,
@@ -70,7 +71,7 @@ def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1(monkeypatch):
     """Its runs span seven decades: 0.3319 and 0.2051 are among them, and so is 1000; the rank decides nothing."""
     monkeypatch.setattr("hil.thesis.chapter7_runs.VTOL_RUNS", 2000)
     values = dict.fromkeys(("local H2", "local H-infinity"), vtol_numbers("local H2"))
-    rows = judge(TABLE_7_1_ROWS[2:], values)
+    rows = judge(TABLE_7_1_ROWS[2:4], values)
     assert [r.verdict for r in rows] == ["undecided"] * 2 and "passes at the size 0.5, 2" in rows[0].rule
     assert_every_number_decides(rows)
     wide = values["local H2"]["sums"][0]
@@ -79,15 +80,20 @@ def test_a_loop_that_diverges_reproduces_no_number_of_table_7_1(monkeypatch):
 
 
 def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypatch):
-    for name, value in (("VTOL_RUNS", 50), ("MOTOR_RUNS", 50), ("MORE_RUNS", 100), ("TABLE_7_2", {"local": ("12.11", "0.0693")})):
+    for name, value in (("VTOL_RUNS", 50), ("MOTOR_RUNS", 50), ("MORE_RUNS", 100)):
         monkeypatch.setattr(f"hil.thesis.chapter7_runs.{name}", value)
     monkeypatch.setattr("hil.thesis.chapter7_runs.Workers", lambda **_: Workers())
     vertical, angles = vtol_table(quietly), motor_table(quietly)
-    means = {name: [float(found.mean()) for found in each["sums"]] for name, each in vertical.items()}
+    means = {name: [float(found.mean()) for found in vertical[name]["sums"]] for name in TABLE_7_1}
     assert means["H2"] == pytest.approx([0.0239, 0.0239], rel=0.2) and vertical["H2"]["text"].startswith("0.0239 (0.0084)")
     assert vertical["H-infinity"]["text"].startswith("0.0252 (0.0095)") and means["local H2"] == means["local H-infinity"]
     assert angles["local_0"]["radius"] == pytest.approx(1.054, abs=1e-3) and angles["local_0"]["sums"][0].min() > 20.0
     assert angles["local_1"]["radius"] == pytest.approx(0.976, abs=1e-3) and angles["local_1"]["text"].startswith("13.93")
+    medians = [np.median(angles[f"{name}_1"]["sums"], axis=1) for name in ("local", "H-infinity", "H2")]
+    np.testing.assert_allclose(angles["over"][1], medians[0] / np.maximum(*medians[1:]))
+    assert [judge([rows[-1]], found)[0].verdict for rows, found in ((TABLE_7_1_ROWS, vertical), (TABLE_7_2_ROWS, angles))] == [
+        "reproduced", "reproduced",
+    ]  # fmt: skip
 
 
 def test_emulated_runs_have_the_predicted_mean_and_spread():
@@ -104,18 +110,20 @@ def test_emulated_runs_have_the_predicted_mean_and_spread():
 
 
 def test_the_printed_local_gain_of_the_vtol_is_no_optimum_under_either_label():
-    """Other gains have a smaller H2 norm and a smaller H-infinity norm: 0.0837 < 0.1105 and 0.1093 < 0.1708."""
+    """Other gains have a smaller H2 norm and a smaller H-infinity norm: 0.0837 < 0.1105 and 0.1095 < 0.1708.
+
+    Both norms are exact. The second is nearly that of rest: on a grid of frequencies from 1e-4 on [-71.3785 -27.0456] has
+    0.1093 where it has 0.1128, so that a search on such a grid ends at a gain that is worse than it says.
+    """
     alone = loop_structure(*vtol(), np.eye(1), np.eye(1), "generated", output="sum")
 
     def norms(gain):
         system = alone.system(np.reshape(gain, (1, 1, 2, 1)))
         return h2_norm(system), hinf_norm(system)
 
-    printed, smaller_h2, smaller_peak = norms(VTOL_LOCAL), norms([-9.41, 8.75]), norms([-71.4, -27.0])
-    assert printed == pytest.approx((0.1105, 0.1708), abs=1e-4)
-    assert smaller_h2[0] < 0.77 * printed[0] and smaller_peak[1] < 0.65 * printed[1]
-    assert peak(VTOL_LOCAL) == pytest.approx(printed[1], rel=1e-3)
-    assert peak(0.0 * VTOL_LOCAL) == 1e3  # without control it is not stable
+    assert norms(VTOL_LOCAL) == pytest.approx((0.1105, 0.1708), abs=5e-5)
+    assert norms([-9.41, 8.75])[0] == pytest.approx(0.0837, abs=5e-5)
+    assert [norms(gain)[1] for gain in (SMALL_PEAK, [-71.3785, -27.0456])] == pytest.approx([0.1095, 0.1128], abs=5e-5)
 
 
 @pytest.mark.parametrize(
