@@ -170,11 +170,27 @@ def limited_to_undamped(loop: CertificationProblem, verdict: Verdict) -> Verdict
     return verdict.undecided(f"{without}; undecided with the force that this controller adds ({verdict.reason})")
 
 
-FROM_REST: Final = {
-    "stability in a region": "it may lead the run out of the region",
-    "passivity": "what is stored when it ends comes back, and passivity is claimed from rest",
-}
-"""Why a claim does not hold behind a fault, by its kind: it is not from any state."""
+def from_any_state(verdict: Verdict, *, damped: bool) -> Verdict | str:
+    """Return a verdict on a run from slot 0 as one on the loop from any state on, or why that is undecided.
+
+    What coupler and wall hold is what some movement from rest leads to: what can come back of it is finite, and comes back once.
+
+    Args:
+        verdict: on the loop.
+        damped: whether a passivity controller at the rig may add to the command.
+    """
+    if not verdict.certified:
+        return verdict
+    if verdict.kind == "stability in a region":
+        return "where its state is then is not known"
+    if verdict.kind == "passivity" and damped:
+        return "the passivity controller at the rig adds a force to what comes back of what is stored then"
+    if verdict.kind == "passivity":
+        return verdict.assuming("passivity is claimed from rest: what is stored when this begins comes back, once")
+    if verdict.kind != "guaranteed cost":
+        return verdict
+    reason = f"{verdict.reason}; the cost is that of an undisturbed run from slot 0 on"
+    return msgspec.structs.replace(verdict, kind="mean-square stability", reason=reason)
 
 
 def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
@@ -184,20 +200,18 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     come again (or is waited for, see `limited_to_received`), and a mode that was seen late, or a stay that was counted again, has
     changed or has lasted so long that no gain distinguishes it. In these slots every map is bounded, a restart is a linear map
     that resets a part of the state, and an answer of zeros instead of u* is bounded. So E|x|^2 is finite where the loop is again
-    that of the verdict, and what is proved, or refuted, from any state and mode is so there: mean-square stability, and bounds
-    within which a loop ends. A claim from rest or from a region is not.
+    that of the verdict, and what is proved, or refuted, from any state and mode is so there: mean-square stability, bounds
+    within which a loop ends, and passivity but for what is stored then. A claim from a region is not.
     """
     if not loop.faults:
         return verdict
     faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
-    why = loop.whole if isinstance(loop.whole, str) else FROM_REST.get(verdict.kind, "") if verdict.certified else ""
-    if why:
+    found = loop.whole if isinstance(loop.whole, str) else from_any_state(verdict, damped=loop.damped)
+    if isinstance(found, str):
         without = f"{verdict.state} without what happens on the time line ({faults})"
-        return verdict.undecided(f"{without}; undecided with it, as {why}: {verdict.reason}")
-    reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {verdict.reason}"
-    if verdict.certified and verdict.kind == "guaranteed cost":
-        return msgspec.structs.replace(verdict, kind="mean-square stability", reason=f"{reason}; the cost is that without them")
-    return verdict if verdict.state == "undecided" else msgspec.structs.replace(verdict, reason=reason)
+        return verdict.undecided(f"{without}; undecided with it, as {found}: {verdict.reason}")
+    reason = f"behind {faults} on the time line, from {loop.whole:g} s on: {found.reason}"
+    return found if found.state == "undecided" else msgspec.structs.replace(found, reason=reason)
 
 
 def limited_to_whole(loop: CertificationProblem, verdict: Verdict) -> Verdict:

@@ -17,7 +17,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from design.verdict import Verdict
-from hil.certify import UNTIL_ALL_CAME
+from hil.certify import UNTIL_ALL_CAME, from_any_state
 from hil.compose import check_references, compose
 from hil.errors import ExperimentError, HilError
 from hil.experiment import experiment_from_resolved, set_field
@@ -92,7 +92,9 @@ def changed(loop: Loop, k: int, path: str, value: object, *, certify: bool = Tru
             check_references(experiment, loop.controller, loop.model)
             kept = [entry for entry in getattr(e, table) if table != "reference" or round(entry.at / e.period) != k]
             entries = sorted([*kept, *getattr(experiment, table)], key=lambda entry: entry.at)
-            verdict = None if loop.verdict is None else _in_the_run(loop.verdict)
+            verdict = loop.verdict
+            if verdict is not None and verdict.kind != "passivity":
+                verdict = _in_the_run(verdict)
             return dataclasses.replace(loop, experiment=replace(e, **{table: tuple(entries)}), verdict=verdict)
         knows = None if table == "controller" else loop.model
         after = compose(experiment, certify=certify, in_phase=False, knows=knows)
@@ -145,7 +147,7 @@ def _with_plant(loop: Loop, path: str, value: object, certify: bool) -> Loop:
         verdict = loop.verdict
         if verdict is not None:  # the claim is on the same equations
             verdict = replace(verdict, digest=digest_of(experiment, loop.controller, loop.model))
-        return _assuming(dataclasses.replace(loop, experiment=experiment, verdict=verdict), PLANT_NOT_COMPARED)
+        return dataclasses.replace(loop, experiment=experiment, verdict=verdict).assuming(PLANT_NOT_COMPARED)
     after = compose(experiment, certify=certify, in_phase=False, knows=loop.model)
     _fits(loop, after, path)
     return _assuming(after, PLANT_NOT_COMPARED, anywhere=_some_modes(plant) or _some_modes(experiment.plant))
@@ -158,28 +160,29 @@ def _some_modes(plant: Plant) -> bool:
 
 def _assuming(loop: Loop, *more: str, anywhere: bool = False) -> Loop:
     """Add to a certificate what is not compared in a changed run; `anywhere` as of `_in_the_run`."""
-    verdict = None if loop.verdict is None else _in_the_run(loop.verdict, anywhere=anywhere)
+    verdict = None if loop.verdict is None else _in_the_run(loop.verdict, damped=loop.rig.passivity, anywhere=anywhere)
     return dataclasses.replace(loop, verdict=verdict).assuming(*more)
 
 
-def _in_the_run(verdict: Verdict, *, anywhere: bool = False) -> Verdict:
+def _in_the_run(verdict: Verdict, *, damped: bool = False, anywhere: bool = False) -> Verdict:
     """Return a verdict on a loop that begins in slot 0 as one on the loop from a change in its run on.
 
     Args:
         verdict: on the loop.
+        damped: as of `from_any_state`.
         anywhere: whether a plant that jumps may be in a mode to which it does not come by itself.
     """
-    why = ""
-    if verdict.kind == "stability in a region":
-        why = "where its state is then is not known"
+    found = from_any_state(verdict, damped=damped)
+    if isinstance(found, str):
+        why = found
     elif verdict.state == "refused" and any(said.endswith(ANY_PHASE) for said in verdict.assumptions):
         why = "which phases of both directions meet then is not known"
     elif verdict.quantity == UNTIL_ALL_CAME:
         why = "which nodes a packet has come of by then is not known"
     elif anywhere:
         why = "in which mode the plant is then is not known"
-    if not why:
-        return verdict
+    else:
+        return found
     begun = f"{verdict.state} from slot 0 on; not decided from a change in the run on"
     return verdict.undecided(f"{begun}, as {why} ({verdict.reason})")
 

@@ -222,6 +222,7 @@ def test_the_hand_leads_the_device_from_where_it_is_without_an_impulse(tmp_path:
     loop = compose(load_experiment("omni-1khz"))
     led = changed(loop, 500, "plant.hand.reach_m", -0.02)
     assert led.verdict is not None and led.verdict.certified and is_schedule(loop, "plant.hand.reach_m")
+    assert not any("is stored" in said for said in led.verdict.assumptions)
     assert not is_schedule(loop, "plant.hand.stiffness_n_per_m")
     sets = ["duration=2", "plant.hand.approach_s=0.2"]
     looker = Scripted([(1000, "plant.hand.reach_m", -0.02)])
@@ -230,6 +231,31 @@ def test_the_hand_leads_the_device_from_where_it_is_without_an_impulse(tmp_path:
     assert abs(state["speed"][1001] - state["speed"][1000]) < 0.1 * np.abs(state["speed"]).max()
     assert state["position"][1000] > 0.0 > state["position"][-1]
     assert verify(run).likeness == "same bits"
+
+
+def test_what_is_stored_in_a_wall_comes_back_when_it_is_changed(tmp_path: Path) -> None:
+    """A wall of 20 N/m that 1 N presses becomes one of 1000 N/m: it gives 0.25 J, and the claim is not of that."""
+    wall = "controller.wall={material=1,materials=[{stiffness_n_per_m=1000.0},{stiffness_n_per_m=20.0}]}"
+    sets = [wall, "plant.hand={push={force_n=1.0}}", "duration=2", "limits={}"]
+    loop, harder, stored = compose(load_experiment("omni-1khz", sets)), ("controller.wall.material", 0), "comes back, once"
+    verdict = changed(loop, 1500, *harder).verdict
+    assert loop.verdict is not None and not any(stored in said for said in loop.verdict.assumptions)
+    assert verdict is not None and verdict.certified and any(stored in said for said in verdict.assumptions)
+    run = run_session(load_experiment("omni-1khz", sets), path=tmp_path / "a.mcap", onlooker=Scripted([(1500, *harder)])).run
+    assert run.arrays[STATE.name]["given"][1500] == 0.0 and run.arrays[STATE.name]["given"].max() > 0.1
+    assert changed(loop, 1500, "reference", [0.0, 0.0, 0.0]).verdict == loop.verdict
+    damped = compose(load_experiment("omni-1khz", [*sets[:-1], "limits.passivity={damping_n_s_per_m=30.0}"]))
+    verdict = changed(damped, 1500, *harder).verdict
+    assert verdict is not None and verdict.state == "undecided" and "comes back of what is stored" in verdict.reason
+
+
+def test_the_cost_is_that_of_a_whole_run_without_disturbances() -> None:
+    for sets, disturbed in ([], False), (["disturbance=[{at=1.0,samples=3,value=[5.0]}]"], True):
+        loop = compose(load_experiment("multisensor-published", sets))
+        assert loop.verdict is not None and loop.verdict.kind == "guaranteed cost"
+        assert ("the cost is without disturbances" in loop.verdict.assumptions) == disturbed
+    verdict = changed(loop, 20, "disturbance", {"value": [50.0], "samples": 2}).verdict
+    assert verdict is not None and verdict.certified and verdict.kind == "mean-square stability"
 
 
 NODES: list[ChangeRequest] = [
