@@ -108,6 +108,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "with `auth=`": ("test_with_a_key_a_second_controller_is_refused_counted_and_reported",
                      "test_what_was_recorded_in_another_session_is_refused"),
+    "zenoh over tcp: connections that say": (
+        "test_connections_that_are_no_session_are_counted_and_none_that_says_nothing_is_closed",
+        "test_what_both_ends_of_a_link_counted_is_read_from_their_events",
+    ),
+    "zenoh over tcp: connections that send": (
+        "test_connections_that_are_no_session_are_counted_and_none_that_says_nothing_is_closed",
+    ),
     "zenoh: another name": ("test_another_name_of_the_same_authority_is_refused_and_counted",
                             "test_another_authority_and_no_certificate_never_connect",
                             "test_a_password_lets_the_controller_in_and_no_other"),

@@ -226,11 +226,20 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
     problems = messages_of(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)
-    refused = (summary["link_counters"] or {}).get("refused", 0)
-    if refused:
-        problems["refused"] = f"{refused} packets or peers on the link were refused: they lacked the key or the name"
+    problems |= strangers(summary["link_counters"] or {})
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
+
+
+STRANGERS: Final = {
+    "refused": "packets or peers on the link were refused: they lacked the key or the name",
+    "unopened": "connections to the rig's endpoint said nothing, or nonsense, which delays the link where they are many",
+}
+"""Counters of a link by which others are noticed."""
+
+
+def strangers(counters: Mapping[str, int]) -> dict[str, str]:
+    return {name: f"{counters[name]} {what}" for name, what in STRANGERS.items() if counters.get(name)}
 
 
 def unreached(loop: Loop) -> dict[str, str]:

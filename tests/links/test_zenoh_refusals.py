@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import select
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -18,6 +20,7 @@ from tests.ports import free_port
 from tests.waiting import until
 from transport import Link, open_link
 from transport.links.contract import control, sensor
+from transport.links.zenoh_link import config
 
 RIG = """
 import sys
@@ -28,15 +31,15 @@ from transport.links.contract import sensor
 with open_link(sys.argv[1], "rig") as rig:
     for line in sys.stdin:
         rig.send(sensor(1))
-        print(rig.counters.refused, file=sys.stderr, flush=True)
+        print(getattr(rig.counters, sys.argv[2]), file=sys.stderr, flush=True)
 """
 WRITES = 20
 
 
 @contextmanager
-def rig_of(uri: str, reasons: list[str] | None = None) -> Iterator[Callable[[], int]]:
-    """A rig's end in a process of its own; what is yielded asks it how many were refused."""
-    command, reasons = [sys.executable, "-c", RIG, uri], [] if reasons is None else reasons
+def rig_of(uri: str, reasons: list[str] | None = None, counter: str = "refused") -> Iterator[Callable[[], int]]:
+    """A rig's end in a process of its own; what is yielded asks it how many it has counted."""
+    command, reasons = [sys.executable, "-c", RIG, uri, counter], [] if reasons is None else reasons
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None and process.stdout is not None and process.stderr is not None
         asked, said = process.stdin, process.stderr
@@ -120,6 +123,23 @@ def test_a_refused_login_is_counted(tmp_path: Path, kind: str) -> None:
         session.put("hil/rig0/control", control(1))
         assert received == []
     assert len(reasons) == 1 and said in reasons[0], reasons
+
+
+def test_connections_that_are_no_session_are_counted_and_none_that_says_nothing_is_closed() -> None:
+    """zenoh's thread stands still while it closes one; by default it closes those beyond a hundred, and each after 10 s."""
+    port, silent, nonsense = free_port(), 105, 3
+    uri = f"zenoh:tcp/127.0.0.1:{port}"
+    with rig_of(uri, counter="unopened") as unopened, ExitStack() as held, open_link(uri, "controller") as controller:
+        until(partial(receives, controller, unopened), "the rig")
+        connections = [held.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(silent + nonsense)]
+        for each in connections[silent:]:
+            each.sendall(bytes.fromhex("0200ffff"))
+            while each.recv(64):  # a farewell
+                pass
+        until(lambda: unopened() == silent + nonsense, "all but the controller's to be counted")
+        assert select.select(connections[:silent], (), (), 0)[0] == []
+        until(partial(receives, controller, unopened), "the rig again")
+    assert int(config("rig", "tcp/127.0.0.1:1", {}).get_json("transport/unicast/accept_timeout")) > 86_400_000
 
 
 def test_a_flood_of_denied_writes_does_not_keep_the_controller_from_the_rig(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ class LinkCounters(Struct):
             whom the link lets speak; in a rig's process over zenoh also what the access-control list denies, and failed logins.
         foreign: frames of other identifiers that this end passed over.
         turned_away: how often a newcomer found no free file descriptor here and had to wait (can:hil).
+        unopened: connections to a rig's process over TCP that are no session of zenoh: they say nothing, or nonsense.
     """
 
     sent: int = 0
@@ -52,6 +53,7 @@ class LinkCounters(Struct):
     refused: int = 0
     foreign: int = 0
     turned_away: int = 0
+    unopened: int = 0
 
 
 @runtime_checkable

@@ -71,7 +71,7 @@ class CallbackThreads:
 
 _SAYS: Final = (
     "off,zenoh::net::routing::interceptor=trace,zenoh::net::routing::interceptor::access_control=off,"
-    "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tls::unicast=warn,"
+    "zenoh_transport::unicast::establishment::accept=debug,zenoh_link_tcp::unicast=debug,zenoh_link_tls::unicast=warn,"
     "zenoh::net::runtime::orchestrator=debug"  # why this end did not connect
 )
 _REFUSAL: Final = re.compile(
@@ -79,12 +79,15 @@ _REFUSAL: Final = re.compile(
     rb"|UsrPwd extension - Recv"  # no password, or a wrong one
     rb"|WARN[^\n]*zenoh_link_tls::unicast"  # no certificate, or one of another authority
 )
+_CONNECTED: Final = re.compile(rb"Accepted TCP connection")
+_OPENED: Final = re.compile(rb"New transport link accepted[^\n]*tcp/")
 _WHY: Final = (
     (re.compile(rb"certificate expired|CertificateExpired"), "a certificate has expired"),
     (re.compile(rb"certificate not valid yet"), "a certificate is not yet valid"),
     (re.compile(rb"UnknownIssuer|UnknownCA|BadSignature|DecryptError|unknown ca"), "a certificate is of another authority"),
     (re.compile(rb"sent no certificates|CertificateRequired"), "the other end showed no certificate"),
     (re.compile(rb"UsrPwd extension - Recv"), "a password is missing or wrong"),
+    (re.compile(rb"Timeout during TLS handshake"), "the other end said nothing"),
 )
 """What zenoh's log says of a connection that was refused, and what that means."""
 
@@ -160,8 +163,10 @@ def _read(fd: int) -> None:
     rest = b""
     while text := os.read(fd, _PIPE_BYTES):
         lines, newline, rest = (rest + text).rpartition(b"\n")
+        unopened = len(_CONNECTED.findall(lines)) - len(_OPENED.findall(lines))
         for counters in _counted:
             add_refused(counters, len(_REFUSAL.findall(lines)))
+            counters.unopened += unopened
         for pattern, why in _WHY:
             if pattern.search(lines):
                 say(why)
