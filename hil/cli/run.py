@@ -12,7 +12,6 @@ from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
-from warnings import catch_warnings
 
 import click
 
@@ -151,12 +150,6 @@ def run(
     if wait is not None and not 0.0 < wait <= LONGEST_WAIT_S:
         raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
     on = link_of(rig_of(checked), link) if clock == "real" else None
-    # An external controller may be there already: do not let it meet this end.
-    if on is not None and not external and not on.traits.in_process:
-        from transport.links.opening import open_link
-
-        with catch_warnings(action="ignore"), open_link(on.uri, "rig"), open_link(on.uri, "controller"):
-            pass  # what cannot be opened is said before anything starts; what is odd about it, by the rig
     uri = None if on is None else on.uri
     if external and uri is not None and sys.stderr is not None:
         from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+from warnings import catch_warnings
 
 from msgspec import Struct
 
-from hil.errors import ExperimentError
+from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment
 from hil.experiment.rig_tables import BIT_ERRORS
 from hil.rig import RigSpec
@@ -116,6 +117,25 @@ def refuse_undisturbed(e: Experiment, rig: RigSpec, link: SessionLink) -> None:
     faults = [f"fault[{i}].kind: {message}" for i, fault in enumerate(e.fault) if fault.kind == BIT_ERRORS]
     if faults:
         raise ExperimentError(e.name, faults)
+
+
+def refuse_unopened(link: SessionLink) -> None:
+    """Open both ends of a link and close them: what cannot be opened is said before anything starts.
+
+    What is odd about it, the rig says, when it opens its end.
+
+    Raises:
+        HilError: an end cannot be opened; with the link's own words.
+    """
+    from transport.links.opening import open_link  # of real time
+
+    if link.traits.in_process:
+        return
+    try:
+        with catch_warnings(action="ignore"), open_link(link.uri, "rig"), open_link(link.uri, "controller"):
+            pass
+    except TransportError as error:
+        raise HilError(str(error)) from error
 
 
 def link_faults(e: Experiment, rig: RigSpec, link: SessionLink) -> list[BusFault]:

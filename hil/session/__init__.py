@@ -30,7 +30,7 @@ from hil.measure.signals import signals_of
 from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.rig.loop import Loop
-from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed
+from hil.rig.session_link import SessionLink, link_of, no_link, refuse_undisturbed, refuse_unopened
 from hil.runtime.clock import Clock, monotonic_ns, wall_clock
 from hil.runtime.real import machine
 from hil.runtime.real.ending import Forced, StopSignals, failure_of
@@ -104,6 +104,8 @@ def run_session(
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
     refuse_undisturbed(experiment, loop.rig, on)
+    if clock == "real" and not external:  # an external controller may be there already: it must not meet this end
+        refuse_unopened(on)
     loop = loop.assuming(CARRIED) if clock == "real" and on.unproved else loop
 
     # 2. Say in the log where it comes from. In virtual time nothing of this machine or this day may stand there.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -193,3 +194,10 @@ def test_a_subclass_of_a_shipped_plant_runs_by_its_own_methods() -> None:
     said = hil.simulate("dc-motor-hinf", plant=LinearPlant(**fields), duration=1, **changes)
     own = hil.simulate("dc-motor-hinf", plant=Pushed(**fields), duration=1, **changes)
     assert said.arrays["/plant/state"]["x1"][0] == 0.0 and own.arrays["/plant/state"]["x1"][0] == 1.0
+
+
+@pytest.mark.parametrize(("link", "said"), [("can:hill:x", "did you mean 'hil'"), ("can:hil:x?timd=1", "did you mean 'timed'")])
+def test_a_link_that_cannot_be_opened_is_said_in_its_own_words(link: str, said: str) -> None:
+    """In a notebook nobody sees what a process of the run writes on standard error."""
+    with pytest.raises(hil.HilError, match=rf"^link '{re.escape(link)}': .*{said}"):
+        hil.run("dc-motor-hinf", clock="real", link=link, duration=1)
