@@ -99,8 +99,7 @@ def judge_region(
         regions.append({
             "probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree,
         })  # fmt: skip
-    taken = (float((np.abs(np.array(w))[which] / room).max()) for _, _, w in loop.pulses)  # it may act before a limit
-    left = 1.0 if clips else 1.0 - max(taken, default=0.0)
+    left = 1.0 if clips else 1.0 - float((disturbance(loop)[which] / room).max())  # it may act before a limit
     if starts and left <= 0.0:
         starts, why = [], "a disturbance takes the whole command"
     own = found.probability(*starts, left=left) if starts else None
@@ -176,6 +175,13 @@ def _first_slots(loop: CertificationProblem) -> float:
     """Slots until a packet has come in both directions; inf where that has no bound."""
     chains = [chain for chain in (loop.sc, loop.ca) if chain is not None and not chain.holds.any()]
     return 1.0 + sum(chain.max_delay for chain in chains) if len(chains) == 2 else np.inf
+
+
+def disturbance(loop: CertificationProblem) -> Array:
+    """Return the largest disturbance of each input in a slot, (m,): pulses that overlap add up."""
+    sizes = [(slot, slot + length, np.abs(w)) for slot, length, w in loop.pulses]
+    together = [np.sum([size for first, end, size in sizes if first <= slot < end], axis=0) for slot, _, _ in sizes]
+    return np.asarray(np.max(together, axis=0)) if together else np.zeros(loop.motion.B.shape[1])
 
 
 def first_state(loop: CertificationProblem) -> Array | None:

@@ -11,7 +11,7 @@ from design.controllers import GainTable, integral_limit, integrates, packet_sam
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, table_of
-from hil.certify.region import Array, ClosedLoop, first_state, not_judged
+from hil.certify.region import Array, ClosedLoop, disturbance, first_state, not_judged
 from plants.parts.protocols import HasOwnInputs
 
 ROUNDING = 1e-6
@@ -35,13 +35,12 @@ def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, push
     plant, A, B, first = loop.plant, loop.motion.A, loop.motion.B, first_state(loop)
     if first is None or (isinstance(plant, HasOwnInputs) and plant.own_inputs()):
         return None
-    disturbed = np.max([np.abs(w) for _, _, w in loop.pulses], axis=0, initial=0.0) if loop.pulses else np.zeros(B.shape[1])
     rates, left = np.linalg.eig(A.T)
     for rate, mode in sorted(zip(np.abs(rates), left.T), key=lambda each: -each[0]):
         moved = np.abs(mode @ B)
         if rate <= 1.0 + ROUNDING or np.isinf(limits[moved > 0.0]).any():
             continue
-        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbed) + np.abs(mode @ pushes).sum())
+        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbance(loop)) + np.abs(mode @ pushes).sum())
         begins = float(abs(mode @ first)) * (rate - 1.0)
         if begins > (1.0 + ROUNDING) * most > 0.0:
             return replace(

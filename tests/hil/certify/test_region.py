@@ -176,10 +176,11 @@ class Careful(DCMotor):
 
 
 def test_a_disturbance_above_the_supply_acts_by_a_share_where_the_plant_says_so() -> None:
-    """0.002 V of a supply of 0.0015 V would leave nothing for the command; runs bear the verdict out."""
+    """0.002 V of a supply of 0.0015 V would leave nothing for the command, in one pulse or two; runs bear the verdict out."""
     gains: Any = {"controller": {"kind": "local", "gain": [[-0.001]]}, "reference": [], "allow_uncertified": True}
-    pulse: Any = {"disturbance": [{"at": "1 s", "samples": 2, "value": [0.002]}], "duration": 10, "limits.state": {}}
-    for through in (True, False):
+    for through, pulses in ((True, 1), (False, 2)):
+        pulse: Any = {"disturbance": [{"at": "1 s", "samples": 2, "value": [0.002 / pulses]}] * pulses, "duration": 10}
+        pulse["limits.state"] = {}
         motors = [kind(driver=Driver(saturation_v=0.0015), disturbance_through_driver=through) for kind in (DCMotor, Careful)]
         loops = [compose(load_experiment("dc-motor-h2", plant=motor, **gains, **pulse)) for motor in motors]
         assert [verdict_of(loop).state for loop in loops] == ["certified", "undecided"]

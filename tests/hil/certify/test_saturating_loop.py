@@ -180,6 +180,9 @@ def test_a_disturbance_that_may_bring_the_plant_back_leaves_it_undecided() -> No
     pulse = [{"at": 0.1, "samples": 5, "value": [-0.5]}]
     assert verdict_of(unstable(1.02, disturbance=pulse)).state == "undecided"
     assert verdict_of(unstable(1.6, disturbance=pulse)).state == "refused"
+    together = unstable(1.6, gain=-2.0, disturbance=[{"at": 0.0, "samples": 28, "value": [-0.25]}] * 4)  # they add up
+    assert verdict_of(together).state == "undecided"
+    assert abs(simulate(together, 0, ["/plant/state"]).arrays["/plant/state"]["x1"][-1]) < 0.3
 
 
 def test_a_design_with_integral_action_is_certified_where_its_sum_is_clamped() -> None:
