@@ -1,4 +1,4 @@
-"""One browser for the room: starting one takes seconds of CPU time."""
+"""One browser and one composing process for the room: starting a browser takes seconds of CPU time."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from hil.pages.live import desk
+from hil.pages.live.desk import Composer
 from tests.hil.pages import chromium
 
 
@@ -24,3 +26,25 @@ def browser(one_browser: chromium.Page) -> Iterator[chromium.Page]:
     one_browser.open("about:blank")
     one_browser.problems.clear()
     one_browser.requests.clear()
+
+
+class Kept(Composer):
+    """A process that composes for one test after another."""
+
+    def close(self) -> None:
+        """It goes on, for the next test."""
+
+
+@pytest.fixture(scope="session")
+def one_composer() -> Iterator[Composer]:
+    """Each starts for half a second of CPU time; that it ends with its page is looked at where a test starts its own."""
+    kept = Kept()
+    kept._start()  # here, as it ends with the thread that starts it
+    yield kept
+    Composer.close(kept)
+
+
+@pytest.fixture
+def composer(one_composer: Composer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the pages of a test have the process of the room."""
+    monkeypatch.setattr(desk, "Composer", lambda: one_composer)

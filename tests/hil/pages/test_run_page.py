@@ -18,12 +18,19 @@ from hil.measure.view import view_of
 from hil.pages import Badge, Table
 from hil.pages.many_runs import compare_page
 from hil.pages.run_page import render_report
+from hil.pages.sections import theory
 from hil.pages.sections.summary import events
 from hil.pages.sections.time_panels import markers, output_panels
 from hil.sweeps.comparison import Comparison, common_quantities
 from hil.sweeps.seeds import columns_of, quantities_in
 from tests.hil.pages import chromium
 from tests.hil.pages.runs import run_of
+
+
+@pytest.fixture(autouse=True)
+def few_more_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The band of theory and emulation is looked at in its own tests and in the whole pages."""
+    monkeypatch.setattr(theory, "RUNS", theory.FEWEST)
 
 
 def report(run: Run) -> str:
@@ -57,7 +64,7 @@ def test_page_of_a_comparison_takes_its_units_from_the_plants() -> None:
 
 
 def test_report_shows_verdicts_numbers_law_test_and_experiment_text() -> None:
-    page = report(run_of("dc-motor-hinf"))
+    page = report(run_of("dc-motor-hinf", certify=True))
     for part in ("virtual time", "safety not tripped", "mean-square stable", "agrees with its law", "Squared tracking error"):
         assert part in page
     assert "[[disturbance]]" in page and "reference step" in page
@@ -74,13 +81,13 @@ def test_report_of_a_timed_run_shows_lateness_and_marks_late_slots() -> None:
 
 
 def test_report_of_a_stopped_run_says_why() -> None:
-    page = report(run_of("dc-motor-local"))
+    page = report(run_of("dc-motor-local", certify=True))
     assert "stopped by safety" in page and "not mean-square stable" in page and "beyond its limit" in page
 
 
 def test_report_shows_packet_laws_by_their_fates_and_measured_ages() -> None:
     law = 'network.sc.law={kind="packet", latency="60 ms", loss={p_gb=0.1, p_bg=0.5}, duplication=0.2}'
-    run = run_of("dc-motor-smith", law, "network.sc.max_age=8", "allow_uncertified=true")
+    run = run_of("dc-motor-smith", law, "network.sc.max_age=8", "allow_uncertified=true", certify=True)
     page = report(run)
     assert "age of what was used" in page and "copied" in page and "ages that the chain does not distinguish" in page
     answers = run.arrays["/controller/rows"].copy()

@@ -42,7 +42,7 @@ def shows(browser: chromium.Page, expression: str, part: str) -> None:
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Any:
+def page(tmp_path: Path, composer: None) -> Any:
     page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], ["duration=6000"], paused=True)])  # it ends in no test
     page.begin()
     yield page

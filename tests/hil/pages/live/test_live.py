@@ -112,7 +112,7 @@ def asked(folder: Path, name: str, number: list[int], sets: Sequence[str] = (), 
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[Page]:
+def page(tmp_path: Path, composer: None) -> Iterator[Page]:
     page = Page(tmp_path, [asked(tmp_path, "dc-motor-hinf", [], paused=True)])
     page.begin()
     yield page

@@ -65,7 +65,7 @@ def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
 
 def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     """Lists were shown as JSON, in one line that was cut."""
-    run = run_of("omni-push", "duration=2")
+    run = run_of("omni-push", "duration=2", certify=True)
     view = view_of(run)
     page = render_report(view)
     table = page[page.index("Certificate, from the gains that ran") :]
