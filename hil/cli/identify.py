@@ -13,7 +13,7 @@ import click
 
 from hil.cli.laws import files_of
 from hil.cli.option_types import Duration, Questions, Within
-from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded
+from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded, print_written
 from hil.errors import HilError, located
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.option("--can-id", type=Identifier(), help="CAN logs: only frames of this identifier.")
 @click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the law here, for experiments.")
 @click.option("--page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page: measured and fitted side by side.")
-@click.option("--force", is_flag=True, help="Replace files that are there.")
+@click.option("--force", is_flag=True, help="Replace files that are there; a page always is.")
 @json_option()
 def law(
     files: tuple[Path, ...], period: float | None, deadline: float, halve: bool, one_clock: bool, can_id: int | None,
@@ -65,7 +65,7 @@ def law(
     Two tables are the two directions; -o law.toml then writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
-    from hil.files import check_output, write_output
+    from hil.files import check_output, check_page, write_output
     from hil.log.recordings import fit_document, law_text, packet_records
     from hil.log.recordings.read import read_recording
     from transport.errors import FieldError
@@ -75,8 +75,10 @@ def law(
         recording = read_recording(files, can_id=can_id, one_clock=one_clock)
         records, notes = packet_records(recording, halve=halve)
     targets = {} if output is None else files_of(output, records)
-    for path in (*targets.values(), *filter(None, [page])):
+    for path in targets.values():
         check_output(path, force=force)
+    if page is not None:
+        check_page(page, force=force)
     fits = {}
     with Working("fit of network laws"):
         for way, record in records.items():
@@ -93,8 +95,8 @@ def law(
     if page is not None:
         from hil.pages.analyses import law_page
 
-        write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}), replace=force)
-    answer({way: {"law": fits[way].spec, "fit": said[way]} for way in fits}, _show_fits, fits, said, targets)
+        write_output(page, law_page(fits, said, {way: _shares(fit) for way, fit in found.items()}))
+    answer({way: {"law": fits[way].spec, "fit": said[way]} for way in fits}, _show_fits, fits, said, targets, page)
     if len(found) < len(fits):
         raise SystemExit(NONE)
 
@@ -107,9 +109,10 @@ def _shares(fit: LawFit) -> list[float]:
     return [float(share) for share in shares]
 
 
-def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets: dict[str, Path]) -> None:
+def _show_fits(fits: dict[str, LawFit], said: dict[str, dict[str, Any]], targets: dict[str, Path], page: Path | None) -> None:
     for way, fit in fits.items():
         _show(way, fit, said[way], targets.get(way))
+    print_written(page)
 
 
 def _show(way: str, fit: LawFit, said: dict[str, Any], path: Path | None) -> None:

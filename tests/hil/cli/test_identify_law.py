@@ -46,7 +46,7 @@ def both_ways(tmp_path: Path) -> list[Path]:
 
 def test_a_law_is_found_written_and_run(cli: Hil, both_ways: list[Path], tmp_path: Path) -> None:
     status, out, err = cli("identify", "law", *both_ways, "-o", "law.toml", "--page", "page.html")
-    assert status == 0, err
+    assert status == 0 and out.endswith("  written: law.ca.toml\nwritten: page.html\n"), err
     said = " ".join(out.split())
     assert "independent latencies" in out and "is not rejected" in out and "ms on average, 99 % within" in said
     assert re.search(r"latencies: gamma \(a = [\d.]+, scale = [\d.]+ ms, shape p = ", said), said
@@ -120,6 +120,9 @@ def test_what_comes_at_an_age_has_no_interval_where_losses_come_in_bursts(cli: H
     share = f"{1.0 - lost.mean():.5g}"
     assert f"comes at age 0, if not before: {share}, no interval, as packets are not independent" in out
     assert "<td>-</td><td>-</td>" in (tmp_path / "law.html").read_text()
+    assert cli("identify", "law", "bursts.csv", "--page", "law.html")[0] == 0, "a page is replaced"
+    status, out, err = cli("identify", "law", "bursts.csv", "--page", "law.pdf")
+    assert (status, out) == (2, "") and "law.pdf: a page is written here; expected a name that ends in .html" in err
 
 
 def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp_path: Path) -> None:

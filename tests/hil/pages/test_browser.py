@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.measure.view import view_of
-from hil.pages import Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
+from hil.pages import Badge, Band, BarGroup, Bars, Figure, Histogram, Marker, Matrix, Section, Series, Table
 from hil.pages.html.page import Page
 from hil.pages.run_page import render_report
 from tests.hil.pages import chromium
@@ -111,7 +111,8 @@ def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path, browser: chr
     rows = [["25 ms", "150", 20, 0.005, "−3.3011e−08 to 3.5942e−08", 0.1, "0.0003 to 0.0004"]] * 2
     heads = ("period", "plant.gain", "runs", "mean", "95 % interval", "difference to the best point", "its 95 % interval")
     file = tmp_path / "page.html"
-    file.write_text(Page("Points", [Section(title="x", blocks=(Table(columns=heads, rows=rows, highlight=(1,)),))]).html())
+    table, badge = Table(columns=heads, rows=rows, highlight=(1,)), Badge(label=" ".join(["a label"] * 9), state="good")
+    file.write_text(Page("Points", [Section(title="x", blocks=(table,))], badges=[badge]).html())
     browser.size(390, 800)
     browser.open(file)
     lines = "[...document.querySelectorAll('td')].map(d => { const r = document.createRange(); r.selectNodeContents(d); "
