@@ -241,18 +241,21 @@ def _friction_in_words(friction: dict[str, Any], verdict: str) -> str:
 
 
 def _print(said: dict[str, Any], units: Mapping[str, str]) -> None:
+    facts = []
     for name, found in said["estimates"].items():
         logged = f"; the log ran with {said['logged'][name]:g}" if name in said["logged"] else ""
         within = f"95 %: {found['low']:.6g} to {found['high']:.6g}"
-        click.echo(f"{name:>22}  {found['value']:.6g} {units[name]}, {within}{logged}")
+        facts.append((name, f"{found['value']:.6g} {units[name]}, {within}{logged}", ""))
     plain = said["plain_least_squares"]
     text = "gives none" if plain is None else ", ".join(f"{name} {value:.6g}" for name, value in plain.items())
     test = said["residuals"]
     tested = f" (Q = {test['statistic']:.3g} over {test['lags']} lags, p = {test['p_value']:.2g})"
+    samples = f"{said['samples']} samples at {1e3 * said['period_s']:g} ms"
     print_facts((
+        *facts,
         ("dry friction", _friction_in_words(said["friction"], said["residuals"]["verdict"]), ""),
         ("plain least squares", f"{text}, for comparison", ""),
-        ("noise", f"{said['noise_sd']:.3g} (standard deviation), {said['samples']} samples at {1e3 * said['period_s']:g} ms", ""),
+        ("noise", f"{said['noise_sd']:.3g} (standard deviation), {samples}", ""),
         ("residuals", WORDS[test["verdict"]] + ("" if test["verdict"] == "exact" else tested), ""),
     ))  # fmt: skip
     click.echo("\n[plant]\nkind = " + json.dumps(said["plant"]))

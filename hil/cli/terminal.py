@@ -70,12 +70,8 @@ def message_lines(text: str) -> list[str]:
 
 
 def print_facts(facts: Iterable[tuple[str, str, str]]) -> None:
-    """Print facts, one a line: name, value, remark; what a terminal has no room for goes on below the value."""
-    room = max(terminal_columns() - FACTS - GAP, NARROWEST)
-    for name, value, remark in facts:
-        first, *more = wrap(f"{value:<12} {remark}".rstrip(), room, break_on_hyphens=False, break_long_words=False) or [""]
-        for part, said in ((name, first), *(("", said) for said in more)):
-            click.echo(f"{part:>{FACTS}}{'':{GAP}}{said}".rstrip())
+    """Print facts, one a line: name, value, remark."""
+    print_lines([Line(name, f"{value:<12} {remark}".rstrip()) for name, value, remark in facts])
 
 
 def print_folded(text: str, indent: str = "") -> None:
@@ -103,7 +99,6 @@ def print_each_folded(lines: Iterable[str]) -> None:
 
 
 GAP = 2  # blanks between the columns
-FACTS = 22  # characters of a fact's name
 NARROWEST = 12  # characters of a column of words, however narrow the terminal is
 
 

@@ -14,6 +14,7 @@ from dataclasses import KW_ONLY, asdict, dataclass
 from functools import partial
 from html import escape
 from importlib.resources import files
+from string import Template
 from typing import Any, Final
 
 import numpy as np
@@ -84,19 +85,11 @@ class Page:
             f"script-src {_digest(library)} {_digest(script)}"
         )
         links = "".join(f'<a href="#s{i}">{escape(s.title)}</a>' for i, s in enumerate(self.sections))
-        text = (
-            '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            '<meta name="color-scheme" content="light dark">\n<link rel="icon" href="data:,">\n'
-            f"<title>{escape(self.title)}</title>\n<style>{_asset('uPlot.min.css')}\n{_asset('page.css')}</style>\n</head>\n<body>\n"
-            f'{_header(self)}\n<nav aria-label="Sections"><div>{links}'
-            '<button id="reset" type="button" hidden>Reset zoom</button></div></nav>\n'
-            f"<main>\n<noscript><p>The curves of this page are drawn by a script inside it.</p></noscript>\n{body}</main>\n"
-            f"<footer>{escape(self.footer)}</footer>\n"
-            f'<script type="application/json" id="hil-data">{payload.json()}</script>\n'
-            f"<script>{library}</script>\n<script>{script}</script>\n</body>\n</html>\n"
-        )
+        text = Template(f"{_asset('page.html')}\n").substitute(
+            policy=policy, title=escape(self.title), style=f"{_asset('uPlot.min.css')}\n{_asset('page.css')}",
+            header=_header(self), links=links, body=body, footer=escape(self.footer), data=payload.json(), library=library,
+            script=script,
+        )  # fmt: skip
         return UNSEEN.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 

@@ -47,8 +47,8 @@ def test_the_motor_of_a_session_over_a_network_is_found_with_its_disturbance(cli
     assert said["estimates"]["pole"]["value"] == pytest.approx(3.5287, rel=1e-9)
     assert said["logged"] == {"gain": 172.38, "pole": 3.5287}
     text = cli("identify", "plant", "motor.mcap")[1]
-    assert "residuals  none: the model fits to rounding\n" in text and "(Q = " not in text
-    assert "gain  172.38 rad/(V s²), 95 %: " in text
+    assert "residuals            none: the model fits to rounding\n" in text and "(Q = " not in text
+    assert "gain                 172.38 rad/(V s²), 95 %: " in text
 
 
 def test_a_motor_with_friction_is_distinguished_from_one_without(cli: Hil) -> None:
