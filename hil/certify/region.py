@@ -217,12 +217,12 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
         return [], steady, "its reference needs a steady command"
     if max(*(slot for slot, _ in loop.steps), *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
         return [], steady, f"its reference steps, or a disturbance comes, after slot {SLOTS}"
-    unlike = _first_rows(loop)
-    if unlike and ((first - points[0]).any() or any(slot <= _first_slots(loop) for slot, _ in pushes)):
-        return [], steady, unlike
     slots = [0, *(slot for slot, _ in sorted(loop.steps))]
     jumps = [first - points[0], *(before - after for before, after in pairwise(points))]
     begun: dict[int, Array] = {}
     for slot, jump in zip(slots, jumps):
         begun[slot] = begun.get(slot, np.zeros(len(A))) + jump
-    return [*begun.items(), *pushes], steady, ""  # pushes on their own: of a disturbance a share may act
+    starts, unlike = [*begun.items(), *pushes], _first_rows(loop)  # pushes on their own: of a disturbance a share may act
+    if unlike and any(slot <= _first_slots(loop) and shift.any() for slot, shift in starts):
+        return [], steady, unlike
+    return starts, steady, ""

@@ -168,6 +168,19 @@ def test_a_plant_that_leaves_its_limits_earlier_than_it_says_is_refused() -> Non
     assert verdict is not None and verdict.state == "refused" and "departures() says at most" in verdict.reason
 
 
+@pytest.mark.parametrize("rule", ["previous", "generated", "both"])
+def test_a_step_that_the_first_rows_answer_is_not_judged_by_later_ones(rule: str) -> None:
+    """A packet has rows for delays up to 2, the law has delay 1: the first packets take the row for 2, 50 times the others."""
+    rows = [[[-1.0 if i == {"both": 7}.get(rule, 2) else -0.02]] for i in range(9 if rule == "both" else 3)]
+    ages = {name: {"max_age": most, "law": {"kind": "constant", "age": age}} for name, age, most in (("sc", 0, 0), ("ca", 1, 2))}
+    changes = {"controller": {"kind": "send-all", "selection": rule, "gains": [rows]}, "network": ages}
+    for at, within in ((0.0, False), (1.0, True)):
+        loop = composed(reference=[{"at": at, "value": [0.5]}], **changes)
+        assert (verdict_of(loop).kind == "stability in a region") == within
+        commands = simulate(loop, 0, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"]
+        assert bool(np.abs(commands).max() < SUPPLY) == within
+
+
 class Careful(DCMotor):
     """Does not say what becomes of a disturbance beyond its limits."""
 
