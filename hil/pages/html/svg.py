@@ -15,6 +15,10 @@ from hil.pages.html.payload import Still
 
 WIDTH, HEIGHT = 560, 250
 LEFT, RIGHT, TOP, BOTTOM = 58, 12, 18, 44
+LETTER = 6.0
+"""Width of a letter of a tick, at most nearly."""
+EVERY = [factor * 10**decade for decade in range(7) for factor in (1, 2, 5)]
+"""Of so many bars one has its name below it, where there is no room for all."""
 
 
 def still_html(plot: Still) -> str:
@@ -55,9 +59,13 @@ def draw_bars(bars: Bars) -> str:
     parts = _frame(ticks, y_of, bars.x_label, with_unit(bars.y_label, bars.y_unit))
     slot = (WIDTH - LEFT - RIGHT) / max(len(bars.categories), 1)
     width = min(0.76 * slot / max(len(bars.groups), 1), 54.0)
+    gap = min(2.0, 0.3 * width)
+    longest = LETTER * max((len(str(each)) for each in bars.categories), default=1) + 3.0
+    named = next(each for each in EVERY if each * slot >= longest)
     for i, category in enumerate(bars.categories):
         middle = LEFT + (i + 0.5) * slot
-        parts.append(_label("tick", middle, HEIGHT - BOTTOM + 16, "middle", str(category)))
+        if i % named == 0:
+            parts.append(_label("tick", middle, HEIGHT - BOTTOM + 16, "middle", str(category)))
         for g, group in enumerate(bars.groups):
             value = float(group.values[i])
             if not math.isfinite(value):
@@ -67,7 +75,7 @@ def draw_bars(bars: Bars) -> str:
             style = _bar_class(group.colour if group.colour is not None else g, group.hollow)
             tip = escape(f"{category}: {group.label} {text_of(value)} {bars.y_unit}".strip())
             parts.append(
-                f'<rect class="{style}" x="{left + 1:.1f}" y="{top:.1f}" width="{width - 2:.1f}" '
+                f'<rect class="{style}" x="{left + gap / 2:.1f}" y="{top:.1f}" width="{width - gap:.1f}" '
                 f'height="{max(HEIGHT - BOTTOM - top, 0):.1f}"><title>{tip}</title></rect>'
             )
             if group.whiskers is not None and all(map(math.isfinite, group.whiskers[i])):

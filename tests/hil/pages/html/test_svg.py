@@ -143,6 +143,14 @@ def test_bars_stand_side_by_side_on_the_axis_and_a_whisker_spans_its_interval_ov
     assert FULL["whiskers"].count("hollow") == 2 and "<title>a: sc 3 ms</title>" in FULL["whiskers"]
 
 
+def test_hundreds_of_bars_have_a_width_and_some_have_a_name() -> None:
+    """600 ages of four silent nodes: every bar was less than nothing wide, and 600 names lay on each other."""
+    used = BarGroup(label="used", values=[1.0] * 590)
+    many = draw_bars(Bars(title="m", categories=[str(i) for i in range(590)], groups=(used,)))
+    assert min(float(each) for each in re.findall(r'<rect class="bar c0"[^>]* width="(\S+)"', many)) > 0.3
+    assert [text for *_, text in ticks(many, "middle")] == [str(i) for i in range(0, 590, 50)]
+
+
 def test_a_histogram_has_a_bar_for_each_count_from_edge_to_edge_and_says_what_it_counts() -> None:
     bars = re.findall(r'<rect class="bar c0" x="(\S+)" y="\S+" width="(\S+)" height="\S+"><title>([^<]*)</title>', FULL["marks"])
     assert [title for *_, title in bars] == ["1 to 2 us: 3", "4 to 8 us: 40"]
