@@ -5,8 +5,10 @@ Poisson count,
 
     chi2(0.025; 2 n) / (2 T)  to  chi2(0.975; 2 n + 2) / (2 T).
 
-The rates of detection are counted apart for every true mode (4.2). Modes are known at samples: a jump back within one sample is
-not seen, and the sojourn is known to a sample.
+The rates of detection are counted apart for every true mode (4.2). Modes are known at samples, and the sojourn to a sample: a
+stay that no sample falls into hides two jumps, or shows them as one. With q_i = sum_j q_ij, to first order in the period, a share
+(q_i + q_j) period / 2 of the jumps from i to j is hidden, by which the upper bound is larger, and sum_k q_ik q_kj period / 2 is
+the rate of what looks like them, by which the lower one is smaller.
 
 Reference: thesis sec. 4.2; O. O. Aalen, Nonparametric inference for a family of counting processes, Ann. Stat. 6(4), 1978.
 """
@@ -23,7 +25,7 @@ from design.errors import DesignError, FieldError
 
 LEVEL: Final = 0.95
 FASTEST: Final = 0.1
-"""Jumps per sample up to which few are missed: with more the count is too small."""
+"""Jumps per sample up to which the bounds hold: with more, jumps are missed in all orders."""
 Array = NDArray[np.float64]
 Modes = NDArray[np.int64]
 
@@ -81,8 +83,9 @@ def jump_rates(records: Sequence[ModeRecord], edges_s: Sequence[float] = (), *, 
         _count(of_fault, np.ones_like(record.fault), record.fault, fault_jumps, record.period_s, edges)
         cleared = detected_jumps | fault_jumps if restarts else detected_jumps
         _count(of_detected, record.fault, record.detected, cleared, record.period_s, edges)
-    found = [*_rates(of_fault, edges, known=False), *_rates(of_detected, edges, known=True)]
-    fastest = max((each.low for each in found), default=0.0) * max(record.period_s for record in records)
+    period_s = max(record.period_s for record in records)
+    found = [*_rates(of_fault, edges, period_s, known=False), *_rates(of_detected, edges, period_s, known=True)]
+    fastest = max((each.low for each in found), default=0.0) * period_s
     if fastest > FASTEST:
         said = f"{fastest:.3g} jumps per sample and more, expected at most {FASTEST:g}: beyond, jumps are missed"
         raise DesignError(said, value=fastest)
@@ -101,16 +104,21 @@ def _count(into: Array, given: Modes, modes: Modes, cleared: NDArray[np.bool_], 
     np.add.at(into, (given[:-1][jumps] - 1, source[jumps], to[jumps], at[jumps]), 1.0)
 
 
-def _rates(counted: Array, edges: Array, *, known: bool) -> list[JumpRate]:
+def _rates(counted: Array, edges: Array, period_s: float, *, known: bool) -> list[JumpRate]:
     from scipy.stats import chi2
 
-    found = []
+    total, alone = counted.sum(axis=3), np.eye(counted.shape[1], dtype=bool)
+    rates = np.where(alone, 0.0, total / np.maximum(total.diagonal(axis1=1, axis2=2)[:, :, None], period_s))
+    out, found = rates.sum(axis=2), []
+    hidden, through = 0.5 * period_s * (out[:, :, None] + out[:, None, :]), 0.5 * period_s * rates @ rates
     for given, source, to, at in np.ndindex(*counted.shape):
         exposure, n = float(counted[given, source, source, at]), round(float(counted[given, source, to, at]))
         if source == to or not exposure:
             continue
         low = float(chi2.ppf((1.0 - LEVEL) / 2.0, 2 * n)) / (2.0 * exposure) if n else 0.0
         high = float(chi2.ppf((1.0 + LEVEL) / 2.0, 2 * n + 2)) / (2.0 * exposure)
+        low = max(low - float(through[given, source, to]), 0.0)
+        high /= 1.0 - min(float(hidden[given, source, to]), 0.5)
         fault = given + 1 if known else None
         ends = float(edges[at]), float(edges[at + 1])
         found.append(JumpRate(fault, source + 1, to + 1, *ends, n, exposure, n / exposure, low, high))
