@@ -172,6 +172,9 @@ def read_run(path: str | os.PathLike[str], *, whole: bool = True, descriptor: in
         return reading.run()
 
 
+MOST_TOPICS: Final = 1000
+"""Each takes some memory before its first record is a number; a session has twenty or so."""
+
 EVENT_COST: Final = 8
 """Bytes of memory for each of an event, which becomes Python objects."""
 
@@ -204,6 +207,8 @@ class _Reading:
 
     def _columns_of(self, number: int, channel: Channel) -> Columns:
         if number not in self._columns:
+            if len(self._columns) == MOST_TOPICS:
+                raise HilError(f"more than {MOST_TOPICS} topics; no session has as many")
             schema = _schema(self.content, channel)
             self._columns[number] = Columns(channel.topic, schema, self._folder, start_of(self.content))
         return self._columns[number]

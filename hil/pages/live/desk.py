@@ -205,7 +205,7 @@ class Desk:
     def _work(self) -> None:
         while (asked := self._wishes.get()) is not None:
             number, wish = asked
-            sides = [self.sides[i] for i in wish.sides] or list(self.sides)
+            sides = [self.sides[i] for i in dict.fromkeys(wish.sides)] or list(self.sides)
             self.draft = Draft(number, wish.path, "computing")
             try:
                 if wish.do == "check":

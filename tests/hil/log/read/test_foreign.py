@@ -175,6 +175,17 @@ def test_what_no_session_writes_is_named(
         read_run(tmp_path / "a.mcap")
 
 
+def test_a_log_of_more_topics_than_a_session_has_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each topic takes 64 KiB before its first record is a number: a file of 5 MB took 4 GB."""
+    monkeypatch.setattr("hil.log.read.MOST_TOPICS", 3)
+    topics = tuple((f"/t{i}", *REFERENCE[1:]) for i in range(4))
+    log_of(tmp_path / "a.mcap", topics[:3], ("", b""))
+    assert len(read_run(tmp_path / "a.mcap").arrays) == 3
+    log_of(tmp_path / "a.mcap", topics, ("", b""))
+    with pytest.raises(HilError, match=r"a\.mcap: more than 3 topics; no session has as many"):
+        read_run(tmp_path / "a.mcap")
+
+
 def test_a_log_of_one_topic_is_read(tmp_path: Path) -> None:
     log_of(tmp_path / "a.mcap", (REFERENCE,), ("resolved.json", b'{"period": 0.5}'), codes={"reason": "lost,sent"})
     run = read_run(tmp_path / "a.mcap")

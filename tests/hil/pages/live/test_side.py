@@ -11,10 +11,11 @@ from hil.experiment import Experiment
 from hil.log.topics import channels_of
 from hil.pages.live import Side
 from hil.pages.live.about import about, controllers, controllers_of
-from hil.pages.live.desk import Desk
+from hil.pages.live.desk import Desk, Wish
 from hil.rig.loop import Loop
 from hil.runtime.changes import Change
 from hil.runtime.clock import PacedClock
+from tests.waiting import until
 
 FIRST, SECOND = (Change(path=path, value=1, loop=None) for path in ("a", "b"))
 
@@ -50,6 +51,19 @@ def test_a_change_that_takes_many_slots_to_compose_is_armed_all_the_same(monkeyp
         monkeypatch.setattr(desk._composer, "changed", slowly)
         (slot,) = desk._arm([side], "network.ca.law", {"kind": "constant", "age": 1})
         assert slot == asked[-1] > side.next_slot() - 40 and len(asked) <= 3 and due(slot)
+    finally:
+        desk.close()
+
+
+def test_a_run_that_a_wish_names_twice_is_changed_once() -> None:
+    """A wish has room for thirty thousand numbers of runs, each of which was composed."""
+    side, loop = Side(acts=True), compose(load_experiment("dc-motor-hinf"))
+    side.begin(loop, channels_of(loop))
+    desk = Desk([side])
+    try:
+        number = desk.take(Wish(do="apply", path="reference", value=[1.0], sides=(0, 0, 0)))
+        until(lambda: desk.draft.number == number and desk.draft.state == "armed", "the change")
+        assert len(desk.draft.claims) == len(side._armed) == 1
     finally:
         desk.close()
 
