@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hil.measure.signals import with_unit
 from hil.pages import Badge, BarGroup, Bars, Block, Cell, Figure, Section, Series, State, Table, Text
 from hil.pages.html import can_id_text
 from hil.pages.html.page import Page
@@ -172,7 +173,7 @@ def _half(interval: Interval) -> str:
 
 
 def trigger_page(
-    name: str, kind: str, unit: str, points: Sequence[TriggerPoint], best: Sequence[TriggerPoint],
+    name: str, kind: str, units: tuple[str, str], points: Sequence[TriggerPoint], best: Sequence[TriggerPoint],
     open_points: Sequence[OpenPoint] = (),
 ) -> Page:  # fmt: skip
     """Return the page.
@@ -180,7 +181,7 @@ def trigger_page(
     Args:
         name: of the experiment.
         kind: of the trigger.
-        unit: of the gains.
+        units: of the gains, and of the squared error.
         points: thresholds with gains.
         best: those that no other certified one beats.
         open_points: those that the budget or an interrupt left undecided.
@@ -200,7 +201,8 @@ def trigger_page(
     )
     figure = Figure(
         title="Squared error against packets", series=tuple(each for each in groups if len(each.x)), x_label="sensor packets",
-        x_unit="1/s", y_label="squared error", x_log=True, y_log=True, sync=None, height_px=320, note="means over the runs",
+        x_unit="1/s", y_label="squared error", y_unit=units[1], x_log=True, y_log=True, sync=None, height_px=320,
+        note="means over the runs",
     )  # fmt: skip
     relative, runs = kind == "relative", points[0].packets.n
     rows: list[list[Cell]] = [
@@ -213,7 +215,7 @@ def trigger_page(
         ]
         for each in points
     ]  # fmt: skip
-    columns = ["threshold", f"gain, {unit}", "designed for", "squared error", "packets/s", "certificate"]
+    columns = ["threshold", f"gain, {units[0]}", "designed for", with_unit("squared error", units[1]), "packets/s", "certificate"]
     table = Table(
         columns=[*columns, "H2 norm at most" if relative else "ends within (rms)"], rows=rows, wide=True,
         highlight=frozenset(i for i, each in enumerate(points) if each in best),

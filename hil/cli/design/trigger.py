@@ -28,6 +28,8 @@ def answer(
         HilError: no gains meet the request, an experiment that has no such question, or a file that cannot be written.
     """
     from hil.design_questions.trigger_gains import candidates, planned, trigger_question
+    from hil.measure.signals import signals_of
+    from hil.measure.tracking import squared_unit
     from hil.pages.designs import trigger_page
     from hil.plugins.registry import names
     from hil.sweeps.trigger_cost import check_chains, front, run_candidate, undecided
@@ -55,8 +57,9 @@ def answer(
         "interrupted": status != 0, "points": [each.to_json() | {"on_front": each in best} for each in points],
         "undecided": [each._asdict() for each in open_points],
     }  # fmt: skip
-    unit = gain_unit(asked.target.of.inputs, asked.target.of.outputs)
-    show_page(trigger_page(subject, asked.kind, unit, points, best, open_points), document, path)
+    plant = asked.target.of
+    units = gain_unit(plant.inputs, plant.outputs), squared_unit(signals_of(plant))
+    show_page(trigger_page(subject, asked.kind, units, points, best, open_points), document, path)
     if status:
         print(f"hil: design interrupted after {len(points)} of {len(plan)} points", file=sys.stderr)
         sys.exit(status)

@@ -112,7 +112,7 @@ def test_the_front_keeps_certified_points_that_none_beats() -> None:
     points = [point(20, 1), point(9, 2), point(9, 3), point(8, 2.5), point(5, 1.5, "undecided"), point(4, 0.5, stopped=1)]
     points += [point(7, 4), point(8.5, 2.5)]  # the last costs as much as one that sends less
     assert front(points) == [points[6], points[3], points[1], points[0]]
-    shown = trigger_page("dc-motor", "dead-band", "V per rad", points, front(points)).sections[0]
+    shown = trigger_page("dc-motor", "dead-band", ("V per rad", "rad² s"), points, front(points)).sections[0]
     (figure,) = (block for block in shown.blocks if isinstance(block, Figure))
     drawn = {line.label: [*line.x] for line in figure.series}
     assert drawn["not certified"] == [5.0] and drawn["best certified"] == [7.0, 8.0, 9.0, 20.0]
@@ -136,7 +136,8 @@ def test_the_command_prints_the_points_and_writes_a_page(
     assert always["cost"]["low"] < always["cost"]["mean"] < aware["cost"]["mean"] and aware["cost"]["n"] == 3
     assert always["on_front"] and aware["on_front"] and not plain["on_front"]
     written = page.read_text()
-    assert all(said in written for said in ("Squared error against packets", "gain, V per rad", "not certified"))
+    shown = ("Squared error against packets", "gain, V per rad", "squared error (rad² s)", "not certified")
+    assert all(said in written for said in shown)
     monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
     shown = CliRunner().invoke(command, [name, "--trigger"], catch_exceptions=False).stdout
     assert "undecided" in shown and "40% wrong" in shown and "every slot" in shown

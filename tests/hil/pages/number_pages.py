@@ -125,7 +125,7 @@ def designs() -> dict[str, list[str]]:
         return Judged(place=at, cost=cost, state=state, bounds_ms=bounds, in_time=None not in bounds)
 
     def trigger(kind: str, several: Sequence[TriggerPoint], open_points: Sequence[OpenPoint] = ()) -> str:
-        return trigger_page("motor", kind, "V per rad", several, several[:1], open_points).html()
+        return trigger_page("motor", kind, ("V per rad", "rad² s"), several, several[:1], open_points).html()
 
     def point(
         threshold: float, share: float, state: str, cost: float, packets: float, ends: dict[str, float], stopped: int = 0
