@@ -136,8 +136,8 @@ def test_the_command_prints_the_points_and_writes_a_page(
     assert always["cost"]["low"] < always["cost"]["mean"] < aware["cost"]["mean"] and aware["cost"]["n"] == 3
     assert always["on_front"] and aware["on_front"] and not plain["on_front"]
     written = page.read_text()
-    shown = ("Squared error against packets", "gain, V per rad", "squared error (rad² s)", "not certified")
-    assert all(said in written for said in shown)
+    heads = ("Squared error against packets", "gain, V per rad", "squared error (rad² s)", "not certified")
+    assert all(said in written for said in heads)
     monkeypatch.setattr(trigger_gains, "candidates", lambda *_, **__: large)
     shown = CliRunner().invoke(command, [name, "--trigger"], catch_exceptions=False).stdout
     assert "undecided" in shown and "40% wrong" in shown and "every slot" in shown
