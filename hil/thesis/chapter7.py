@@ -10,40 +10,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from design.networked_loop.prediction import Prediction, predict_tracking
-from hil.compose import compose
-from hil.experiment import load_experiment
+from hil.errors import HilError
 from hil.measure.batch_protocols import BatchView
+from hil.measure.prediction import predict
 from hil.measure.tracking import tracking_of_batch
 from hil.pages import Band, Figure, Marker, Series
 from hil.rig.loop import Loop
 from hil.runtime.virtual import simulate
 from hil.thesis import Chapter, Plot, ReportProgress, Stage
-from hil.thesis.chapter7_delays import ESTIMATED, STAYS, TRADE_OFF, estimated_delay, stays, trade_off
-from hil.thesis.chapter7_designs import DESIGNS, INFORMED, UNCERTAIN, designs, gain_bounds, information, uncertain
-from hil.thesis.chapter7_friction import EXPERIMENT_ROWS, INTEGRAL, Imperfections, experiment, fit, integral_action, loop_of
-from hil.thesis.chapter7_models import (
-    LOCAL_DESIGNS,
-    MODELS,
-    NETWORK,
-    VTOL_H2,
-    VTOL_HINF,
-    VTOL_LOCAL,
-    everywhere,
-    local_designs,
-    models,
-    vtol,
-)
-from hil.thesis.chapter7_runs import (
-    CONTROLLERS,
-    TABLE_7_1_ROWS,
-    TABLE_7_2_ROWS,
-    motor_prediction,
-    motor_table,
-    numbers_of,
-    on_all_cores,
-    vtol_table,
-)
+from hil.thesis import chapter7_delays as delays
+from hil.thesis import chapter7_designs as designs
+from hil.thesis import chapter7_friction as friction
+from hil.thesis import chapter7_models as models
+from hil.thesis import chapter7_runs as runs
+from hil.thesis.chapter7_runs import ideal, numbers_of, on_all_cores, upright
 from hil.thesis.statements import Statement, above, below
 
 Array = npt.NDArray[np.float64]
@@ -53,12 +33,6 @@ SMITH_GAINS = (-0.02, -0.03, -0.08, -0.16, -0.2)
 SEED = 7
 
 
-def ideal(controller: str, *sets: str) -> Loop:
-    """The networked motor without imperfections at T = 0.05 s, with a published controller."""
-    changes = (f"controller.kind={controller}", "allow_uncertified=true", *sets)
-    return compose(load_experiment("dc-motor-hinf", changes), certify=False)
-
-
 def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     """Time, s, and angle, rad, of one run."""
     run = simulate(loop, seed, TOPICS)
@@ -66,42 +40,36 @@ def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     return measured["slot"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
 
 
-def _band(predicted: Prediction, target: float, period_s: float, where: str = "") -> Band:
+def _band(loop: Loop, where: str = "") -> Band:
     """Two standard deviations on either side of the predicted output."""
-    mean, sd = predicted.error_mean[:, 0] + target, predicted.error_sd[:, 0]
-    x = np.arange(len(mean)) * period_s
+    slots = loop.experiment.slots
+    predicted, reference = predict(loop, slots), loop.reference().at
+    if predicted is None:
+        raise HilError(f"{loop.experiment.name}: nothing is predicted")
+    mean = predicted.error_mean[:, 0] + [reference(k)[0] for k in range(slots)]
+    sd = predicted.error_sd[:, 0]
+    x = np.arange(slots) * loop.model.period_s
     return Band(label=f"predicted mean ± 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
 
 
-def motor_plots(motor: Imperfections, report_progress: ReportProgress) -> list[Plot]:
+def motor_plots(motor: friction.Imperfections, report_progress: ReportProgress) -> list[Plot]:
     """Figures 7.6 to 7.8: simulation, fitted motor, and what the recursion predicts."""
     plots = []
-    figures = {"7.6": ("hinf", "H-infinity"), "7.7": ("h2", "H2"), "7.8": ("local", "local")}
-    for number, (kind, name) in figures.items():
+    for number, (name, kind) in zip(("7.6", "7.7", "7.8"), runs.KINDS.items(), strict=True):
         report_progress(f"figure {number}")
-        t, simulated = angle(ideal(kind), SEED)
-        t_lab, lab = angle(loop_of(kind, motor), SEED)
-        t_fast, fast = angle(ideal(kind, "period=25 ms"), SEED)
-        series = [
-            Series(label="simulation, T = 0.05 s", x=t, y=simulated, style="dashed"),
-            Series(label="fitted motor, T = 0.05 s", x=t_lab, y=lab),
-            Series(label="simulation, T = 0.025 s", x=t_fast, y=fast, style="dashed"),
-        ]
-        period_s = 0.025 if kind == "local" else 0.05
-        predicted = motor_prediction(*CONTROLLERS[name], period_s)
-        bands = (_band(predicted, 3.0, period_s, f", T = {period_s} s"),)
-        note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
-        plots.append(
-            Plot(
-                title=f"Figure {number}: {name} controller",
-                panels=(
-                    Figure(
-                        title="Motor angle", series=tuple(series), bands=bands, y_label="angle", y_unit="rad",
-                        y_range=(-1.0, 7.0), markers=(Marker(x=30.0, label="disturbance"),), note=note,
-                    ),
-                ),
-            )
+        stated, fast = ideal(kind), ideal(kind, "period=25 ms")
+        drawn = (
+            ("simulation, T = 0.05 s", stated, "dashed"), ("fitted motor, T = 0.05 s", friction.loop_of(kind, motor), "line"),
+            ("simulation, T = 0.025 s", fast, "dashed"),
         )  # fmt: skip
+        series = [Series(label=label, x=t, y=y, style=style) for label, loop, style in drawn for t, y in [angle(loop, SEED)]]
+        predicted = fast if kind == "local" else stated
+        note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
+        panel = Figure(
+            title="Motor angle", series=tuple(series), bands=(_band(predicted, f", T = {predicted.model.period_s} s"),),
+            y_label="angle", y_unit="rad", y_range=(-1.0, 7.0), markers=(Marker(x=30.0, label="disturbance"),), note=note,
+        )  # fmt: skip
+        plots.append(Plot(title=f"Figure {number}: {name} controller", panels=(panel,)))
     return plots
 
 
@@ -120,9 +88,10 @@ def smith(report_progress: ReportProgress) -> dict[str, Any]:
     pulse = (Marker(x=30.0, label="disturbance"),)
     figure = Figure(title="Motor angle", series=series, y_label="angle", y_unit="rad", markers=pulse)
     ours, smiths = [[*marks.values()][part] for part in (slice(2), slice(2, None))]
-    more = np.array([[[-_surely(each, other, k) for k in range(3)] for each in ours] for other in smiths])
-    less = np.array([[[_surely(other, each, k) for k in range(3)] for each in ours] for other in smiths])
-    holds = [bool((wins[:, ::2] > 0.0).all() and (loses[:, 1] < 0.0).all()) for wins, loses in zip(more, less, strict=True)]
+    apart = np.array([[other - each for each in ours] for other in smiths])  # (gains, ours, runs, marks)
+    mean, errors = apart.mean(axis=2), 4.0 * apart.std(axis=2) / SMITH_RUNS**0.5
+    more, less = mean - errors, mean + errors
+    holds = (more[:, :, ::2] > 0.0).all(axis=(1, 2)) & (less[:, :, 1] < 0.0).all(axis=1)
     named = {"cautious": SMITH_GAINS.index(-0.03), "bold": SMITH_GAINS.index(-0.16)}
     return {
         "words": "; ".join(
@@ -173,12 +142,6 @@ SMITH = (
 # fmt: on
 
 
-def _surely(a: Array, b: Array, column: int) -> float:
-    """Mean of a - b over the runs plus four standard errors: negative only if a is surely less than b."""
-    less = a[:, column] - b[:, column]
-    return float(less.mean() + 4.0 * less.std() / len(less) ** 0.5)
-
-
 def _all_marks(loops: dict[str, Loop], report_progress: ReportProgress) -> dict[str, Array]:
     """Marks of every loop, (runs, 3) each: sum of squares, overshoot, and the largest error from the disturbance on, rad."""
     found = on_all_cores(_marks_of, [(loop,) for loop in loops.values()], report_progress, list(loops))
@@ -198,61 +161,59 @@ def _marks(view: BatchView) -> tuple[Array, Array, Array]:
 def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
     """Figures 7.2 and 7.3: one run of the published controller, the predicted band, and the local gain that diverges."""
     plots = []
-    plant = vtol()
-    for number, kind, gains in (("7.2", "vtol-h2", VTOL_H2), ("7.3", "vtol-hinf", VTOL_HINF)):
+    for number, name in (("7.2", "H2"), ("7.3", "H-infinity")):
         report_progress(f"figure {number}")
-        loop = compose(load_experiment(kind), certify=False)
+        loop, local = upright(name), upright("local H2", "duration=0.6 s")
         run = simulate(loop, SEED, TOPICS)
         measured = run.arrays["/plant/measurement"]
-        t = measured["slot"] * loop.model.period_s
-        slots = len(t)
-        reference, disturbance = np.ones(slots), np.zeros((slots, 2))
-        disturbance[300] = 1.0
-        predicted = predict_tracking(*plant, *NETWORK, gains, "generated", reference, period_s=0.01, disturbance=disturbance)
-        local = predict_tracking(*plant, *NETWORK, everywhere(VTOL_LOCAL), "constant", reference[:60], period_s=0.01)
         panels = (
             Figure(
                 title="Vertical velocity", y_label="velocity", y_unit="kn", sync="vtol",
-                series=(Series(label="published gains, one run", x=t, y=measured["vertical_velocity"]),),
-                bands=(_band(predicted, 1.0, loop.model.period_s),),
-                markers=(Marker(x=3.0, label="impulse"),),
+                series=(
+                    Series(
+                        label="published gains, one run", x=measured["slot"] * loop.model.period_s,
+                        y=measured["vertical_velocity"],
+                    ),
+                ),
+                bands=(_band(loop),), markers=(Marker(x=3.0, label="impulse"),),
             ),
             Figure(
                 title="Root mean square error", y_label="error", y_unit="kn", y_log=True, sync=None,
-                series=(
-                    Series(label="published gains", x=t, y=np.sqrt(predicted.square_mean)),
-                    Series(label="local gain: diverges", x=t[:60], y=np.sqrt(local.square_mean)),
-                ),
+                series=(_rms("published gains", loop), _rms("local gain: diverges", local)),
             ),
         )  # fmt: skip
-        name = "H2" if kind == "vtol-h2" else "H-infinity"
         plots.append(Plot(title=f"Figure {number}: {name} controller of the VTOL", panels=panels))
     return {"figures": plots}
 
 
+def _rms(label: str, loop: Loop) -> Series:
+    band = _band(loop)
+    return Series(label=label, x=band.x, y=np.hypot(0.5 * (band.upper + band.lower) - 1.0, 0.25 * (band.upper - band.lower)))
+
+
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:
     """The experiment column of Table 7.2 with a fitted motor, and Figures 7.6 to 7.8."""
-    motor, misfit = fit(report_progress)
-    return experiment(motor, misfit, report_progress) | {"figures": motor_plots(motor, report_progress)}
+    motor, misfit = friction.fit(report_progress)
+    return friction.experiment(motor, misfit, report_progress) | {"figures": motor_plots(motor, report_progress)}
 
 
 CHAPTER = Chapter(
     title="Chapter 7: robust tracking control of a networked DC motor",
     stages=(
-        Stage("models and statements", models, 1.5, MODELS),
-        Stage("designs", designs, 45, DESIGNS),
-        Stage("designs without the network", local_designs, 3, LOCAL_DESIGNS),
-        Stage("Table 7.1", vtol_table, 8, TABLE_7_1_ROWS),
+        Stage("models and statements", models.models, 1.5, models.MODELS),
+        Stage("designs", designs.designs, 45, designs.DESIGNS),
+        Stage("designs without the network", models.local_designs, 3, models.LOCAL_DESIGNS),
+        Stage("Table 7.1", runs.vtol_table, 8, runs.TABLE_7_1_ROWS),
         Stage("Figures 7.2 and 7.3", vtol_plots, 1),
-        Stage("Table 7.2, simulation", motor_table, 10, TABLE_7_2_ROWS),
+        Stage("Table 7.2, simulation", runs.motor_table, 10, runs.TABLE_7_2_ROWS),
         Stage("Smith predictor", smith, 3, SMITH),
-        Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, EXPERIMENT_ROWS),
-        Stage("what the actuator knows", information, 25, INFORMED),
-        Stage("an estimate of d", estimated_delay, 7, ESTIMATED),
-        Stage("gain bounds", gain_bounds, 10),
-        Stage("trade-off of the norms, lost packets", trade_off, 5, TRADE_OFF),
-        Stage("uncertain plants", uncertain, 9, UNCERTAIN),
-        Stage("integral action", integral_action, 2, INTEGRAL),
-        Stage("the stay of d", stays, 0.5, STAYS),
+        Stage("fit of the motor, Table 7.2, experiment", _experiment, 35, friction.EXPERIMENT_ROWS),
+        Stage("what the actuator knows", designs.information, 25, designs.INFORMED),
+        Stage("an estimate of d", delays.estimated_delay, 7, delays.ESTIMATED),
+        Stage("gain bounds", designs.gain_bounds, 10),
+        Stage("trade-off of the norms, lost packets", delays.trade_off, 5, delays.TRADE_OFF),
+        Stage("uncertain plants", designs.uncertain, 9, designs.UNCERTAIN),
+        Stage("integral action", friction.integral_action, 2, friction.INTEGRAL),
+        Stage("the stay of d", delays.stays, 0.5, delays.STAYS),
     ),
 )

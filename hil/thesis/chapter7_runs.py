@@ -1,4 +1,4 @@
-"""Many runs of a loop of Section 7.4, packet by packet or on the rig: in their law the printed sums of squares are ranked.
+"""Many runs of a loop of Section 7.4 on the rig: in their law the printed sums of squares are ranked.
 
 Tables 7.1 and 7.2 print squared tracking errors of one run each, and sums of squares have skewed laws: every entry is judged by
 one rule, its rank among the runs (`hil.thesis.judgement.rank`), also where the loop is not mean-square stable and single runs are
@@ -12,102 +12,22 @@ from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
 from design.monte_carlo import Workers, spread
-from design.networked_loop import steady_state
 from design.networked_loop.certify import certify_loop
-from design.networked_loop.prediction import Prediction, predict_tracking
+from hil.compose import compose
+from hil.experiment import load_experiment
 from hil.measure.batch_protocols import BatchValues, BatchView
 from hil.measure.prediction import predict
+from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
 from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 from hil.thesis import ReportProgress
-from hil.thesis.chapter7_models import (
-    H2,
-    HINF,
-    LOCAL,
-    NETWORK,
-    VTOL_H2,
-    VTOL_HINF,
-    VTOL_LOCAL,
-    Array,
-    Plant,
-    everywhere,
-    motor,
-    vtol,
-)
+from hil.thesis.chapter7_models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, Array, everywhere, vtol
 from hil.thesis.judgement import rank
 from hil.thesis.statements import Statement, above, not_judged, run
 
-SEED = 7
 BATCH_RUNS = 200
-
-
-def stationary(transition: Array) -> Array:
-    """Stationary distribution of a row-stochastic matrix whose chain is ergodic."""
-    return np.asarray(np.linalg.matrix_power(transition, 1024)[0])
-
-
-def errors(
-    plant: Plant, gains: Array, selection: str, reference: Array, *, disturbance: Array, runs: int, seed: int = SEED
-) -> Array:
-    """Tracking errors y - r of single-output loops.
-
-    Args:
-        plant: A, B, C with one output.
-        gains: [tau][row][m][1].
-        selection: ``generated`` (the printed rule) or ``constant``.
-        reference: r(k), (K,).
-        disturbance: input disturbance, (K, m).
-        runs: how many.
-
-    Returns:
-        (K, runs); infinite from where a loop leaves all bounds.
-    """
-    rng = np.random.default_rng(seed)
-    every, zero = np.arange(runs), np.zeros(runs, dtype=np.intp)
-    sums = [np.cumsum(matrix, axis=1)[:, :-1] for matrix in NETWORK]
-    tau, d = (rng.choice(len(P), p=stationary(P), size=runs) for P in NETWORK)
-    held = steady_state(*plant).input[:, 0]
-    x = np.zeros((runs, plant.A.shape[0]))
-    outputs, made = [np.zeros(runs)] * 3, [d] * 2  # newest first, as are packets; made: d when the packets were
-    packets = [np.zeros((runs, *gains.shape[1:3]))] * 2
-    found = np.empty((len(reference), runs))
-    for k, r in enumerate(reference):
-        if k:
-            tau, d = (following(rng, total, mode) for total, mode in zip(sums, (tau, d), strict=True))
-        outputs, made = [x @ plant.C[0], *outputs[:-1]], [d, made[0]]
-        found[k] = outputs[0] - r
-        seen = np.stack(outputs)[tau, every] - r
-        rows = held * r + gains[tau, :, :, 0] * seen[:, None, None]
-        rows[tau > k] = 0.0  # no sample has come
-        packets = [rows, packets[0]]
-        sent = np.stack(packets)[d, every]
-        row = np.where(d == 0, d, made[-1]) if selection == "generated" else zero
-        u = sent[every, row]
-        u[d > k] = 0.0  # no packet has come
-        with np.errstate(over="ignore", invalid="ignore"):
-            x = x @ plant.A.T + (u + disturbance[k]) @ plant.B.T
-        x[~np.isfinite(x)] = np.inf
-    return found
-
-
-def following(rng: np.random.Generator, sums: Array, mode: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """Draw the mode after each; ``sums`` has the summed rows of the matrix, but for their last entry."""
-    return np.asarray((rng.random(len(mode))[:, None] > sums[mode]).sum(axis=1))
-
-
-def sums_of_squares(error: Array, period_s: float, start: int = 0) -> Array:
-    """T sum_{k >= start} |e(k)|^2 per run, (runs,); infinite where a run diverges.
-
-    Sensor, controller and actuator exchange packets as in Figure 7.1; modes start stationary. ``design.networked_loop`` predicts
-    mean and deviation exactly; the sums of squares are skewed, so a printed run is judged by its rank among the runs.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = period_s * (error[start:] ** 2).sum(axis=0)
-    return np.asarray(np.where(np.isfinite(total), total, np.inf))
-
 
 T = TypeVar("T")
 
@@ -167,10 +87,24 @@ def squared_error(loop: Loop) -> tuple[float, float]:
     return mean, abs(mean - expected) / (float(sums.std()) / np.sqrt(len(sums)))
 
 
+def predicted_sums(loop: Loop) -> str:
+    """Mean (sd) of the squared errors over the whole run and, where it is longer, from 5 s on."""
+    found = predict(loop, loop.experiment.slots)
+    return " / ".join(f"{each.mean:.4f} ({each.sd:.4f})" for each in found.sums) if found else ""
+
+
+def sums_of_squares(loop: Loop, seeds: Sequence[int]) -> Array:
+    """T sum |e(k)|^2 per run over the whole run and from 5 s on, (2, runs); infinite where a run leaves all bounds."""
+    return numbers_of(loop, seeds, 2, _sums).T
+
+
+def _sums(view: BatchView) -> tuple[BatchValues, BatchValues]:
+    found = tracking_of_batch(view)
+    return found["sse"], found["sse_after_5s"]
+
+
 TABLE_7_2 = {"H-infinity": ("11.29", "0.0065"), "H2": ("11.65", "0.0055"), "local": ("12.11", "0.0693")}
-CONTROLLERS = {
-    "H-infinity": (HINF, "generated"), "H2": (H2, "generated"), "local": (everywhere(np.array([[LOCAL]])), "constant"),
-}  # fmt: skip
+KINDS = {"H-infinity": "hinf", "H2": "h2", "local": "local"}
 MOTOR_RUNS, MORE_RUNS, VTOL_RUNS = 2000, 20_000, 10_000
 IMPULSES = (1.0, 0.0)
 """Sizes of the impulse on both inputs at step 300 of Table 7.1; none is printed."""
@@ -182,23 +116,17 @@ TABLE_7_1 = {
 }  # fmt: skip
 
 
-def motor_signals(period_s: float) -> tuple[Array, Array]:
-    """Reference and disturbance of Section 7.4.2: 3 rad from t = 1 s on, 0.1 at the input for 2 samples at 30 s."""
-    slots = round(50 / period_s)
-    reference, disturbance = np.zeros(slots), np.zeros(slots)
-    reference[round(1 / period_s) :] = 3.0
-    pulse = round(30 / period_s)
-    disturbance[pulse : pulse + 2] = 0.1
-    return reference, disturbance
+def ideal(controller: str, *sets: str) -> Loop:
+    """The networked motor without imperfections at T = 0.05 s, with a published controller."""
+    changes = (f"controller.kind={controller}", "allow_uncertified=true", *sets)
+    return compose(load_experiment("dc-motor-hinf", changes))
 
 
-def motor_prediction(gains: Array, selection: str, period_s: float) -> Prediction:
-    """Table 7.2's run, predicted; the error is counted to 3 rad from t = 0 on."""
-    reference, disturbance = motor_signals(period_s)
-    return predict_tracking(
-        *motor(period_s), *NETWORK, gains, selection, reference, period_s=period_s, target=np.full(len(reference), 3.0),
-        disturbance=disturbance, sums_from=(0, round(5 / period_s)),
-    )  # fmt: skip
+def upright(name: str, *sets: str) -> Loop:
+    """The networked VTOL with gains of Table 7.1; nothing stops it."""
+    gains, selection, _ = TABLE_7_1[name]
+    changes = (f"controller.gains={gains.tolist()}", f"controller.selection={selection}", "limits={}", *sets)
+    return compose(load_experiment("vtol-h2", ("allow_uncertified=true", *changes)))
 
 
 def motor_table(report_progress: ReportProgress) -> dict[str, Any]:
@@ -221,30 +149,14 @@ def motor_numbers(name: str, period_s: float) -> dict[str, Any]:
 
     What `MOTOR_RUNS` leave open is judged by `MORE_RUNS` others, so that an interval misses at twice its rate, at most.
     """
-    sums = _motor_sums(name, period_s, MOTOR_RUNS)
+    loop = ideal(KINDS[name], f"period={period_s}", "limits={}")
+    sums = sums_of_squares(loop, range(MOTOR_RUNS))
     outcomes = [rank("", found, float(printed)).outcome for found, printed in zip(sums, TABLE_7_2[name], strict=True)]
     if False not in outcomes and None in outcomes:
-        sums = _motor_sums(name, period_s, MORE_RUNS)
-    gains, selection = CONTROLLERS[name]
-    radius = certify_loop(*motor(period_s), *NETWORK, gains, selection).mean_square_radius
-    text = "diverges: not mean-square stable"
-    if radius < 1.0:
-        predicted = motor_prediction(gains, selection, period_s)
-        mean, sd = predicted.sum_mean, predicted.sum_sd
-        text = f"{mean[0]:.2f} ({sd[0]:.2f}) / {mean[1]:.4f} ({sd[1]:.4f})"
+        sums = sums_of_squares(loop, range(MOTOR_RUNS, MOTOR_RUNS + MORE_RUNS))
+    radius = float((loop.certificate or {})["mean_square_radius"])
+    text = predicted_sums(loop) if radius < 1.0 else "diverges: not mean-square stable"
     return {"sums": sums, "runs": len(sums[0]), "radius": radius, "text": text}
-
-
-def _motor_sums(name: str, period_s: float, runs: int) -> Array:
-    gains, selection = CONTROLLERS[name]
-    reference, disturbance = motor_signals(period_s)
-    parts = []
-    for seed in range(runs // MOTOR_RUNS):  # in parts, for the memory
-        plant, pulse = motor(period_s), disturbance[:, None]
-        error = errors(plant, gains, selection, reference, disturbance=pulse, runs=MOTOR_RUNS, seed=runs + seed)
-        error += (reference - 3.0)[:, None]
-        parts.append([sums_of_squares(error, period_s, start) for start in (0, round(5 / period_s))])
-    return np.concatenate(parts, axis=1)
 
 
 def vtol_table(report_progress: ReportProgress) -> dict[str, Any]:
@@ -256,18 +168,11 @@ def vtol_table(report_progress: ReportProgress) -> dict[str, Any]:
 
 def vtol_numbers(name: str) -> dict[str, Any]:
     """One controller of Table 7.1, with each size of the impulse."""
+    loops = [upright(name, f'disturbance=[{{at="3 s",samples=1,value=[{size},{size}]}}]') for size in IMPULSES]
+    sums = [sums_of_squares(loop, range(VTOL_RUNS))[0] for loop in loops]
     gains, selection, _ = TABLE_7_1[name]
-    reference, disturbance = np.ones(500), np.zeros((500, 2))
-    disturbance[300] = 1.0
-    sums = [
-        sums_of_squares(errors(vtol(), gains, selection, reference, disturbance=size * disturbance, runs=VTOL_RUNS), 0.01)
-        for size in IMPULSES
-    ]
     radius = certify_loop(*vtol(), *NETWORK, gains, selection).mean_square_radius
-    text = "diverges: not mean-square stable; "
-    if radius < 1.0:
-        predicted = predict_tracking(*vtol(), *NETWORK, gains, selection, reference, period_s=0.01, disturbance=disturbance)
-        text = f"{float(predicted.sum_mean[0]):.4f} ({float(predicted.sum_sd[0]):.4f}), "
+    text = f"{predicted_sums(loops[0])}, " if radius < 1.0 else "diverges: not mean-square stable; "
     low, high = np.quantile(sums[0], (0.005, 0.995), method="nearest")
     return {"sums": sums, "radius": radius, "text": text, "low": low, "high": high}
 

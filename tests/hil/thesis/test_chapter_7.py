@@ -15,6 +15,7 @@ from design.monte_carlo import Workers
 from design.networked_loop.closed_loop import loop_structure
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
+from hil.measure.prediction import predict
 from hil.thesis.chapter7_delays import (
     DELAYS,
     ESTIMATED,
@@ -35,10 +36,8 @@ from hil.thesis.chapter7_runs import (
     TABLE_7_1,
     TABLE_7_1_ROWS,
     TABLE_7_2_ROWS,
-    errors,
+    ideal,
     motor_numbers,
-    motor_prediction,
-    motor_signals,
     motor_table,
     sums_of_squares,
     vtol_numbers,
@@ -86,9 +85,9 @@ def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypat
     vertical, angles = vtol_table(quietly), motor_table(quietly)
     means = {name: [float(found.mean()) for found in vertical[name]["sums"]] for name in TABLE_7_1}
     assert means["H2"] == pytest.approx([0.0239, 0.0239], rel=0.2) and vertical["H2"]["text"].startswith("0.0239 (0.0084)")
-    assert vertical["H-infinity"]["text"].startswith("0.0252 (0.0095)") and means["local H2"] == means["local H-infinity"]
+    assert vertical["H-infinity"]["text"].startswith("0.0251 (0.0095)") and means["local H2"] == means["local H-infinity"]
     assert angles["local_0"]["radius"] == pytest.approx(1.054, abs=1e-3) and angles["local_0"]["sums"][0].min() > 20.0
-    assert angles["local_1"]["radius"] == pytest.approx(0.976, abs=1e-3) and angles["local_1"]["text"].startswith("13.93")
+    assert angles["local_1"]["radius"] == pytest.approx(0.976, abs=1e-3) and angles["local_1"]["text"].startswith("13.9299 (0.9709)")
     medians = [np.median(angles[f"{name}_1"]["sums"], axis=1) for name in ("local", "H-infinity", "H2")]
     np.testing.assert_allclose(angles["over"][1], medians[0] / np.maximum(*medians[1:]))
     assert [judge([rows[-1]], found)[0].verdict for rows, found in ((TABLE_7_1_ROWS, vertical), (TABLE_7_2_ROWS, angles))] == [
@@ -98,15 +97,13 @@ def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypat
 
 def test_emulated_runs_have_the_predicted_mean_and_spread():
     """4.5 standard errors, twice two numbers: error rate 3e-5; a row rule or a delay mistaken moves the mean by more than ten."""
-    reference, disturbance = motor_signals(0.05)
     runs = 4000
-    error = errors(motor(), H2, "generated", reference, disturbance=disturbance[:, None], runs=runs) + (reference - 3.0)[:, None]
-    predicted = motor_prediction(H2, "generated", 0.05)
-    for k, start in enumerate((0, 100)):
-        found = sums_of_squares(error, 0.05, start)
-        assert abs(found.mean() - predicted.sum_mean[k]) < 4.5 * found.std() / runs**0.5
+    loop = ideal("h2")
+    predicted = predict(loop, loop.experiment.slots)
+    for found, said in zip(sums_of_squares(loop, range(runs)), predicted.sums, strict=True):
+        assert abs(found.mean() - said.mean) < 4.5 * found.std() / runs**0.5
         fourth = np.mean((found - found.mean()) ** 4)
-        assert abs(found.var() - predicted.sum_sd[k] ** 2) < 4.5 * ((fourth - found.var() ** 2) / runs) ** 0.5
+        assert abs(found.var() - said.sd**2) < 4.5 * ((fourth - found.var() ** 2) / runs) ** 0.5
 
 
 def test_the_printed_local_gain_of_the_vtol_is_no_optimum_under_either_label():
