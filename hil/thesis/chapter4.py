@@ -32,23 +32,9 @@ from hil.certify.jump_loop import process_of, system_of
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.thesis import Chapter, ReportProgress, Stage
+from hil.thesis import chapter4_simulations as runs
 from hil.thesis.chapter2_feasibility import markov_approximation
-from hil.thesis.chapter4_simulations import (
-    ASSUMED,
-    DETECTION,
-    ETA,
-    ONE,
-    RECOMPUTED,
-    SIMULATIONS,
-    early_figures,
-    faults,
-    gains_that_see_r,
-    known_fault,
-    largest_entry,
-    our_gains,
-    recomputed,
-    simulations,
-)
+from hil.thesis.chapter4_simulations import ASSUMED, DETECTION, ETA, ONE, faults, known_fault, largest_entry, our_gains
 from hil.thesis.statements import Statement, above, below, exactly, number_of, says
 from plants.vtol_fault import FaultyVTOL
 
@@ -327,11 +313,11 @@ CONDITIONS = (
 CHAPTER = Chapter(
     title="Chapter 4: fault-tolerant control by semi-Markov models",
     stages=(
-        Stage("lifetimes", early_figures, 0.1),
+        Stage("lifetimes", runs.early_figures, 0.1),
         Stage("conditions", _conditions, 4, CONDITIONS),
-        Stage("simulations", simulations, 4, SIMULATIONS),
-        Stage("gains of the corollaries", recomputed, 7, RECOMPUTED),
-        Stage("gains that see r only", gains_that_see_r, 0.3),
+        Stage("simulations", runs.simulations, 4, runs.SIMULATIONS),
+        Stage("gains of the corollaries", runs.recomputed, 7, runs.RECOMPUTED),
+        Stage("gains that see r only", runs.gains_that_see_r, 0.3),
         Stage("a lost sensor", sensor_fault, 4, SENSOR_FAULT),
         Stage("disturbances that change, a Markov detection", other_faults, 7, OTHER_FAULTS),
         Stage("quadratic constraints", constraints, 4, CONSTRAINTS),

@@ -17,12 +17,12 @@ from design.as_printed.chapters_5_and_6 import (
     printed_distortion,
     theorem_61_coupler,
 )
-from design.controllers.rendered_wall import Coupler, WallController, static_coupler, wave_coupler
+from design.controllers.rendered_wall import Coupler, WallController, static_coupler
 from design.controllers.wall import MATERIALS
 from design.identification import Record
 from design.identification.output_error import identify_axis
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity import HeldDevice, push_response
+from design.passivity import HapticLoop, HeldDevice, push_response
 from design.passivity.transparency import distortion_bound
 from hil.compose import compose
 from hil.errors import HilError
@@ -31,22 +31,9 @@ from hil.measure.view import APPLIED, MEASUREMENT, view_of
 from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
-from hil.thesis import Chapter, Plot, Stage
-from hil.thesis.chapter6_equations import (
-    EQUATIONS,
-    READINGS,
-    STATEMENTS,
-    TIP_M,
-    bare_n_s_per_m,
-    distortion_norm,
-    equations,
-    loop_of,
-    safe_coupler,
-    statements,
-)
-from hil.thesis.chapter6_wall import LATER, OWN, WALL, materials, wall
+from hil.thesis import Chapter, Plot, Stage, chapter6_equations, chapter6_wall
+from hil.thesis.chapter6_equations import DEVICE, READINGS, TIP_M, WAVE, B, bare_n_s_per_m, distortion_norm, loop_of, safe_coupler
 from hil.thesis.statements import Statement, above, below, exactly, mean, says, within
-from plants.omni import Omni
 
 
 def identification() -> dict[str, Any]:
@@ -131,17 +118,11 @@ SLOTS = 800
 CUTOFF_HZ = 3.0
 
 
-def published_device() -> HeldDevice:
-    """Return the device of (6.2) without a hand."""
-    omni = Omni()
-    return HeldDevice(mass_kg=omni.inertia, damping_n_s_per_m=omni.damping)
-
-
-def passivity(device: HeldDevice) -> dict[str, Any]:
+def passivity(device: HeldDevice = DEVICE) -> dict[str, Any]:
     """Return the numbers of Section 6.3."""
     b = device.damping_n_s_per_m
     printed = theorem_61_coupler(b)
-    loop = loop_of(device, printed)
+    loop = loop_of(printed, device)
     return {
         "b": b, "bare": [bare_n_s_per_m(materials) for materials in READINGS.values()],
         "B": [min(m.damping_n_s_per_m for m in materials) for materials in READINGS.values()],
@@ -153,43 +134,41 @@ def passivity(device: HeldDevice) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def transparency(device: HeldDevice) -> dict[str, Any]:
+def transparency() -> dict[str, Any]:
     """Return the numbers of Section 6.4."""
-    wave, cutoff = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY), CUTOFF_HZ
-    creep = loop_of(device, Coupler(taps_m_per_n=wave.taps_m_per_n, integrator_m_per_n=0.0025))
+    creep = loop_of(Coupler(taps_m_per_n=WAVE.taps_m_per_n, integrator_m_per_n=0.0025))
     depth = push_response(creep, MATERIALS[0], DELAY, 0, 1.0, 4000)
     return {
-        "meant": distortion_norm(wave, cutoff),
-        "printed": hinf_norm(printed_distortion(MATERIALS, LAMBDA, wave, cutoff_hz=cutoff)),
-        "off": MATERIALS[0].stiffness_n_per_m, "best": distortion_norm(wave, cutoff, mixed=False),
-        "without": distortion_norm(static_coupler(0.0), cutoff, mixed=False),
-        "bound": distortion_bound(MATERIALS[0], period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff),
+        "meant": distortion_norm(WAVE, CUTOFF_HZ),
+        "printed": hinf_norm(printed_distortion(MATERIALS, LAMBDA, WAVE, cutoff_hz=CUTOFF_HZ)),
+        "off": MATERIALS[0].stiffness_n_per_m, "best": distortion_norm(WAVE, CUTOFF_HZ, mixed=False),
+        "without": distortion_norm(static_coupler(0.0), CUTOFF_HZ, mixed=False),
+        "bound": distortion_bound(MATERIALS[0], period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ),
         "drift": float(depth[4000] - depth[2000]),
     }  # fmt: skip
 
 
-def push(device: HeldDevice) -> dict[str, Any]:
+def push() -> dict[str, Any]:
     """Return the numbers and the picture of Section 6.5.1."""
-    safe = safe_coupler(device)
-    responses = [push_response(loop_of(device, safe), m, DELAY, 0, 1.0, SLOTS) for m in MATERIALS]
+    safe = loop_of(safe_coupler())
+    responses = [push_response(safe, m, DELAY, 0, 1.0, SLOTS) for m in MATERIALS]
     final, peak = [float(x[-1]) for x in responses], [float(x.max()) for x in responses]
     return {
         "apart": 1e3 * abs(final[1] - final[2]), "final": 1e3 * final[1], "deeper": 1e3 * (final[1] - final[0]),
         "overshoot": 1e3 * min(p - x for p, x in zip(peak, final)), "start": 1e3 * float(responses[0][1]),
-        "rest": 1e3 * max(float(np.abs(x[-100:] - x[-1]).max()) for x in responses), "figures": (push_plot(device, safe),),
+        "rest": 1e3 * max(float(np.abs(x[-100:] - x[-1]).max()) for x in responses), "figures": (push_plot(safe),),
     }  # fmt: skip
 
 
-def push_plot(device: HeldDevice, safe: Coupler) -> Plot:
+def push_plot(safe: HapticLoop) -> Plot:
     """Return Figure 6.8: the three materials with the safe coupler, and the printed one beside."""
     t = np.arange(SLOTS // 2 + 1) * PERIOD_S
     curves = tuple(
-        Series(label=f"material {i + 1}", x=t, y=1e3 * push_response(loop_of(device, safe), m, DELAY, 0, 1.0, SLOTS // 2))
+        Series(label=f"material {i + 1}", x=t, y=1e3 * push_response(safe, m, DELAY, 0, 1.0, SLOTS // 2))
         for i, m in enumerate(MATERIALS)
     )
-    wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
-    lossless = push_response(loop_of(device, wave), MATERIALS[0], DELAY, 0, 1.0, SLOTS // 2)
-    printed = push_response(loop_of(device, theorem_61_coupler(device.damping_n_s_per_m)), MATERIALS[0], DELAY, 0, 1.0, 50)
+    lossless = push_response(loop_of(WAVE), MATERIALS[0], DELAY, 0, 1.0, SLOTS // 2)
+    printed = push_response(loop_of(theorem_61_coupler(B)), MATERIALS[0], DELAY, 0, 1.0, 50)
     panels = (
         Figure(title="6.8: penetration under 1 N, delays 0 to 8 safe", series=curves, y_label="depth", y_unit="mm"),
         Figure(
@@ -292,13 +271,13 @@ CHAPTER = Chapter(
     title="Chapter 6: a haptic example",
     stages=(
         Stage("identification", lambda report: identification(), 1, IDENTIFICATION),
-        Stage("equations", lambda report: equations(published_device()), 1, EQUATIONS),
-        Stage("statements", lambda report: statements(published_device()), 1, STATEMENTS),
-        Stage("mixed wall", lambda report: wall(), 2, WALL),
-        Stage("passivity", lambda report: passivity(published_device()), 1, PASSIVITY),
-        Stage("transparency", lambda report: transparency(published_device()), 1, TRANSPARENCY),
-        Stage("materials", lambda report: materials(published_device()), 2, (*OWN, *LATER)),
-        Stage("push", lambda report: push(published_device()), 1, PUSH),
+        Stage("equations", lambda report: chapter6_equations.equations(), 1, chapter6_equations.EQUATIONS),
+        Stage("statements", lambda report: chapter6_equations.statements(), 1, chapter6_equations.STATEMENTS),
+        Stage("mixed wall", lambda report: chapter6_wall.wall(), 2, chapter6_wall.WALL),
+        Stage("passivity", lambda report: passivity(), 1, PASSIVITY),
+        Stage("transparency", lambda report: transparency(), 1, TRANSPARENCY),
+        Stage("materials", lambda report: chapter6_wall.materials(), 2, (*chapter6_wall.OWN, *chapter6_wall.LATER)),
+        Stage("push", lambda report: push(), 1, PUSH),
         Stage("slide", lambda report: slide(), 1, SLIDE),
     ),
 )

@@ -23,6 +23,7 @@ from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
 from hil.thesis.statements import Statement, above, below, exactly, says
+from plants.omni import Omni
 
 CUTOFF_HZ = 0.3
 LEVEL_N_PER_M = 0.06
@@ -33,6 +34,12 @@ SIDE_M = 0.02
 STEP_M = 0.15 * math.pi * SIDE_M
 """Of the squares of the wall's pattern, and of the avatar in a sample."""
 
+
+DEVICE = HeldDevice(mass_kg=Omni().inertia, damping_n_s_per_m=Omni().damping)
+"""The device of (6.2) without a hand."""
+
+B = DEVICE.damping_n_s_per_m
+WAVE = wave_coupler(PERIOD_S, B, DELAY)
 
 TIP_M = 0.135
 """From joint to tip of the device, m (`Omni.lever_m`)."""
@@ -52,14 +59,14 @@ def bare_n_s_per_m(materials: Sequence[Material]) -> float:
     return min(m.stiffness_n_per_m * PERIOD_S / 2 + m.damping_n_s_per_m for m in materials)
 
 
-def loop_of(device: HeldDevice, coupler: Coupler) -> HapticLoop:
+def loop_of(coupler: Coupler, device: HeldDevice = DEVICE) -> HapticLoop:
     """Return the published loop, three samples of delay on each side, with a coupler."""
     return HapticLoop(device=device, coupler=coupler, period_s=PERIOD_S, sc_max=DELAY, ca_max=0)
 
 
-def safe_coupler(device: HeldDevice) -> Coupler:
+def safe_coupler() -> Coupler:
     """Return the stiffest coupler for 0 to 8 samples of delay."""
-    return stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=device.damping_n_s_per_m).coupler
+    return stiffest_coupler(range(9), period_s=PERIOD_S, damping_n_s_per_m=B).coupler
 
 
 def distortion_norm(coupler: Coupler, cutoff_hz: float, *, mixed: bool = True) -> float:
@@ -68,36 +75,31 @@ def distortion_norm(coupler: Coupler, cutoff_hz: float, *, mixed: bool = True) -
     return hinf_norm(distortion(materials, law, coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=cutoff_hz))
 
 
-def equations(device: HeldDevice) -> dict[str, Any]:
-    """Return the numbers of (6.1), (6.4) to (6.6), (6.8), Lambda, Remark 6.2, Figures 6.5 and 6.6, (6.17) and the delays.
-
-    Args:
-        device: the device of (6.2) without a hand.
-    """
-    A, B = device.discretise(100.0)
+def equations() -> dict[str, Any]:
+    """Return the numbers of (6.1), (6.4) to (6.6), (6.8), Lambda, Remark 6.2, Figures 6.5 and 6.6, (6.17) and the delays."""
+    A, pushed = DEVICE.discretise(100.0)
     law = np.array(LAMBDA)
     apart = Pattern(
         width_m=0.04, height_m=0.08,
         patches=tuple(Patch(y_m=0.0, z_m=0.02 * i, width_m=0.04, height_m=0.02, material=m) for i, m in enumerate((0, 2, 1, 2))),
     )  # fmt: skip
     zeros = material_chain(apart, 3, 0.002)
-    wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
-    printed = meets_printed_attenuation(MATERIALS, LAMBDA, wave, cutoff_hz=CUTOFF_HZ, gamma=LEVEL_N_PER_M)
-    meant = distortion_norm(wave, CUTOFF_HZ)
-    ceiling = ceiling_n_per_m(PERIOD_S, device.damping_n_s_per_m, DELAY)
+    printed = meets_printed_attenuation(MATERIALS, LAMBDA, WAVE, cutoff_hz=CUTOFF_HZ, gamma=LEVEL_N_PER_M)
+    meant = distortion_norm(WAVE, CUTOFF_HZ)
+    ceiling = ceiling_n_per_m(PERIOD_S, B, DELAY)
     felt = [[1.0 / (1.0 / m.stiffness_n_per_m + 1.0 / ceiling) for m in materials] for materials in READINGS.values()]
     return {
-        "far": float(np.abs(np.linalg.eigvals(A)).max()), "angle": float(B[0]),
+        "far": float(np.abs(np.linalg.eigvals(A)).max()), "angle": float(pushed[0]),
         "rows": float(np.abs(law.sum(axis=1) - 1.0).max()), "entry": float(law.min()),
         "touch": float(zeros[0, 1] + zeros[1, 0]),
-        "radius": loop_of(device, wave).jump_system(MATERIALS, zeros, DELAY, 0).radius(),
-        **_closed_loop(device), "force": max(map(_force_error, range(3))), "split": _split_error(wave.taps_m_per_n),
+        "radius": loop_of(WAVE).jump_system(MATERIALS, zeros, DELAY, 0).radius(),
+        **_closed_loop(), "force": max(map(_force_error, range(3))), "split": _split_error(WAVE.taps_m_per_n),
         "certifies": "certifies" if printed else "does not certify", "share": LEVEL_N_PER_M / meant, "norm": meant,
         "felt": [(first - second) / first for first, second, _ in felt], "ceiling": ceiling,
     }  # fmt: skip
 
 
-def _closed_loop(device: HeldDevice) -> dict[str, float]:
+def _closed_loop() -> dict[str, float]:
     """The rig that runs, beside the matrices of (6.4) to (6.6) with both delays."""
     experiment = load_experiment("omni-push", [])
     loop = compose(experiment)
@@ -105,7 +107,7 @@ def _closed_loop(device: HeldDevice) -> dict[str, float]:
         raise HilError("omni-push: renders no wall")
     run = simulate(loop, experiment.seed).arrays["/plant/state"]["position"]
     tau, d = loop.model.tau_max, loop.model.d_max
-    closed = HapticLoop(device=device, coupler=loop.controller.coupler, period_s=loop.model.period_s, sc_max=tau, ca_max=d)
+    closed = HapticLoop(device=DEVICE, coupler=loop.controller.coupler, period_s=loop.model.period_s, sc_max=tau, ca_max=d)
     there = push_response(closed, MATERIALS[0], tau, d, 1.0, len(run) - 1)
     return {
         "rig": 1e6 * float(np.abs(run - there).max()), "largest": 1e6 * float(np.abs(there).max()),
@@ -199,28 +201,22 @@ ABSENT_M_PER_N = 100.0
 RUNS, SLOTS = 20, 400
 
 
-def statements(device: HeldDevice) -> dict[str, Any]:
-    """Return the numbers of Remark 6.1, Sections 6.2.2 and 6.3, (6.7), Section 6.4, (6.15), (6.16) and Section 6.6.
-
-    Args:
-        device: the device of (6.2) without a hand.
-    """
-    b = device.damping_n_s_per_m
+def statements() -> dict[str, Any]:
+    """Return the numbers of Remark 6.1, Sections 6.2.2 and 6.3, (6.7), Section 6.4, (6.15), (6.16) and Section 6.6."""
     pattern = square_rows(SIDE_M)
     once, slower = (material_chain(pattern, 3, step) for step in (STEP_M, STEP_M / 2))
     repeated = material_chain(_repeated(pattern), 3, STEP_M)
     leaving = (1.0 - np.diag(slower)) / (1.0 - np.diag(once))
-    wave = wave_coupler(PERIOD_S, b, DELAY)
-    needed = damping_needed(safe_coupler(device), PERIOD_S, range(9)).damping_n_s_per_m
+    needed = damping_needed(safe_coupler(), PERIOD_S, range(9)).damping_n_s_per_m
     absent = static_coupler(ABSENT_M_PER_N)
-    proper = Coupler(taps_m_per_n=(PERIOD_S / (2.0 * b), -0.05))
+    proper = Coupler(taps_m_per_n=(PERIOD_S / (2.0 * B), -0.05))
     return {
-        "b": b, "least_b": 0.99 * b, "needed": needed, "repeated": float(np.abs(repeated - once).max()), "leaving": leaving,
+        "b": B, "least_b": 0.99 * B, "needed": needed, "repeated": float(np.abs(repeated - once).max()), "leaving": leaving,
         "least": leaving.min(), "most": leaving.max(), "ages": _equalised(),
         "bare": bare_n_s_per_m(MATERIALS),
-        "nearer": distortion_norm(absent, 3.0, mixed=False) / distortion_norm(wave, 3.0, mixed=False),
-        "farther": ABSENT_M_PER_N / wave.static_compliance_m_per_n,
-        "meets": "meets (6.9)" if meets_printed_condition(proper, b) else "misses (6.9)", **_attenuation(wave),
+        "nearer": distortion_norm(absent, 3.0, mixed=False) / distortion_norm(WAVE, 3.0, mixed=False),
+        "farther": ABSENT_M_PER_N / WAVE.static_compliance_m_per_n,
+        "meets": "meets (6.9)" if meets_printed_condition(proper, B) else "misses (6.9)", **_attenuation(WAVE),
     }  # fmt: skip
 
 
@@ -246,7 +242,7 @@ def _attenuation(coupler: Coupler) -> dict[str, float]:
     """The level gamma of (6.16) beside what random motions and materials give."""
     system = distortion(MATERIALS, LAMBDA, coupler, period_s=PERIOD_S, delay=DELAY, cutoff_hz=CUTOFF_HZ)
     gamma, rng, law = hinf_norm(system), np.random.default_rng(6), np.array(LAMBDA)
-    A, B, C = (np.asarray(m, np.float64) for m in (system.A, system.B, system.C))
+    A, E, C = (np.asarray(m, np.float64) for m in (system.A, system.B, system.C))
     ratios = []
     for _ in range(RUNS):
         x, mode, gave, took = np.zeros(A.shape[1]), int(rng.integers(3)), 0.0, 0.0
@@ -254,7 +250,7 @@ def _attenuation(coupler: Coupler) -> dict[str, float]:
         for k in range(SLOTS):
             omega = math.cos(frequency * k)
             gave, took = gave + float(((C[mode] @ x) ** 2).sum()), took + omega * omega
-            x = A[mode] @ x + B[mode, :, 0] * omega
+            x = A[mode] @ x + E[mode, :, 0] * omega
             mode = int(rng.choice(3, p=law[mode]))
         ratios.append(math.sqrt(gave / took))
     return {"ratio": max(ratios), "share": max(ratios) / gamma, "gamma": gamma}

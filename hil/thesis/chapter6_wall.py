@@ -18,14 +18,13 @@ from design.controllers.rendered_wall import Coupler, WallController, static_cou
 from design.controllers.wall import MATERIALS, Contact, Wall
 from design.controllers.wall_pattern import boundaries, material_chain, memory_statistic, paced_chain, square_rows, true_chain
 from design.jump_linear.bounded_real import hinf_norm
-from design.passivity import HeldDevice
 from design.passivity.certificate import lags
 from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
 from design.passivity.transparency import distortion, felt_n_per_m, sparing
 from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.thesis.chapter6_equations import SIDE_M, STEP_M, distortion_norm, loop_of, safe_coupler
+from hil.thesis.chapter6_equations import SIDE_M, STEP_M, WAVE, B, distortion_norm, loop_of, safe_coupler
 from hil.thesis.statements import Statement, above, below, exactly, says
 
 MODES_610 = (1, 2, 1, 2, 1, 0)  # {2, 3, 2, 3, 2, 1}
@@ -111,37 +110,32 @@ STAYS = ((4, 12), (6, 20), (2, 8))
 """Speeds in m/s and their shortest and longest stays in samples, as `omni-paces` has them at 0.05 s."""
 
 
-def materials(device: HeldDevice) -> dict[str, Any]:
-    """Return the numbers of couplers for each material, of weights, of the search of (6.15), and of 6.6.
-
-    Args:
-        device: the device of (6.2) without a hand.
-    """
-    return {**_jump(device), **_own(device), **_search(device), **_later(device)}
+def materials() -> dict[str, Any]:
+    """Return the numbers of couplers for each material, of weights, of the search of (6.15), and of 6.6."""
+    return {**_jump(), **_own(), **_search(), **_later()}
 
 
-def _jump(device: HeldDevice) -> dict[str, Any]:
+def _jump() -> dict[str, Any]:
     """A press behind a compliant coupler, released behind a stiff one, over one material."""
-    b = device.damping_n_s_per_m
-    pair = static_coupler(SOFT_M_PER_N), wave_coupler(PERIOD_S, b, 0)
+    pair = static_coupler(SOFT_M_PER_N), wave_coupler(PERIOD_S, B, 0)
     contact, total, before = Contact(Wall(), PERIOD_S), 0.0, 0.0
     way = np.linspace(0.0, DEPTH_M, 400).tolist()
     for coupler, positions in zip(pair, (way, way[::-1])):
         for position in positions:
             total += contact.press(position, coupler.taps_m_per_n[0]) * (position - before)
             before = position
-    own = sparing(MATERIALS, wave_coupler(PERIOD_S, b, DELAY), PERIOD_S)
+    own = sparing(MATERIALS, WAVE, PERIOD_S)
     handed, least = Contact(Wall(materials=own), PERIOD_S), 0.0
     rng = np.random.default_rng(6)
     for position in rng.normal(0.5 * DEPTH_M, DEPTH_M, 4000).tolist():
         held, port = handed.energy_j, handed.port_m
         handed.change(int(rng.integers(3)))
         least = min(least, handed.press(position, SOFT_M_PER_N) * (handed.port_m - port) - handed.energy_j + held)
-    each = "meet (6.9)" if all(meets_printed_condition(c, b) for c in pair) else "miss (6.9)"
+    each = "meet (6.9)" if all(meets_printed_condition(c, B) for c in pair) else "miss (6.9)"
     return {"jump": total, "handed": least, "each": each}
 
 
-def _own(device: HeldDevice) -> dict[str, Any]:
+def _own() -> dict[str, Any]:
     """One coupler and one for each material, at 1 kHz and at the published period."""
     felt, distorted, verdicts = [], [], []
     for name in ("omni-1khz", "omni-materials"):
@@ -156,9 +150,8 @@ def _own(device: HeldDevice) -> dict[str, Any]:
             for m in wall.materials
         ]))  # fmt: skip
         verdicts.append(loop.verdict.state)
-    b = device.damping_n_s_per_m
-    wave, ceiling = wave_coupler(PERIOD_S, b, DELAY), ceiling_n_per_m(PERIOD_S, b, DELAY)
-    published = [felt_n_per_m(sparing(MATERIALS, wave, PERIOD_S)[0], wave), felt_n_per_m(MATERIALS[0], wave)]
+    ceiling = ceiling_n_per_m(PERIOD_S, B, DELAY)
+    published = [felt_n_per_m(sparing(MATERIALS, WAVE, PERIOD_S)[0], WAVE), felt_n_per_m(MATERIALS[0], WAVE)]
     weighed, plain = (stiffest_coupler(range(7), period_s=0.001, damping_n_s_per_m=7.0, weight=w) for w in (WEIGHT, None))
     return {
         "stiffer": float((felt[1] / felt[0]).min()), "clearer": float((distorted[1] / distorted[0]).max()), "own": verdicts[1],
@@ -168,16 +161,15 @@ def _own(device: HeldDevice) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _search(device: HeldDevice) -> dict[str, Any]:
+def _search() -> dict[str, Any]:
     """The level that (6.14) gives to three triples (A_c, B_c, C_c), and the norm of the system that it stands for."""
-    wave = wave_coupler(PERIOD_S, device.damping_n_s_per_m, DELAY)
-    triples = wave, Coupler(taps_m_per_n=tuple(2.0 * c for c in wave.taps_m_per_n)), safe_coupler(device)
+    triples = WAVE, Coupler(taps_m_per_n=tuple(2.0 * c for c in WAVE.taps_m_per_n)), safe_coupler()
     printed = [hinf_norm(printed_distortion(MATERIALS, LAMBDA, c, cutoff_hz=CUTOFF_HZ)) for c in triples]
     meant = [distortion_norm(c, CUTOFF_HZ) for c in triples]
     return {"levels": max(printed) - min(printed), "norms": max(meant) / min(meant)}
 
 
-def _later(device: HeldDevice) -> dict[str, Any]:
+def _later() -> dict[str, Any]:
     """Damping over the workspace, a delay that varies, and a sliding speed that varies."""
 
     def state(name: str, *sets: str) -> str:
@@ -187,18 +179,17 @@ def _later(device: HeldDevice) -> dict[str, Any]:
     zones = "plant.zones=[{from_m=0.02,damping=1.9},{from_m=0.05,damping=3.0}]"
     ages = '{kind="markov",ages=[1,2],matrix=[[0.8,0.2],[0.6,0.4]]}'
     random = (f"network.sc.law={ages}", "network.ca.law={kind='constant',age=1}")
-    b = device.damping_n_s_per_m
-    moving = stiffest_coupler(lags([1, 2], [1]), period_s=PERIOD_S, damping_n_s_per_m=b, varying=True)
+    moving = stiffest_coupler(lags([1, 2], [1]), period_s=PERIOD_S, damping_n_s_per_m=B, varying=True)
     chain, material = paced_chain(
         square_rows(SIDE_M), 3, [speed * PERIOD_S for speed in SPEEDS],
         [[0.0] * (least - 1) + [1.0 / (most - least + 1)] * (most - least + 1) for least, most in STAYS],
     )  # fmt: skip
-    loop = loop_of(device, safe_coupler(device))
+    loop = loop_of(safe_coupler())
     return {
-        "zones": state("omni-push", zones), "for_b": state("omni-push", zones, f"controller.coupler.damping_n_s_per_m={b}"),
+        "zones": state("omni-push", zones), "for_b": state("omni-push", zones, f"controller.coupler.damping_n_s_per_m={B}"),
         "moving": state("omni-push", *random, 'controller.coupler={method="stiffest",varying=true}'),
         "each_held": state("omni-push", *random, 'controller.coupler={method="stiffest"}'),
-        "waiting": 1.0 / moving.stiffness_n_per_m / wave_coupler(PERIOD_S, b, 3).static_compliance_m_per_n,
+        "waiting": 1.0 / moving.stiffness_n_per_m / wave_coupler(PERIOD_S, B, 3).static_compliance_m_per_n,
         "paced": loop.jump_system([MATERIALS[m] for m in material], chain, DELAY, 0).radius(), "modes": len(material),
         "paces": state("omni-paces"),
     }  # fmt: skip

@@ -40,15 +40,19 @@ def angle(loop: Loop, seed: int) -> tuple[Array, Array]:
     return measured["slot"] * loop.model.period_s, np.asarray(measured["angle"], dtype=np.float64)
 
 
+def _predicted(loop: Loop) -> tuple[Array, Array]:
+    """Mean and deviation of the tracking error in every slot."""
+    found = predict(loop, loop.experiment.slots)
+    if found is None:
+        raise HilError(f"{loop.experiment.name}: nothing is predicted")
+    return found.error_mean[:, 0], found.error_sd[:, 0]
+
+
 def _band(loop: Loop, where: str = "") -> Band:
     """Two standard deviations on either side of the predicted output."""
-    slots = loop.experiment.slots
-    predicted, reference = predict(loop, slots), loop.reference().at
-    if predicted is None:
-        raise HilError(f"{loop.experiment.name}: nothing is predicted")
-    mean = predicted.error_mean[:, 0] + [reference(k)[0] for k in range(slots)]
-    sd = predicted.error_sd[:, 0]
-    x = np.arange(slots) * loop.model.period_s
+    (error, sd), reference = _predicted(loop), loop.reference().at
+    mean = error + [reference(k)[0] for k in range(len(error))]
+    x = np.arange(len(error)) * loop.model.period_s
     return Band(label=f"predicted mean ± 2 sd{where}", x=x, lower=mean - 2 * sd, upper=mean + 2 * sd)
 
 
@@ -58,11 +62,15 @@ def motor_plots(motor: friction.Imperfections, report_progress: ReportProgress) 
     for number, (name, kind) in zip(("7.6", "7.7", "7.8"), runs.KINDS.items(), strict=True):
         report_progress(f"figure {number}")
         stated, fast = ideal(kind), ideal(kind, "period=25 ms")
-        drawn = (
-            ("simulation, T = 0.05 s", stated, "dashed"), ("fitted motor, T = 0.05 s", friction.loop_of(kind, motor), "line"),
-            ("simulation, T = 0.025 s", fast, "dashed"),
-        )  # fmt: skip
-        series = [Series(label=label, x=t, y=y, style=style) for label, loop, style in drawn for t, y in [angle(loop, SEED)]]
+        drawn = {
+            "simulation, T = 0.05 s": stated, "fitted motor, T = 0.05 s": friction.loop_of(kind, motor),
+            "simulation, T = 0.025 s": fast,
+        }  # fmt: skip
+        series = [
+            Series(label=label, x=t, y=y, style="dashed" if label.startswith("simulation") else "line")
+            for label, loop in drawn.items()
+            for t, y in [angle(loop, SEED)]
+        ]
         predicted = fast if kind == "local" else stated
         note = "stopped by safety at T = 0.05 s: not mean-square stable" if kind == "local" else ""
         panel = Figure(
@@ -187,8 +195,8 @@ def vtol_plots(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 def _rms(label: str, loop: Loop) -> Series:
-    band = _band(loop)
-    return Series(label=label, x=band.x, y=np.hypot(0.5 * (band.upper + band.lower) - 1.0, 0.25 * (band.upper - band.lower)))
+    rms = np.hypot(*_predicted(loop))
+    return Series(label=label, x=np.arange(len(rms)) * loop.model.period_s, y=rms)
 
 
 def _experiment(report_progress: ReportProgress) -> dict[str, Any]:

@@ -38,7 +38,7 @@ def test_the_materials_are_told_apart_at_the_joint_and_not_at_the_tip():
     """1/(1/K_i + 1/ceiling): 1000 and 800 N/m, and 18.225 and 14.58 N m/rad, behind 2 b/(7 T)."""
     ceiling = 2 * 1.9857 / (7 * PERIOD_S)
     stiff = [[1 / (1 / (K * scale) + 1 / ceiling) for K in (1000.0, 800.0)] for scale in (1.0, 0.135**2)]
-    numbers = equations(DEVICE)
+    numbers = equations()
     assert numbers["felt"] == pytest.approx([1 - soft / hard for hard, soft in stiff], rel=1e-9)
     row = next(r for r in judge(EQUATIONS, numbers) if "it is clear that" in r.item)
     assert [check.holds for check in row.checks] == [False, True] and row.verdict == "undecided"
@@ -62,18 +62,18 @@ def test_the_printed_weighted_system_is_driven_by_nothing(cutoff, norm):
 
 
 def test_the_device_moves_at_once():
-    late = next(r for r in judge(PUSH, push(DEVICE)) if "the delays of the responses" in r.item)
+    late = next(r for r in judge(PUSH, push()) if "the delays of the responses" in r.item)
     assert late.verdict == "claim false" and late.witness[0].value > 1.0  # mm after one sample
 
 
 def test_figure_6_8_is_drawn_in_millimetres_of_the_depths_that_are_judged():
-    numbers = push(DEVICE)
+    numbers = push()
     materials, couplers = (panel.series for panel in numbers["figures"][0].panels)
     final = [numbers["final"] - numbers["deeper"], numbers["final"], numbers["final"]]
     assert [curve.y[-1] for curve in materials] == pytest.approx(final, rel=4e-4)  # not at rest yet
     assert materials[0].y[1] == pytest.approx(numbers["start"], rel=1e-12) and materials[0].x[1] == PERIOD_S
     for curve, coupler in zip(couplers, (wave_coupler(PERIOD_S, 1.9857, 6), theorem_61_coupler(1.9857))):
-        depth_m = push_response(loop_of(DEVICE, coupler), MATERIALS[0], 6, 0, 1.0, len(curve.x) - 1)
+        depth_m = push_response(loop_of(coupler), MATERIALS[0], 6, 0, 1.0, len(curve.x) - 1)
         assert curve.y == pytest.approx(depth_m / 1e-3, rel=1e-12) and curve.x[-1] == pytest.approx(PERIOD_S * (len(curve.x) - 1))
 
 

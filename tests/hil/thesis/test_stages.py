@@ -76,7 +76,7 @@ SMALLER: dict[str, Any] = {
     "chapter7_designs.PROBLEMS": (("motor", "h2"),), "chapter7_designs.SERIES": (("motor", "h2"),),
     "chapter7_designs.GAINS": {("motor", "h2"): H2}, "chapter7_designs.BOUNDS": (0.5,),
     "chapter6_wall.STAYS": ((1, 2), (2, 3), (1, 2)),
-    "chapter6_wall.safe_coupler": lambda device: stiffest_coupler(range(5), period_s=0.05, damping_n_s_per_m=1.9857).coupler,
+    "chapter6_wall.safe_coupler": lambda: stiffest_coupler(range(5), period_s=0.05, damping_n_s_per_m=1.9857).coupler,
 }  # fmt: skip
 """What takes minutes with the numbers of `hil reproduce`: few runs and problems, one start of a descent, in this process."""
 
