@@ -14,8 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -33,12 +32,11 @@ Array = npt.NDArray[np.float64]
 
 EXPERIMENT = {"hinf": ("15.14", "0.0295"), "h2": ("14.57", "0.0193"), "local": ("16.16", "0.2989")}
 NAMES = {"hinf": "H-infinity", "h2": "H2", "local": "local"}
-START = {"saturation_v": 0.058, "coulomb_v": 0.0017, "static_ratio": 2.5, "dead_zone_v": 0.0021, "encoder_rad": 0.0019}
-"""The motor that the search starts from, chosen by hand."""
-
 STEADY = {"hinf": "-0.0348", "h2": "0.0172"}
 FIT_SEEDS = 240
 CANDIDATES = 45
+ABOVE = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
+"""What the ratio of the frictions is above, whatever its logarithm."""
 SIDE = 0.2
 """Side of the first simplex, in the logarithms."""
 
@@ -47,15 +45,14 @@ FIRST_CHECK = 100_000
 FLOOR = {0: 0.02, 1: 0.2}  # least spread of the logarithms: what a handful of runs may miss
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Imperfections:
-    """Parameters of the real motor: volts at the input, the encoder's step in rad."""
+class Imperfections(NamedTuple):
+    """Parameters of the real motor, volts at the input, the encoder's step in rad: those that the search starts from, by hand."""
 
-    saturation_v: float
-    coulomb_v: float
-    static_ratio: float
-    dead_zone_v: float
-    encoder_rad: float
+    saturation_v: float = 0.058
+    coulomb_v: float = 0.0017
+    static_ratio: float = 2.5
+    dead_zone_v: float = 0.0021
+    encoder_rad: float = 0.0019
 
     def sets(self) -> tuple[str, ...]:
         """The changes that give an experiment this motor."""
@@ -118,12 +115,12 @@ def misfit(found: dict[str, Array]) -> float:
 def fit(report_progress: ReportProgress) -> tuple[Imperfections, float]:
     """The imperfections that bring the experiment column closest, and their misfit.
 
-    The simplex of Nelder and Mead over the logarithms, from `START`; the seeds are the same for every candidate, so that the
+    The simplex of Nelder and Mead over the logarithms; the seeds are the same for every candidate, so that the
     misfit is a function of the motor alone.
     """
     from scipy.optimize import minimize
 
-    done, best = 0, (np.inf, Imperfections(**START))
+    done, best = 0, (np.inf, Imperfections())
 
     def value(logs: Array) -> float:
         nonlocal done, best
@@ -134,17 +131,15 @@ def fit(report_progress: ReportProgress) -> tuple[Imperfections, float]:
         report_progress(f"{done} candidates of {FIT_SEEDS} runs, misfit {best[0]:.2f}", done, CANDIDATES)
         return found
 
-    start = np.log([v - 1.0 if k == "static_ratio" else v for k, v in START.items()])
-    simplex = np.vstack([start, start + SIDE * np.eye(len(START))])
+    start = np.log(np.subtract(Imperfections(), ABOVE))
+    simplex = np.vstack([start, start + SIDE * np.eye(len(start))])
     minimize(value, start, method="Nelder-Mead", options={"initial_simplex": simplex, "maxfev": CANDIDATES, "adaptive": True})
     return best[1], best[0]
 
 
 def imperfections(logs: Array) -> Imperfections:
-    """The motor of one candidate, in the order of `START`; static over Coulomb friction is 1 + exp(log)."""
-    sizes = dict(zip(START, np.exp(logs).tolist(), strict=True))
-    sizes["static_ratio"] = 1.0 + sizes["static_ratio"]
-    return Imperfections(**sizes)
+    """The motor of one candidate; static over Coulomb friction is 1 + exp(log)."""
+    return Imperfections(*(ABOVE + np.exp(logs)).tolist())
 
 
 def experiment(motor: Imperfections, value: float, report_progress: ReportProgress) -> dict[str, Any]:

@@ -7,6 +7,7 @@ so all of them are arguments. Noise: independent N(0, 1) per channel, held over 
 from __future__ import annotations
 
 import math
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import expm
 
 from design.controllers.scheduled_gain import ScheduledGain
-from design.processes.semi_markov import FaultDetection, JumpPath, SemiMarkov, sample_fault_detection, sample_path
+from design.processes.semi_markov import FaultDetection, SemiMarkov, sample_fault_detection, sample_path
 from design.semi_markov_loop import DelayedJumpSystem, JumpSystem
 from design.semi_markov_loop.period_moments import gain_mode
 
@@ -118,70 +119,30 @@ def fault_runs(
     count = round(duration_s / noise_s)
     time_s: FloatArray = np.asarray(np.arange(count + 1) * noise_s)
     x, held = np.empty((runs, count + 1, len(start))), np.empty((runs, count, system.e.shape[2]))
-    cache: dict[tuple[int, int, int], tuple[FloatArray, FloatArray]] = {}
+    step = cache(partial(_held, system, gain))
     for run in range(runs):
         rng = np.random.default_rng([seed, run])
         eta, r = sample_fault_detection(process, 0, 0, duration_s, rng)
         held[run] = rng.standard_normal(held.shape[1:])
-        phases = _phases(eta, r, gain, process, duration_s)
-        x[run] = _propagate(system, gain, process, phases, np.asarray(start), held[run], noise_s, cache)
+        sections = np.add.outer(r.times_s, np.unique(gain.starts_s)).ravel()
+        edges = np.unique(np.concatenate([time_s, eta.times_s, sections[sections < time_s[-1]]]))
+        noise_at = np.searchsorted(time_s, edges[:-1], side="right") - 1
+        failed, (seen, clocks) = eta.at(edges[:-1])[0].tolist(), r.at(edges[:-1])
+        x[run, 0] = state = np.asarray(start)
+        stretches = zip(noise_at.tolist(), failed, seen.tolist(), clocks, np.diff(edges).tolist(), strict=True)
+        for k, i, detected, clock, span in stretches:
+            mode = gain_mode(gain.measured, process, i, detected)
+            section = int(np.searchsorted(gain.starts_s[mode], clock + 1e-12, side="right")) - 1
+            transition, drive = step(i, mode, section, round(span, 12))
+            x[run, k + 1] = state = transition @ state + drive @ held[run, k]
     ratio, size = _norms(time_s, x, system.c[0], held, noise_s)
     return NoisyRuns(time_s, x, ratio, size)
 
 
-def _phases(
-    eta: JumpPath, r: JumpPath, gain: ScheduledGain, process: FaultDetection, duration_s: float
-) -> list[tuple[float, int, int, int]]:
-    """(end, eta, r, section) of every stretch on which the loop is constant."""
-    times = {0.0, *eta.times_s.tolist(), *r.times_s.tolist()}
-    for start in np.unique(gain.starts_s):
-        times |= {float(t + start) for t in r.times_s if t + start < duration_s}
-    out, instants = [], sorted(times)
-    for t, end in zip(instants, [*instants[1:], math.inf]):
-        i, (k, clock) = int(eta.at(t)[0]), r.at(t)
-        mode = gain_mode(gain.measured, process, i, int(k))
-        section = int(np.searchsorted(gain.starts_s[mode], float(clock) + 1e-12, side="right")) - 1
-        out.append((end, i, mode, section))
-    return out
-
-
-def _propagate(
-    system: JumpSystem,
-    gain: ScheduledGain,
-    process: FaultDetection,
-    phases: list[tuple[float, int, int, int]],
-    start: FloatArray,
-    held: FloatArray,
-    noise_s: float,
-    cache: dict[tuple[int, int, int], tuple[FloatArray, FloatArray]],
-) -> FloatArray:
-    out = np.empty((held.shape[0] + 1, start.size))
-    out[0], at = start, 0
-    for k in range(held.shape[0]):
-        now, until, state = k * noise_s, (k + 1) * noise_s, out[k]
-        while phases[at][0] <= now:
-            at += 1
-        while True:
-            end = min(until, phases[at][0])
-            key = phases[at][1:]
-            if end - now == until - k * noise_s:
-                if key not in cache:
-                    cache[key] = _held(system, gain, key, noise_s)
-                step = cache[key]
-            else:
-                step = _held(system, gain, key, end - now)
-            state = step[0] @ state + step[1] @ held[k]
-            now = end
-            if end >= until:
-                break
-            at += 1
-        out[k + 1] = state
-    return out
-
-
-def _held(system: JumpSystem, gain: ScheduledGain, key: tuple[int, int, int], step_s: float) -> tuple[FloatArray, FloatArray]:
+def _held(
+    system: JumpSystem, gain: ScheduledGain, i: int, mode: int, section: int, step_s: float
+) -> tuple[FloatArray, FloatArray]:
     """Transition and input matrix over a step with the noise held."""
-    i, mode, section = key
     assert system.e is not None
     loop, e = system.a[i] + system.b[i] @ gain.gain[mode, section], system.e[i]
     n, q = e.shape
