@@ -27,7 +27,7 @@ from hil.pages import BarGroup, Bars
 from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, feasibility, markov, verdict_of
 from hil.thesis.chapter2_runs import IN_THE_LOOP, SETTLING, in_the_loop, settling, weibull_process
-from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says
+from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says, statement
 
 
 def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
@@ -80,9 +80,11 @@ def _theorems(report_progress: ReportProgress) -> dict[str, Any]:
 
 def _accepted_yet(item: str, number: int, growth: str, limit: float, basis: str) -> Statement:
     """The printed condition accepts a system that the exact growth refutes."""
-    return Statement(
-        item, "stochastically stable", (below(growth, f"growth[{number}]", limit),),
-        (says("printed condition", f"accepted[{number}].verdict", "certified"), above(growth, f"growth[{number}]", limit)),
+    return statement(
+        item, "stochastically stable", below(growth, f"growth[{number}]", limit),
+        witness=(
+            says("printed condition", f"accepted[{number}].verdict", "certified"), above(growth, f"growth[{number}]", limit),
+        ),
         computed=f"printed: {{margins[{number}]}}; ours: {{ours[{number}]}}; {growth} {{growth[{number}]:.4g}}", basis=basis,
     )  # fmt: skip
 
@@ -186,13 +188,11 @@ def _strategies(report_progress: ReportProgress) -> dict[str, Any]:
 
 # fmt: off
 REMARK_2_2 = (
-    Statement(
+    statement(
         "the partition strategy plays a significant role: largest scale of the uncertainty by (2.22), (2.23), (2.24)",
         "Remark 2.2",
-        (
-            above("best over worst strategy, constant per section", "pwc[role]", 1.1),
-            above("best over worst strategy, linear in h", "pwl[role]", 1.1),
-        ),
+        above("best over worst strategy, constant per section", "pwc[role]", 1.1),
+        above("best over worst strategy, linear in h", "pwl[role]", 1.1),
         readings=True,
         beside=tuple(exactly(f"sections of {name}", f"sections[{n}]", 4) for n, name in enumerate(STRATEGIES)),
         computed="sound, constant per section: {pwc[scales][0]:.3f}, {pwc[scales][1]:.3f}, {pwc[scales][2]:.3f}; linear in h: "
@@ -202,13 +202,11 @@ REMARK_2_2 = (
     ),
 )
 MOMENTS = tuple(
-    Statement(
+    statement(
         f"gains {label} stabilise the example", "stochastically stable",
-        (
-            below("largest radius per jump", f"{name}[worst]", 1.0),
-            says("for any sigma(t), rho(t), linear in h", f"{name}[always]", "certified"),
-        ),
-        (above("largest radius per jump", f"{name}[worst]", 1.0),),
+        below("largest radius per jump", f"{name}[worst]", 1.0),
+        says("for any sigma(t), rho(t), linear in h", f"{name}[always]", "certified"),
+        witness=(above("largest radius per jump", f"{name}[worst]", 1.0),),
         computed=f"nominal: radius {{{name}[radius]:.5f}} per jump, |x| decays at {{{name}[decay]:.4f}}/s; "
         f"constant sigma, rho of -1, 0, 1: largest radius {{{name}[worst]:.4g}}; any: {{{name}[always]}}",
         basis="exact second moments, A_i(t), B_2(t) as printed; eight cells of h",
@@ -216,29 +214,27 @@ MOMENTS = tuple(
     for name, (label, _) in GAINS.items()
 )
 RATES = (
-    Statement(
+    statement(
         "Weibull, scale 1 and shape 2, has the rate h", "lambda(h) = h",
-        tuple(exactly(f"rate at h = {h:g} s (1/s)", f"rate[{n}]", h, 1e-6) for n, h in enumerate((0.1, 4.6))),
-        tuple(exactly(f"rate at h = {h:g} s (1/s)", f"rate[{n}]", 2 * h, 1e-6) for n, h in enumerate((0.1, 4.6))),
+        *(exactly(f"rate at h = {h:g} s (1/s)", f"rate[{n}]", h, 1e-6) for n, h in enumerate((0.1, 4.6))),
+        witness=tuple(exactly(f"rate at h = {h:g} s (1/s)", f"rate[{n}]", 2 * h, 1e-6) for n, h in enumerate((0.1, 4.6))),
         basis="f/(1 - F) = 2h exp(-h^2)/exp(-h^2) = 2h",
     ),
-    Statement(
-        "Pr{0.1 <= h <= 4.6}", "> 0.99", (above("with the rate h", "plain", 0.99), above("with the rate 2h", "doubled", 0.99)),
+    statement(
+        "Pr{0.1 <= h <= 4.6}", "> 0.99", above("with the rate h", "plain", 0.99), above("with the rate 2h", "doubled", 0.99),
     ),
-    Statement(
+    statement(
         "h = 0.8326 halves the probability (2.22), for the printed rate (2.26)", "0.8326 s",
-        (equal("median (s)", "median[1]", "0.8326"),),
+        equal("median (s)", "median[1]", "0.8326"),
         beside=(equal("median of the Weibull law (rate 2h) (s)", "median[0]", "0.8326"),),
         basis="the Weibull law, rate 2h, has the median {median[0]:.4f} s",
     ),
 )
 SCALES = (
-    Statement(
+    statement(
         "partitioning reduces conservativeness: largest scale of the uncertainty, M = 1, 2, 4, 8", "Section 2.4",
-        (
-            above("least growth from one M to the next, relative, linear in h", "least[pwl]", TOLERANCE),
-            above("least growth from one M to the next, relative, constant per section", "least[pwc]", TOLERANCE),
-        ),
+        above("least growth from one M to the next, relative, linear in h", "least[pwl]", TOLERANCE),
+        above("least growth from one M to the next, relative, constant per section", "least[pwc]", TOLERANCE),
         computed="ours, linear in h: {line[pwl]}; sound, constant per section: {line[pwc]}; printed (unsound): {line[printed]}",
         basis="A_i(t), B_2(t) as printed, equal probability (2.22), |K| <= 100; the form matters more than M, and the printed "
         "form gains partly because more sections make it less sound",

@@ -24,7 +24,7 @@ from design.semi_markov_loop.robust_feedback import FeedbackRequest, fastest_fee
 from design.semi_markov_loop.second_moments import second_moment_decay
 from design.semi_markov_loop.stability import analyse, largest_decay
 from hil.thesis import ReportProgress
-from hil.thesis.statements import Statement, above, exactly, not_judged, says
+from hil.thesis.statements import above, exactly, not_judged, says, statement
 
 SECTIONS = (1, 2, 4, 8)
 Form = Literal["printed", "pwc", "pwl"]
@@ -104,48 +104,48 @@ SCALED: tuple[tuple[str, Form, float], ...] = (
 
 # fmt: off
 FEASIBILITY = (
-    Statement(
-        "Theorem 2.4 (M = 1) for (2.25), rates in [0.1, 4.6]", "not feasible", (says("gains for M = 1", "single", "refused"),),
-        (
+    statement(
+        "Theorem 2.4 (M = 1) for (2.25), rates in [0.1, 4.6]", "not feasible", says("gains for M = 1", "single", "refused"),
+        witness=(
             above("inequalities proved without rounding", "proved", 0), above("smallest pivot of LDL'", "pivot", 0),
             exactly("sections of the gains that are proved", "sections", 1),
         ),
         computed="feasible, K1, K2 = {K}",
         basis="exact rational certificate: {proved} inequalities, LDL' pivots >= {pivot:.3g}",
     ),
-    Statement(
-        "the same with the F that give the printed A_i(t)", "not feasible", (says("gains for M = 1", "matched", "refused"),),
+    statement(
+        "the same with the F that give the printed A_i(t)", "not feasible", says("gains for M = 1", "matched", "refused"),
         computed="{no_gains}; ours with 8 sections, linear in h: {ours}",
         basis="F_A1 = [0 .1; 0 0], F_A2 = [0 0; 0 .7]; (2.25) prints other F",
     ),
-    Statement(
+    statement(
         "gains (2.27) fulfil the conditions of Corollary 2.2", "feasible, h_1 = 0.8326 s",
-        (says("printed form", "published.verdict", "certified"),),
+        says("printed form", "published.verdict", "certified"),
         computed="printed form {printed_form}; sound, constant per section: {constant}",
         basis="F of (2.25); the printed form proves nothing (below)",
     ),
-    Statement(
+    statement(
         "gains (2.27) stabilise under all uncertainty of (2.25)", "stochastically stable",
-        (says("linear in h", "linear.verdict", "certified"), above("certified decay of E|x|^2 (1/s)", "linear.decay_rate", 0)),
+        says("linear in h", "linear.verdict", "certified"), above("certified decay of E|x|^2 (1/s)", "linear.decay_rate", 0),
         basis="Lyapunov matrix linear in h, nodes 0, 0.8326, 4.6 s",
     ),
     *(
-        Statement(
+        statement(
             f"M = 4 yields a feasible solution, while M = 2 does not, for certain systems, by {name}", "Section 2.5",
-            (says("M = 2", f"forms[{name}][0]", "refused"), says("M = 4", f"forms[{name}][1]", "feasible")),
+            says("M = 2", f"forms[{name}][0]", "refused"), says("M = 4", f"forms[{name}][1]", "feasible"),
             basis=f"A_i(t), B_2(t) as printed with {scale:g} of the uncertainty, equal probability (2.22), |K| <= 100; M = 2: "
             f"{{why[{name}]}}" + ("; the printed form proves no stability (below)" if form == "printed" else ""),
         )
         for name, form, scale in SCALED
     ),
-    Statement(
+    statement(
         "computation time of the gains of Corollary 2.2, M = 2", "0.0749 s",
-        (not_judged("CPU time (s)", "seconds", "the PC of 2012 is not at hand"), says("gains", "gains.verdict", "certified")),
+        not_judged("CPU time (s)", "seconds", "the PC of 2012 is not at hand"), says("gains", "gains.verdict", "certified"),
         basis="printed form, assembly and check included",
     ),
-    Statement(
+    statement(
         "(2.27): the gains of Corollary 2.2, M = 2", "K(1,1), K(1,2), K(2,1), K(2,2)",
-        (exactly("largest difference", "off", 0, 0.5e-4, "size"),), computed="{found}",
+        exactly("largest difference", "off", 0, 0.5e-4, "size"), computed="{found}",
         basis="printed form, |K| <= 100; half a unit of the last printed digit. An inequality alone, with no objective and no "
         "bound printed: any gains that fulfil it are gains of Corollary 2.2, (2.27) too (above)",
     ),
@@ -193,10 +193,10 @@ def markov(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 MARKOV = (
-    Statement(
+    statement(
         "8.1: control improves on that by a Markov approximation",
         "improved",
-        tuple(
+        *(
             above(f"decay rate of E|x|^2 (1/s), gain norm <= {bound:g}", f"semi[{n}]", f"markov[{n}]")
             for n, bound in enumerate(BOUNDS)
         ),

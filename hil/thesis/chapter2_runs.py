@@ -25,7 +25,7 @@ from hil.pages import Figure, Histogram, Series
 from hil.runtime.virtual import simulate
 from hil.thesis import Plot, ReportProgress
 from hil.thesis.judgement import TAIL
-from hil.thesis.statements import Statement, above, below, mean, run
+from hil.thesis.statements import above, below, mean, run, statement
 
 FloatArray = npt.NDArray[np.float64]
 DT_S = 0.01
@@ -181,42 +181,40 @@ FROM = "ours from mode 2"
 # fmt: off
 SETTLING = (
     *(
-        Statement(
+        statement(
             f"settling time (2.28) of {label}, mean and deviation", f"{middle} s, {deviation} s",
-            (
-                mean("mean (s)", f"mean[{name}]", middle, error=f"mean_error[{name}]", why=SAMPLES),
-                mean("deviation (s)", f"sd[{name}]", deviation, error=f"sd_error[{name}]", why=SAMPLES),
-            ),
+            mean("mean (s)", f"mean[{name}]", middle, error=f"mean_error[{name}]", why=SAMPLES),
+            mean("deviation (s)", f"sd[{name}]", deviation, error=f"sd_error[{name}]", why=SAMPLES),
             basis=f"{BASIS}; {{others[{name}]}}",
         )
         for name, (label, middle, deviation) in PRINTED.items()
     ),
-    Statement(
+    statement(
         "Figure 2.2a: one run with (2.27) converges in 2.95 s", "2.95 s",
-        (run(f"share of {RUNS} runs below {RUN_S} s", "times[ours]", f"{RUN_S}"),),
+        run(f"share of {RUNS} runs below {RUN_S} s", "times[ours]", f"{RUN_S}"),
         computed="median {median:.2f} s, 99 % of the runs in [{low:.2f}, {high:.2f}] s", basis=f"converged as in (2.28); {BASIS}",
     ),
-    Statement(
+    statement(
         "Figure 2.2a: the same run with [1, 2] takes more than 10 s", "> 10 s",
-        (above(f"share that takes more than 10 s, of the runs that (2.27) ends by {RUN_S} s", "late", TAIL),),
+        above(f"share that takes more than 10 s, of the runs that (2.27) ends by {RUN_S} s", "late", TAIL),
         basis=f"one run in {1 / TAIL:.0f} would do; {BASIS}",
     ),
-    Statement(
-        "(2.27) settles faster than [1, 2]", "faster", (above("mean difference less 4 standard errors (s)", "ahead", 0),),
+    statement(
+        "(2.27) settles faster than [1, 2]", "faster", above("mean difference less 4 standard errors (s)", "ahead", 0),
         basis=BASIS,
     ),
-    Statement(
+    statement(
         "Figure 2.3a: the average states converge with less overshoot than with [1, 2]", "less overshoot",
-        tuple(below(f"overshoot of E x{n + 1} past 0, (2.27) over [1, 2]", f"overshoot[{n}]", 1) for n in (0, 1)),
-        (above("overshoot of E x1 past 0, (2.27) over [1, 2]", "overshoot[0]", 1),),
+        *(below(f"overshoot of E x{n + 1} past 0, (2.27) over [1, 2]", f"overshoot[{n}]", 1) for n in (0, 1)),
+        witness=(above("overshoot of E x1 past 0, (2.27) over [1, 2]", "overshoot[0]", 1),),
         computed="E x1 falls from 5 to {least[0][0]:.2f} and {least[1][0]:.2f}; E x2 rises from -4 to {past[0][1]:.2f} and "
         "{past[1][1]:.2f}",
         basis=f"before E x2 rises it falls to {{least[0][1]:.2f}} and {{least[1][1]:.2f}}; {BASIS}",
     ),
     *(
-        Statement(
+        statement(
             f"Table 2.1, +-{k + 1} standard deviation, r_0 = 1", f"{printed} s",
-            (mean("quantile (s)", f"away[ours][{k}]", printed, error=f"both[ours][{k}]", why=BOOTSTRAP),),
+            mean("quantile (s)", f"away[ours][{k}]", printed, error=f"both[ours][{k}]", why=BOOTSTRAP),
             beside=(mean("quantile from r_0 = 2 (s)", f"away[{FROM}][{k}]", printed, error=f"both[{FROM}][{k}]", why=BOOTSTRAP),),
             computed=f"{{away[ours][{k}]:.2f}} s ({{away_error[ours][{k}]:.2f}})",
             basis=f"read as the {SHARES[k]:.2%} quantile of |T_s - mean|: the table is no multiple of 0.8849 s; from r_0 = 2, "
@@ -290,16 +288,16 @@ RIG_BASIS = (
     f"the rate h (2.26); a run that has not settled counts as {DURATION_S:g} s"
 )
 IN_THE_LOOP = (
-    Statement(
+    statement(
         "in the emulated loop (2.27) settles faster than [1, 2]", "faster",
-        (above("mean difference less 4 standard errors (s)", "ahead[published]", 0),),
+        above("mean difference less 4 standard errors (s)", "ahead[published]", 0),
         computed="means {mean[published]:.2f} s and {mean[reference]:.2f} s; {late[published]:.0%} and {late[reference]:.0%} of "
         "the runs take more than 10 s",
         basis=RIG_BASIS,
     ),
-    Statement(
+    statement(
         "in the emulated loop our gains settle faster than [1, 2]", "-",
-        (above("mean difference less 4 standard errors (s)", "ahead[ours]", 0),),
+        above("mean difference less 4 standard errors (s)", "ahead[ours]", 0),
         computed="means {mean[ours]:.2f} s and {mean[reference]:.2f} s; {late[ours]:.0%} of the runs take more than 10 s",
         basis=RIG_BASIS,
     ),

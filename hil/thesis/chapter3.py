@@ -19,7 +19,7 @@ from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter3_partitions import BOUNDS, FURTHER, PARTITIONS, SECTIONS, WHOLE, further, partitions
 from hil.thesis.judgement import rank
 from hil.thesis.noisy_runs import NoisyRuns, delayed_runs
-from hil.thesis.statements import Statement, above, below, number_of, run, says
+from hil.thesis.statements import above, below, number_of, run, says, statement
 
 STATES = ("horizontal velocity", "vertical velocity", "pitch rate", "pitch angle")
 UNITS = ("knot", "knot", "deg/s", "deg")
@@ -153,47 +153,46 @@ CONDITIONS = (
         each
         for m in (0, 1)
         for each in (
-            Statement(
+            statement(
                 f"gains of section {m + 1} fulfil (3.42) at gamma = 0.93, as printed", "feasible",
-                (says("(3.42)", f"literal[{m}].verdict", "certified"),), (says("(3.42)", f"literal[{m}].verdict", "refused"),),
+                says("(3.42)", f"literal[{m}].verdict", "certified"),
+                witness=(says("(3.42)", f"literal[{m}].verdict", "refused"),),
                 computed=f"{{literal[{m}].verdict}}", basis=f"{{why[{m}]}}",
             ),
-            Statement(
+            statement(
                 f"section {m + 1} with one rate in both places, (3.41)", "feasible",
-                (
-                    says("(3.41)", f"consistent[{m}].verdict", "certified"),
-                    below("smallest gamma", f"consistent[{m}].gamma", 0.93),
-                ),
+                says("(3.41)", f"consistent[{m}].verdict", "certified"),
+                below("smallest gamma", f"consistent[{m}].gamma", 0.93),
                 computed=f"{{consistent[{m}].verdict}}, smallest gamma {{consistent[{m}].gamma:.3f}}",
                 basis="what the author must have solved; C'C and B'P still stand in the wrong coordinates",
             ),
         )
     ),
-    Statement(
+    statement(
         "Theorem 3.1 bounds the norm: A = [-1 100; 0 -1], B = [0; 1], C = [1 0], no delay", "||z|| < gamma ||w||",
-        (below("peak of |C (jw I - A)^-1 B|", "peak", 0.05),),
-        (says("(3.27) at gamma = 0.05", "accepted.verdict", "certified"), above("peak of the response", "peak", 0.05)),
+        below("peak of |C (jw I - A)^-1 B|", "peak", 0.05),
+        witness=(says("(3.27) at gamma = 0.05", "accepted.verdict", "certified"), above("peak of the response", "peak", 0.05)),
         computed="(3.27) at gamma = 0.05: {accepted.verdict}; peak of the response {peak:.1f}; corrected condition: gamma >= "
         "{corrected:.1f}",
         basis="C (sI - A)^-1 B = 100/(s + 1)^2 has the norm 100; (3.27) is the bounded real lemma of (A', B, C)",
     ),
 )
 LEVELS = (
-    Statement(
-        "the unforced VTOL is unstable", "unstable", (above("growth of E|x|^2 without delays (1/s)", "unforced", 0),),
+    statement(
+        "the unforced VTOL is unstable", "unstable", above("growth of E|x|^2 without delays (1/s)", "unforced", 0),
         basis=f"exact second moments of A_i + A_di; {RAMP}",
     ),
-    Statement(
+    statement(
         "gamma = 0.93 holds for the printed gains", "0.93",
-        (says("corrected condition", "published.verdict", "certified"), below("gamma", "published.gamma", 0.93)),
+        says("corrected condition", "published.verdict", "certified"), below("gamma", "published.gamma", 0.93),
         computed="{published.verdict} {published.gamma:.3f} (norm of the gains {norm:.2f}); with known ramps {ramp:.3f}; "
         "ours: {made}",
         basis=f"corrected, one Q, one eta = 4.0, linked sections; {RAMP}; no frozen mode exceeds {{frozen:.3f}}",
     ),
 )
-CONSERVATIVENESS = Statement(
+CONSERVATIVENESS = statement(
     "3.3.3: two partitions (Corollary 3.2) are less conservative than one (Corollary 3.1), corrected", "less conservative",
-    tuple(
+    *(
         above(f"smallest certified gamma of M = 1 over that of M = 2, gain norm <= {bound:g}", f"gain[{n}]", 1.01)
         for n, bound in enumerate(BOUNDS)
     ),
@@ -201,9 +200,9 @@ CONSERVATIVENESS = Statement(
     basis="the corrected condition with linked sections; less by a hundredth, for each bound of the gains (none is printed)",
 )
 SIMULATIONS = (
-    Statement(
+    statement(
         "||z|| / ||w|| in the simulation, whose length and sample time of the noise are not printed", RATIO,
-        tuple(
+        *(
             run(f"share of {{runs[{n}]}} runs of {t:g} s, noise held {ts:g} s, below {RATIO}", f"ratios[{n}]", RATIO)
             for n, (t, ts) in enumerate(CASES)
         ),
@@ -211,12 +210,12 @@ SIMULATIONS = (
         basis="it depends on both; x(0) != 0, so it is no estimate of gamma (from x(0) = 0, noise held 0.01 s: {rest:.3f}, "
         "without noise sqrt(int z^2) = {quiet:.2f})",
     ),
-    Statement(
-        "the ratio is below gamma = 0.93", "< 0.93", (below("largest ratio of all these runs", "largest", 0.93),), basis=RAMP,
+    statement(
+        "the ratio is below gamma = 0.93", "< 0.93", below("largest ratio of all these runs", "largest", 0.93), basis=RAMP,
     ),
-    Statement(
+    statement(
         "vertical velocity falls from 6 m/s to less than 1 m/s, with noise whose sample time is not printed", "< 1",
-        tuple(below(f"rms of x_2 from 5 to 10 s, noise held {held:g} s", f"rms[{n}]", 1.0) for n, held in enumerate(HELD)),
+        *(below(f"rms of x_2 from 5 to 10 s, noise held {held:g} s", f"rms[{n}]", 1.0) for n, held in enumerate(HELD)),
         readings=True, basis=f"20 runs each, mean peaks {{peak[0]:.2f}} and {{peak[1]:.2f}}; {RAMP}",
     ),
 )

@@ -22,7 +22,7 @@ from design.semi_markov_loop.delayed_hinf import analyse_delayed, decay_of
 from hil.pages import Figure, Series
 from hil.thesis import Plot, ReportProgress
 from hil.thesis.noisy_runs import delayed_runs
-from hil.thesis.statements import Statement, above, below, exactly, number_of, says
+from hil.thesis.statements import above, below, exactly, number_of, says, statement
 
 Array = npt.NDArray[np.float64]
 BOUNDS = (5.0, 1.5)
@@ -118,46 +118,42 @@ def partitions(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 PARTITIONS = (
-    Statement(
+    statement(
         "(3.35): eta(h) <= max of the upper rates",
         "eta(h) <= max lambda_ij",
-        (below("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
-        (above("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
+        below("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),
+        witness=(above("largest eta(h) = -min lambda_ii(h) (1/s)", "eta", "largest"),),
         computed="eta(h) up to {eta:g}/s, the largest lambda_ij {largest:g}/s",
         basis="a row of (3.4) sums to 0, so that eta is a sum of rates; the conditions here have it so",
     ),
-    Statement(
+    statement(
         "Lemma 3.1: a symmetric matrix that is negative definite at all corners of its entries is so between them",
         "A < 0",
-        (below("largest eigenvalue inside", "boxes[all]", 0),),
+        below("largest eigenvalue inside", "boxes[all]", 0),
         basis=f"{BOXES} random boxes of {SIZE} x {SIZE} matrices, eigenvalues <= -0.01 at the corners, {INSIDE} points in each; "
         "with the corners 'all low' and 'all high' alone it would be {boxes[two]:+.2f}",
     ),
-    Statement(
+    statement(
         "Lemma 3.2: so it is with blocks that move together, lambda_ij(h) P_i of (3.41), for the VTOL",
         "A < 0",
-        (
-            below("largest eigenvalue of (3.41) at the corners of rates and eta", "corners", 0),
-            below("the same inside", "inside", 0),
-        ),
+        below("largest eigenvalue of (3.41) at the corners of rates and eta", "corners", 0),
+        below("the same inside", "inside", 0),
         computed="{corners:.3g} at the corners, {inside:.3g} inside",
         basis=f"matrices found for M = 1, gain norm <= {BOUNDS[0]:g}; {INSIDE} points inside a mode's box",
     ),
-    Statement(
+    statement(
         "Definition 3.1: decay rate and decay coefficient sigma of the VTOL with the printed gains, no noise",
         "E|x|^2 <= sigma e^(-lambda t) |phi|^2",
-        (
-            above("proved decay rate (1/s)", "rate", 0),
-            above("sigma", "sigma", 1),
-            below(f"largest E|x|^2 of {RUNS} runs over that bound", "over", 1),
-        ),
+        above("proved decay rate (1/s)", "rate", 0),
+        above("sigma", "sigma", 1),
+        below(f"largest E|x|^2 of {RUNS} runs over that bound", "over", 1),
         computed="lambda = {rate:.3g}/s, sigma = {sigma:.3g}; in runs E|x|^2 rises to {peak:.3g} |phi|^2 at most",
         basis="from P and Q of the corrected condition; neither number is printed",
     ),
-    Statement(
+    statement(
         "3.3.3: two partitions (Corollary 3.2) are less conservative than one (Corollary 3.1), by (3.41) as printed",
         "less conservative",
-        tuple(
+        *(
             above(f"smallest gamma of M = 1 over that of M = 2, gain norm <= {bound:g}", f"less[{n}]", 1.01)
             for n, bound in enumerate(BOUNDS)
         ),
@@ -202,22 +198,18 @@ def further(report_progress: ReportProgress) -> dict[str, Any]:
 
 # fmt: off
 FURTHER = (
-    Statement(
+    statement(
         "3.4: the gains of Corollary 3.2 at gamma = 0.93", "K(i, m), six matrices",
-        (
-            *(says(f"(3.41), section {m + 1}, gains free", f"parts[{m}].verdict", "certified") for m in (0, 1)),
-            exactly("largest difference of the gains", "off", 0, 0.5e-4, "size"),
-        ),
+        *(says(f"(3.41), section {m + 1}, gains free", f"parts[{m}].verdict", "certified") for m in (0, 1)),
+        exactly("largest difference of the gains", "off", 0, 0.5e-4, "size"),
         computed="K(1,1) = [{first}], largest difference {off:.3g}",
         basis=f"(3.41) with one rate in both places, gain norm <= {BOUNDS[0]:g}; half a unit of the last printed digit. An "
         "inequality alone, with no objective and no bound printed: the printed gains fulfil it too (above)",
     ),
-    Statement(
+    statement(
         "(3.2): longer delays and delays that grow faster cost attenuation, printed gains", "-",
-        (
-            above(f"least rise of gamma, largest delays {DELAYS_S[0]:g} to {DELAYS_S[-1]:g} s", "rise[delays]", 0),
-            above(f"least rise of gamma, slopes {SLOPES[0]:g} to {SLOPES[-1]:g}", "rise[slopes]", 0),
-        ),
+        above(f"least rise of gamma, largest delays {DELAYS_S[0]:g} to {DELAYS_S[-1]:g} s", "rise[delays]", 0),
+        above(f"least rise of gamma, slopes {SLOPES[0]:g} to {SLOPES[-1]:g}", "rise[slopes]", 0),
         computed="gamma {delays[0]:.3f} at 0.1 s, {delays[2]:.3f} at 0.3 s, {delays[6]:.3f} at 2 s; {slopes[0]:.3f} for delays "
         "that do not grow, {slopes[3]:.3f} for a slope of 0.9",
         basis="corrected condition; at other slopes the largest delay is 0.3 s",

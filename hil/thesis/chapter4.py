@@ -35,7 +35,7 @@ from hil.thesis import Chapter, ReportProgress, Stage
 from hil.thesis import chapter4_simulations as runs
 from hil.thesis.chapter2_feasibility import markov_approximation
 from hil.thesis.chapter4_simulations import ASSUMED, DETECTION, ETA, ONE, faults, known_fault, largest_entry, our_gains
-from hil.thesis.statements import Statement, above, below, exactly, number_of, says
+from hil.thesis.statements import above, below, exactly, number_of, says, statement
 from plants.vtol_fault import FaultyVTOL
 
 EXPERIMENT = "vtol-sensor-fault"
@@ -73,26 +73,24 @@ def sensor_fault(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 SENSOR_FAULT = (
-    Statement(
+    statement(
         "Remark 4.1: a lost sensor is a mode of (4.1) that differs in what is measured alone, and gains exist for it",
         "can accommodate different types of fault scenarios",
-        (
-            exactly("largest change of A", "A", 0.0, 1e-12),
-            exactly("largest change of B", "B", 0.0, 1e-12),
-            exactly("largest change of E", "E", 0.0, 1e-12),
-            above("largest change of what is measured", "lost", 0),
-            says("(4.14), (4.23) with K_k S_i", "ours.verdict", "certified"),
-            below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
-            says(f"{EXPERIMENT} at T = 1 ms", "loop", "certified"),
-        ),
+        exactly("largest change of A", "A", 0.0, 1e-12),
+        exactly("largest change of B", "B", 0.0, 1e-12),
+        exactly("largest change of E", "E", 0.0, 1e-12),
+        above("largest change of what is measured", "lost", 0),
+        says("(4.14), (4.23) with K_k S_i", "ours.verdict", "certified"),
+        below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
+        says(f"{EXPERIMENT} at T = 1 ms", "loop", "certified"),
         computed="gamma {ours.gamma:.4f}, E|x|^2 grows at {growth:.3g}/s at most; the loop at T = 1 ms: {loop}",
         basis=f"the VTOL of Section 4.4 with sound actuators; in mode 2 the sensor of the pitch angle shows 0; gain norm <= "
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
-    Statement(
+    statement(
         "Remark 4.1: gains that know of the sensor fault attenuate better under it than gains that do not",
         "-",
-        (below("gamma over that of gains for sound sensors", "ours.gamma", "unaware"),),
+        below("gamma over that of gains for sound sensors", "ours.gamma", "unaware"),
         computed="gamma {ours.gamma:.4f} against {unaware:.4f} ({unaware_word})",
         basis="the same gain bound, rates and fault",
     ),
@@ -124,24 +122,22 @@ def _change(matrices: npt.NDArray[np.float64] | None) -> float:
 
 
 OTHER_FAULTS = (
-    Statement(
+    statement(
         "Remark 4.1: a fault of what disturbs is a mode of (4.1) that differs in E alone, and gains exist for it",
         "by tuning E(eta)",
-        (
-            exactly("largest change of A, B and C", "same", 0.0, 1e-12),
-            above("largest change of E", "E", 0),
-            says("(4.14), (4.23)", "rough.verdict", "certified"),
-            below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
-            above("gamma over that without the fault", "rough.gamma", "calm.gamma"),
-        ),
+        exactly("largest change of A, B and C", "same", 0.0, 1e-12),
+        above("largest change of E", "E", 0),
+        says("(4.14), (4.23)", "rough.verdict", "certified"),
+        below("growth of E|x|^2 at the worst constant rates (1/s)", "growth", 0),
+        above("gamma over that without the fault", "rough.gamma", "calm.gamma"),
         computed="gamma {rough.gamma:.5f}, without the fault {calm.gamma:.5f}; E|x|^2 grows at {growth:.3g}/s at most",
         basis=f"the VTOL of Section 4.4 with sound actuators; in mode 2 E is {LARGER:g} times as large; gain norm <= "
         f"{GAIN_BOUND:g}, the controller sees r",
     ),
-    Statement(
+    statement(
         "4.2: a Markov process may take the place of the detection in the design",
         "could be implemented",
-        (says("its gains over the semi-Markov detection, (4.14), (4.23)", "over.verdict", "certified"),),
+        says("its gains over the semi-Markov detection, (4.14), (4.23)", "over.verdict", "certified"),
         computed="{over.verdict}: gamma {over.gamma:.4g}, of gains that know the rates {known.gamma:.4g}",
         basis=f"constant rates of r with the same mean sojourns; gain norm <= {GAIN_BOUND:g}. Both gains are descents to near "
         "their minima, so the difference is no claim",
@@ -178,20 +174,18 @@ def _tight(system: Any, process: Any) -> str:
 
 
 CONSTRAINTS = (
-    Statement(
+    statement(
         "Remark 4.4: Gamma_11 = I, Gamma_12 = 0, Gamma_22 = -gamma^2 I reduce (4.6) to the H-infinity performance (4.5)",
         "reduces to the standard H-infinity performance",
-        (says(f"(4.6) at {AROUND[0]:g} gamma", "above", "certified"), says(f"(4.6) at {AROUND[1]:g} gamma", "below", "refused")),
+        says(f"(4.6) at {AROUND[0]:g} gamma", "above", "certified"), says(f"(4.6) at {AROUND[1]:g} gamma", "below", "refused"),
         computed=f"gamma {{gamma:.5f}} by (4.5); (4.6): {{above}} at {AROUND[0]:g} of it, {{below}} at {AROUND[1]:g} of it",
         basis=f"our gains that see r, gain norm <= {GAIN_BOUND:g}; refused: dual matrices prove that no matrices exist",
     ),
-    Statement(
+    statement(
         "(4.6) with Gamma_12 != 0: gains that meet it exist",
         "by tuning these matrices",
-        (
-            says("(4.23) for the gains found", "general.verdict", "certified"),
-            above("margin of its inequalities, computed anew", "margin", 0),
-        ),
+        says("(4.23) for the gains found", "general.verdict", "certified"),
+        above("margin of its inequalities, computed anew", "margin", 0),
         computed="{general.verdict}, margin {margin:.3g}, gain norm {norm:.3g}",
         basis=f"Gamma_11 = 1, Gamma_12 = [0.01 0], Gamma_22 = -0.001 I; with Gamma_22 = -{TIGHT:g} I the answer is '{{tight}}'",
     ),
@@ -255,26 +249,24 @@ def _pairs() -> dict[str, Any]:
 
 # fmt: off
 CONDITIONS = (
-    Statement(
+    statement(
         "gains (4.30) fulfil (4.26) at gamma = 1.5", "feasible",
-        (says("(4.26)", "single.verdict", "certified"), below("smallest gamma", "single.gamma", 1.5)),
+        says("(4.26)", "single.verdict", "certified"), below("smallest gamma", "single.gamma", 1.5),
         computed="smallest gamma {single.gamma:.4f}; with exact rate vertices {exact.gamma:.4f}",
         basis="the fault is measured, K_ik",
     ),
-    Statement(
+    statement(
         "gains (4.31) fulfil (4.27) at gamma = 1.5", "feasible",
-        (
-            *(says(f"(4.27), section {m + 1}", f"parts[{m}].verdict", "certified") for m in (0, 1)),
-            *(below(f"smallest gamma of section {m + 1}", f"parts[{m}].gamma", 1.5) for m in (0, 1)),
-            says("sound, two clocks", "sound.verdict", "certified"), below("smallest gamma of that", "sound.gamma", 1.5),
-        ),
+        *(says(f"(4.27), section {m + 1}", f"parts[{m}].verdict", "certified") for m in (0, 1)),
+        *(below(f"smallest gamma of section {m + 1}", f"parts[{m}].gamma", 1.5) for m in (0, 1)),
+        says("sound, two clocks", "sound.verdict", "certified"), below("smallest gamma of that", "sound.gamma", 1.5),
         computed="smallest gamma {parts[0].gamma:.4f}, {parts[1].gamma:.4f}; sound, two clocks: {sound.gamma:.4f}",
         basis="the fault is measured, K_ik,m; gamma = 1.5 is far from tight, so it does not decide between (4.30) and (4.31)",
     ),
-    Statement(
+    statement(
         "u = K(r, h) x with (4.30), as (4.2)-(4.3) prescribe (K_kk)", "stochastically stable",
-        (says("conditions", "by_r.verdict", "certified"),),
-        (
+        says("conditions", "by_r.verdict", "certified"),
+        witness=(
             says("conditions", "by_r.verdict", "refused"), above("growth of E|x|^2 (1/s)", "growth", 0),
             above("largest eigenvalue of A_2 + B_2 K_11", "undetected", 0),
         ),
@@ -282,30 +274,32 @@ CONDITIONS = (
         basis="the LMIs give K_ik, the fault i is not measured; A_2 + B_2 K_11 has an eigenvalue at {undetected:+.2f}. "
         "Ours, which see r only, with gain norm <= 2: gamma {ours.gamma:.5f} {ours.verdict}",
     ),
-    Statement(
+    statement(
         "u = K(r, h) x with (4.31) (K_kk,m)", "stochastically stable",
-        (says("conditions", "by_r_parts.verdict", "certified"), below("gamma", "by_r_parts.gamma", 1.5)),
+        says("conditions", "by_r_parts.verdict", "certified"), below("gamma", "by_r_parts.gamma", 1.5),
         basis=f"r's clock is the controller's; {ASSUMED}",
     ),
-    Statement(
+    statement(
         "Corollary 4.3 is sufficient (scalar: -1 matched, +1.3 mismatched)", "stochastically stable",
-        (below("growth of E x^2 (1/s)", "pair_growth", 0),),
-        (
+        below("growth of E x^2 (1/s)", "pair_growth", 0),
+        witness=(
             *(says(f"sections ({m + 1},{m + 1})", f"pairs[{m}]", "certified") for m in (0, 1)),
             above("growth of E x^2 (1/s)", "pair_growth", 0),
         ),
         computed="section pairs (1,1), (2,2): {pairs[0]}, {pairs[1]}; growth of E x^2 {pair_growth:.4f}/s",
         basis="eta in section 2 with r in section 1; two clocks need all pairs",
     ),
-    Statement(
+    statement(
         "sections meet at the mid-points of the rate bounds (4.28)", "0.5 between 0.333 and 1, and five others",
-        (exactly("largest distance from a mid-point (1/s)", "away", 0, 0.5e-3, "smallest"),),
-        (exactly("largest distance from the rate of the mean of both sojourn times (1/s)", "away_s", 0, 0.5e-3, "smallest"),),
+        exactly("largest distance from a mid-point (1/s)", "away", 0, 0.5e-3, "smallest"),
+        witness=(
+            exactly("largest distance from the rate of the mean of both sojourn times (1/s)", "away_s", 0, 0.5e-3, "smallest"),
+        ),
         basis="they are mid-points of the mean sojourn times, to the printed digits; the boundary in h is not printed",
     ),
-    Statement(
+    statement(
         "the partition needs no larger gains: |K_11| > |K_11,1|, |K_11| > |K_11,2|", "Remark 4.6",
-        (below("largest |K_ik,m| over |K_ik|, all i, k, m", "grown", 1),),
+        below("largest |K_ik,m| over |K_ik|, all i, k, m", "grown", 1),
         computed="largest share {grown:.3f}; {norm[0]:.1f} and {norm[1]:.1f}, {norm[0]:.1f} and {norm[2]:.1f}",
         basis="spectral norms",
     ),

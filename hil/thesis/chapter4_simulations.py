@@ -31,7 +31,7 @@ from design.semi_markov_loop.fault_tolerant import fault_tolerant_feedback
 from hil.pages import Figure, Histogram, Series
 from hil.thesis import Plot, ReportProgress
 from hil.thesis.noisy_runs import NoisyRuns, fault_runs
-from hil.thesis.statements import ERRORS, Statement, above, below, exactly, number_of, run, says
+from hil.thesis.statements import ERRORS, above, below, exactly, number_of, run, says, statement
 
 RUNS = 100
 NOISE_S, OTHER_NOISE_S = 0.01, 0.1
@@ -185,9 +185,9 @@ def gains_that_see_r(report_progress: ReportProgress) -> dict[str, Any]:
 BASIS = f"{RUNS} runs of 3 s, noise held {NOISE_S:g} s, fault known; {ASSUMED}"
 SIMULATIONS = (
     *(
-        Statement(
+        statement(
             f"||y|| / ||w||, gains {name}, with noise whose sample time is not printed", ratio,
-            tuple(
+            *(
                 run(f"share of the runs, noise held {held:g} s, below {ratio}", f"ratio[{n}][{k}]", ratio)
                 for k, held in enumerate((NOISE_S, OTHER_NOISE_S))
             ),
@@ -196,20 +196,20 @@ SIMULATIONS = (
         )
         for n, (name, ratio) in enumerate(PRINTED.items())
     ),
-    Statement(
+    statement(
         "the ratio is below gamma = 1.5", "< 1.5",
-        tuple(below(f"largest ratio, {name}", f"largest[{n}]", 1.5) for n, name in enumerate(PRINTED)),
+        *(below(f"largest ratio, {name}", f"largest[{n}]", 1.5) for n, name in enumerate(PRINTED)),
         basis="one run's ratio bounds no gain: x(0) is not 0",
     ),
-    Statement(
+    statement(
         "the partition reduces ||y|| for the same w", "Remark 4.6",
-        (below("mean difference of the ratios plus 4 standard errors", "surely", 0),),
+        below("mean difference of the ratios plus 4 standard errors", "surely", 0),
         computed="quotient of the mean ratios {quotient:.3f}; difference {less:.4f} +- {error:.4f}",
         basis=f"{BASIS}; the printed ratios have the quotient {0.4606 / 0.3093:.3f} (ours, not printed)",
     ),
-    Statement(
+    statement(
         "overshoot of y is greatly reduced by the partition", "Figures 4.4 to 4.7",
-        (below("mean overshoot with (4.31)", "over[1]", "half"),), computed="mean peak of |y| {peak[0]:.2f} and {peak[1]:.2f}",
+        below("mean overshoot with (4.31)", "over[1]", "half"), computed="mean peak of |y| {peak[0]:.2f} and {peak[1]:.2f}",
         basis="|y(0)| = 1, so 1.00 means no overshoot at all; greatly: to less than half",
     ),
 )
@@ -265,12 +265,10 @@ def largest_entry(difference: Array) -> float:
 # fmt: off
 RECOMPUTED = (
     *(
-        Statement(
+        statement(
             f"{label}: the gains of {corollary} at gamma = 1.5", f"{count} matrices of 2 x 4",
-            (
-                *(says(f"{equation}{which}, gains free", f"{name}[2]{at}.verdict", "certified") for which, at in sections),
-                exactly("largest difference of the gains", f"off[2][{n}]", 0, 0.5e-4, f"size[{n}]"),
-            ),
+            *(says(f"{equation}{which}, gains free", f"{name}[2]{at}.verdict", "certified") for which, at in sections),
+            exactly("largest difference of the gains", f"off[2][{n}]", 0, 0.5e-4, f"size[{n}]"),
             basis=f"gain norm <= {BOUNDS[2]:g}; half a unit of the last printed digit. An inequality alone, with no objective "
             "and no bound printed: the printed gains fulfil it too (above)",
         )
@@ -279,19 +277,19 @@ RECOMPUTED = (
             ("(4.31)", "Corollary 4.3", "(4.27)", "eight", "parts", ((", section 1", "[0]"), (", section 2", "[1]"))),
         ))
     ),
-    Statement(
+    statement(
         "Remark 4.5: two sections (Corollary 4.3) are less conservative than one (Corollary 4.2), as printed",
         "extra constraints without sections",
-        tuple(
+        *(
             above(f"smallest gamma of Corollary 4.2 over that of Corollary 4.3, gain norm <= {bound:g}", f"share[{n}]", 1.01)
             for n, bound in enumerate(BOUNDS)
         ),
         computed="; ".join(f"{{levels[{n}][0]:.3g}} and {{levels[{n}][1]:.3g}}" for n in range(len(BOUNDS))), readings=True,
         basis="Corollary 4.3 tests two of four section pairs and is not sound (above): part of this may be what it leaves out",
     ),
-    Statement(
+    statement(
         "Remark 4.6: the partition reduces ||y||, with gains of both corollaries themselves under one bound", "reduced",
-        tuple(
+        *(
             below(f"mean change of ||y|| plus 4 standard errors, gain norm <= {bound:g}", f"less[{n}]", -0.001)
             for n, bound in enumerate(BOUNDS)
         ),

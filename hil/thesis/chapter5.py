@@ -30,7 +30,7 @@ from hil.pages import Figure, Series
 from hil.runtime.virtual import simulate
 from hil.thesis import Chapter, Plot, ReportProgress, Stage
 from hil.thesis.chapter5_equations import EQUATIONS, equations
-from hil.thesis.statements import Statement, above, below, equal, exactly, says
+from hil.thesis.statements import above, below, equal, exactly, says, statement
 from plants.delayed_states import DelayedStates
 
 Array = npt.NDArray[np.float64]
@@ -96,59 +96,53 @@ def proof_numbers(plant: DelayedPlant, proof: BlockDiagonalProof, x0: Array) -> 
 
 # fmt: off
 FURTHER = (
-    Statement(
+    statement(
         "Remark 5.2: K(I(k), 0) = 0 covers a delay of one slot", "covers it",
-        (exactly("samples that the remark uses before they have come", "missing", 0),),
-        (
+        exactly("samples that the remark uses before they have come", "missing", 0),
+        witness=(
             above("samples that the remark uses before they have come", "missing", 0),
             exactly("entries in which the shifted mask of (5.8) is not what has come", "shifted", 0),
         ),
         basis="n = 4, m = 3: a delay shifts the whole mask, K(i, j) takes the place of K(i - 1, j - 1)",
     ),
     *(
-        Statement(
+        statement(
             f"(5.18): an input weight, with the largest input of {name}", "-",
-            (
-                below("largest input less the printed one", f"more[{n}]", 1e-9),
-                below("J, ours over the printed one", f"share[{n}]", 1),
-            ),
+            below("largest input less the printed one", f"more[{n}]", 1e-9),
+            below("J, ours over the printed one", f"share[{n}]", 1),
             basis=f"I(0) = 1: weight {{matched[{n}].weight:.4g}}, largest input {{matched[{n}].peak:.4g}}, "
             f"J {{matched[{n}].cost:.4g}}; {name}: {{peaks[{n}]:.4g}}, {{J[{n}]:.4g}}",
         )
         for n, name in enumerate(("(5.16)", "(5.17)"))
     ),
-    Statement(
+    statement(
         "(5.2): the order of the sensors is 1, 2, 3, 4", "not argued for",
-        (below("mean cost of this order over that of the best", "order", 1.005),),
+        below("mean cost of this order over that of the best", "order", 1.005),
         basis="gains of least mean cost, m = 3, under each of the cyclic orders: {orders}",
     ),
-    Statement(
+    statement(
         "(5.16) feels the noise of its sensors less than (5.17)", "-",
-        (below("stationary cost of (5.16)", "noise[0]", "noise[1]"),),
+        below("stationary cost of (5.16)", "noise[0]", "noise[1]"),
         basis="standard deviation 0.1, a sample sent again keeps its noise: {noise[0]:.3g}, {noise[1]:.3g}; gains of least mean "
         "cost without noise {noise[2]:.3g}",
     ),
-    Statement(
+    statement(
         "Theorem 5.1: one P for every phase, so for any order of the sensors", "bounded for any order",
-        (above("bound of J by one P on the stacked state", "bound", "worst"),),
+        above("bound of J by one P on the stacked state", "bound", "worst"),
         basis="(5.16), inequalities checked at the returned P: bound {bound:.2f}; largest J of the six cyclic orders {worst:.2f}",
     ),
-    Statement(
+    statement(
         "Theorem 5.1 on a plant that meets it", "-",
-        (
-            above("what the tangent scheme saves of the bound", "tangent[saved]", 0),
-            below("largest eigenvalue of (5.9) at its answer", "tangent[eigenvalue]", 0),
-            below("largest J over I(0), over the bound", "tangent[worst]", 1),
-        ),
+        above("what the tangent scheme saves of the bound", "tangent[saved]", 0),
+        below("largest eigenvalue of (5.9) at its answer", "tangent[eigenvalue]", 0),
+        below("largest J over I(0), over the bound", "tangent[worst]", 1),
         basis="A(3,3) = 0.6, delayed matrices by 4: bound {tangent[first]:.3f} without gains, {tangent[bound]:.3f} with, "
         "after {tangent[steps]} steps",
     ),
-    Statement(
+    statement(
         "Theorem 5.1 by cone complementarity, on a plant that meets it", "-",
-        (
-            below("bound of cone complementarity", "cone[bound]", 14.8),
-            below("largest eigenvalue of (5.9), X the inverse of P", "cone[eigenvalue]", 0),
-        ),
+        below("bound of cone complementarity", "cone[bound]", 14.8),
+        below("largest eigenvalue of (5.9), X the inverse of P", "cone[eigenvalue]", 0),
         basis="asked for 14.8: {cone[bound]:.3f}; the tangent scheme, asked for the least, {tangent[bound]:.3f}",
     ),
 )
@@ -239,24 +233,24 @@ def _settled(x: Array) -> float:
 
 # fmt: off
 GAINS = (
-    Statement(
+    statement(
         "(5.16): zero-element constraints (5.8)", "hold",
-        (exactly("largest forbidden entry", "stray", 0, 1e-12), exactly("entries used", "used", 60)),
+        exactly("largest forbidden entry", "stray", 0, 1e-12), exactly("entries used", "used", 60),
         basis="n = 4, m = 3, tau = 5",
     ),
-    Statement(
+    statement(
         "J of (5.16)", "220.2",
-        (equal("J for I(0) = 2", "J[1]", "220.2"), exactly("number of I(0) whose J is 220.2", "alike", 1)),
+        equal("J for I(0) = 2", "J[1]", "220.2"), exactly("number of I(0) whose J is 220.2", "alike", 1),
         basis="I(0) is not stated; exact, by the periodic Lyapunov equation on the stacked state: J for I(0) = 1 to 4: {ours}",
     ),
-    Statement(
-        "the proposed controller stabilises the plant", "yes", (says("the certificate", "certificate", "certified"),),
+    statement(
+        "the proposed controller stabilises the plant", "yes", says("the certificate", "certificate", "certified"),
         basis="growth of |X|^2 on the stacked state",
     ),
-    Statement(
+    statement(
         "5.5: the proposed controller outperforms the conventional technique", "outperforms (5.17)",
-        (below("J of (5.16) for I(0) = 2, less that of (5.17),", "less", 0),),
-        (
+        below("J of (5.16) for I(0) = 2, less that of (5.17),", "less", 0),
+        witness=(
             above("least J of (5.16) over I(0), less the largest of (5.17),", "least", 0),
             below("gain over no control at all, as a share of J,", "gain", 0.05),
         ),
@@ -265,42 +259,42 @@ GAINS = (
     ),
 )
 THEOREM = (
-    Statement(
+    statement(
         "Theorem 5.1: a bound V(x(0)) = 616.5 for Section 5.4", "feasible",
-        (exactly("sensors whose A + B K(i, 0) can be Schur, as (5.9) needs,", "schur", 4),),
-        (
+        exactly("sensors whose A + B K(i, 0) can be Schur, as (5.9) needs,", "schur", 4),
+        witness=(
             below("sensors for which some K(i, 0) makes it Schur", "schur", 4),
             above("least spectral radius over all K(i, 0) of the others", "radius", 1),
         ),
         basis="the mask leaves one number in K(i, 0); exact for the count, over 2401 numbers for the radius",
     ),
-    Statement(
-        "(5.15): J < V(x(0)) with any history", "holds", (above("printed V less J", "printed", 0),),
-        (below("printed V less J", "printed", 0), above("V with the sum from h = -j, less J,", "right", 0)),
+    statement(
+        "(5.15): J < V(x(0)) with any history", "holds", above("printed V less J", "printed", 0),
+        witness=(below("printed V less J", "printed", 0), above("V with the sum from h = -j, less J,", "right", 0)),
         basis="x(k+1) = 0.1 x(k) + 0.8 x(k-3) after (0, 0, 0, 1): the printed sum pairs Q_j with the lag tau + 1 - j",
     ),
 )
 HISTORY = (
-    Statement(
-        "historical data make a better controller", "yes", (below("mean cost with history", "mean[0]", "mean[1]"),),
+    statement(
+        "historical data make a better controller", "yes", below("mean cost with history", "mean[0]", "mean[1]"),
         basis="gains of least mean cost, x(0) ~ N(0, I); newest sample only {mean[1]:.4f}, no causal controller goes below "
         "{bound:.4f}; printed gains {printed[0]:.4f} and {printed[1]:.4f}",
     ),
 )
 FIGURES = (
-    Statement(
+    statement(
         "Figures 5.3, 5.4: the proposed controller is smoother", "yes",
-        (below("sum of second differences, (5.16) over (5.17),", "rough", 1),), basis="I(0) = 2, on the rig",
+        below("sum of second differences, (5.16) over (5.17),", "rough", 1), basis="I(0) = 2, on the rig",
     ),
-    Statement(
+    statement(
         "Figures 5.3, 5.4: smoother especially in x2 and x4", "yes",
-        (below("larger ratio of x2 and x4, beside the smaller one of x1 and x3,", "x2_x4", "x1_x3"),),
+        below("larger ratio of x2 and x4, beside the smaller one of x1 and x3,", "x2_x4", "x1_x3"),
         basis="sum of second differences, (5.16) over (5.17), of x1 to x4: {ratios[0]:.3f}, {ratios[1]:.3f}, {ratios[2]:.3f}, "
         "{ratios[3]:.3f}",
     ),
-    Statement(
+    statement(
         "Figures 5.3, 5.4: the proposed controller settles later", "yes",
-        (above("slots to 2 %, (5.16) less (5.17),", "later", 0),), basis="I(0) = 2, on the rig",
+        above("slots to 2 %, (5.16) less (5.17),", "later", 0), basis="I(0) = 2, on the rig",
     ),
 )
 CHAPTER = Chapter(

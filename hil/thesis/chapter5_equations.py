@@ -20,7 +20,7 @@ from hil.log.run import Run
 from hil.measure.cost import Cost
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
-from hil.thesis.statements import Statement, above, below, exactly, says
+from hil.thesis.statements import above, below, exactly, says, statement
 from plants.delayed_states import DelayedStates
 from transport.draws import DELIVERED
 
@@ -110,67 +110,65 @@ def random_gains(plant: DelayedPlant) -> tuple[float, float]:
 
 # fmt: off
 EQUATIONS = (
-    Statement(
+    statement(
         "(5.2): the sensors send one after the other", "I(k+1) = I(k) + 1, after n comes 1",
-        (exactly("slots of a run in which another node is received", "wrong", 0),), basis="{received} slots on the rig, I(0) = 2",
+        exactly("slots of a run in which another node is received", "wrong", 0), basis="{received} slots on the rig, I(0) = 2",
     ),
-    Statement(
+    statement(
         "(5.1), (5.4)-(5.7): x(k+1) = A_c0(I) x(k) + sum of A_cj(I) x(k-j)", "the closed loop",
-        (exactly("largest difference between a run and (5.5)", "loop", 0, 1e-5),),
+        exactly("largest difference between a run and (5.5)", "loop", 0, 1e-5),
         basis=f"{SLOTS} slots, I(0) = 2; samples and inputs travel as float32",
     ),
-    Statement(
+    statement(
         "(5.3): a run under (5.16) costs the J of the stacked state", "sum of x' Xi x",
-        (exactly("J of a run", "spent", "exact", 1e-4),),
+        exactly("J of a run", "spent", "exact", 1e-4),
         basis=f"I(0) = 2, {SLOTS} slots on the rig; what follows them is below 1e-9; samples and inputs travel as float32",
     ),
-    Statement(
+    statement(
         "m = tau - n + 2", "m = 3 for n = 4, tau = 5",
-        (exactly("oldest sample that the packets of one cycle bring", "oldest", 5), exactly("m", "m", "buffer")),
+        exactly("oldest sample that the packets of one cycle bring", "oldest", 5), exactly("m", "m", "buffer"),
         basis="the packet of n - 1 slots ago, its m-th sample",
     ),
-    Statement(
+    statement(
         "(5.8): the zero elements of K(3, 0), ..., K(3, 5)", "24 entries",
-        (exactly("entries that differ from what the packets bring", "differ", 0), exactly("free entries", "free", 15)),
+        exactly("entries that differ from what the packets bring", "differ", 0), exactly("free entries", "free", 15),
         basis="n = 4, m = 3, from the schedule (5.2)",
     ),
-    Statement(
+    statement(
         "Remark 5.1: x2(k-5), x3(k-5) and x3(k-4) come from earlier packets", "accessible",
-        (exactly("of the three, known", "known", 3), exactly("of the three, in the last four packets", "late", 0)),
+        exactly("of the three, known", "known", 3), exactly("of the three, in the last four packets", "late", 0),
         basis="I(k) = 3",
     ),
-    Statement(
+    statement(
         "the controller has 24 n x 1 matrices", "24 of 4 x 1",
-        (exactly("matrices", "matrices", 24), exactly("rows of each", "shape[0]", 4)),
-        (exactly("rows of each", "shape[0]", 1), exactly("columns of each", "shape[1]", 4)),
+        exactly("matrices", "matrices", 24), exactly("rows of each", "shape[0]", 4),
+        witness=(exactly("rows of each", "shape[0]", 1), exactly("columns of each", "shape[1]", 4)),
         basis="u = K x with p = 1 input: K(i, j) is p x n; the same in Remark 5.2",
     ),
-    Statement(
+    statement(
         "Remark 5.3: Lambda; every possible path is to be tested, so one P for all i", "one P for every i",
-        (above("paths of I(k) from a given I(0)", "paths", 1),),
-        (
+        above("paths of I(k) from a given I(0)", "paths", 1),
+        witness=(
             exactly("paths of I(k) from a given I(0)", "paths", 1),
             exactly("entries of Lambda that are not the cycle's", "strange", 0),
         ),
         basis="from each I(0) there is one path: a P(i) for each phase suffices, and on the stacked state it is necessary too",
     ),
-    Statement(
+    statement(
         "5.4: n = 4, p = 1, tau = 5, Xi = 0.1 I, x(0) = (-4, 3, -6, 1)", "as printed",
-        (
-            exactly("n", "n", 4), exactly("p", "p", 1), exactly("tau", "tau", 5),
-            exactly("largest entry of Xi - 0.1 I", "xi", 0, 1e-12, "weight"),
-            exactly("largest entry of x(0) - (-4, 3, -6, 1)", "x0", 0),
-        ),
+        exactly("n", "n", 4), exactly("p", "p", 1), exactly("tau", "tau", 5),
+        exactly("largest entry of Xi - 0.1 I", "xi", 0, 1e-12, "weight"),
+        exactly("largest entry of x(0) - (-4, 3, -6, 1)", "x0", 0),
         basis="the plant `delayed-states`, which every experiment of the chapter runs",
     ),
-    Statement(
+    statement(
         "Figures 5.3, 5.4: both controllers stabilise the plant", "yes",
-        (says("the certificate of (5.17)", "newest", "certified"),),
+        says("the certificate of (5.17)", "newest", "certified"),
         basis="growth of |X|^2 on the stacked state; (5.16) has a row of its own",
     ),
-    Statement(
+    statement(
         "5.5: a stochastic schedule needs a controller that is stochastically stable", "further research",
-        (below("growth of E|X|^2 per slot", "random_radius", 1),),
+        below("growth of E|X|^2 per slot", "random_radius", 1),
         basis="turns independent and uniform, gains of the current packet of 3 samples, x(0) ~ N(0, I): "
         "mean cost {random_cost:.4f}",
     ),

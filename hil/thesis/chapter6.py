@@ -33,7 +33,7 @@ from hil.runtime.virtual import simulate
 from hil.session.replay.avatar import avatar_path, wall_loop_of
 from hil.thesis import Chapter, Plot, Stage, chapter6_equations, chapter6_wall
 from hil.thesis.chapter6_equations import DEVICE, READINGS, TIP_M, WAVE, B, bare_n_s_per_m, distortion_norm, loop_of, safe_coupler
-from hil.thesis.statements import Statement, above, below, exactly, mean, says, within
+from hil.thesis.statements import above, below, exactly, mean, says, statement, within
 
 
 def identification() -> dict[str, Any]:
@@ -83,32 +83,30 @@ def slide() -> dict[str, Any]:
 
 # fmt: off
 IDENTIFICATION = (
-    Statement(
+    statement(
         "(6.2): m and b from a square wave of 0.4545 Hz and 0.02", "0.7943, 1.9857",
-        (
-            mean("m", "fit.inertia.value", "0.7943", error="fit.inertia.error", why="of the fit"),
-            mean("b", "fit.damping.value", "1.9857", error="fit.damping.error", why="of the fit"),
-            says("residuals", "fit.residuals.verdict", "white"),
-        ),
+        mean("m", "fit.inertia.value", "0.7943", error="fit.inertia.error", why="of the fit"),
+        mean("b", "fit.damping.value", "1.9857", error="fit.damping.error", why="of the fit"),
+        says("residuals", "fit.residuals.verdict", "white"),
         basis="the emulated joint has these numbers: what is reproduced is that the printed experiment finds them, with "
         "noise of 1e-3 on the encoder, by output error. Plain least squares: {plain}",
     ),
 )
 SLIDE = (
-    Statement(
+    statement(
         "Figure 6.9: the avatar's displacement along x is very small", "very small",
-        (below("deepest avatar over the length of its way", "share", 0.001), below("deepest avatar, mm,", "deepest", 5)),
+        below("deepest avatar over the length of its way", "share", 0.001), below("deepest avatar, mm,", "deepest", 5),
         basis="omni-slide, metre reading: an arm that means to be 50 mm behind the wall slides {way:.3g} m; the device itself "
         "is up to {device:.3g} mm behind the surface",
     ),
-    Statement(
+    statement(
         "6.5.2: simulated and measured penetration are of the same order", "the same order",
-        (within("deepest device while it slides over its depth under 1 N", "order", 0.1, 10),),
+        within("deepest device while it slides over its depth under 1 N", "order", 0.1, 10),
         basis="the coupler of omni-slide: {pushed:.3g} mm under 1 N on material 1",
     ),
-    Statement(
+    statement(
         "6.5.2: the trajectory of the end effector is an arc", "an arc; (6.8) takes x as a straight line",
-        (below("arc over its rise along x, minus 1, at the deepest place", "arc", 0.05),),
+        below("arc over its rise along x, minus 1, at the deepest place", "arc", 0.05),
         basis=f"{TIP_M:g} m from joint to tip; the rig emulates the straight line, whose error this is",
     ),
 )
@@ -184,9 +182,9 @@ def push_plot(safe: HapticLoop) -> Plot:
 
 # fmt: off
 PASSIVITY = (
-    Statement(
+    statement(
         "6.3: without a coupler b > K T/2 + |B| cannot be guaranteed", "not b > K T/2 + |B|",
-        tuple(
+        *(
             above(f"least {what}, {reading},", f"{name}[{n}]", "b")
             for n, reading in enumerate(READINGS)
             for what, name in (("K T/2 + |B| of the materials", "bare"), ("|B|, which remains as T -> 0", "B"))
@@ -195,75 +193,73 @@ PASSIVITY = (
         basis="b = {b:g}: at the tip it fails for every material at every period, so that a coupler is needed; at the joint it "
         "holds. The units of (6.1) and (6.2) contradict each other",
     ),
-    Statement(
+    statement(
         "Theorem 6.1: (6.9) makes the networked system oscillation free", "for every passive hand, over the delays",
-        (below("spectral radius at six samples", "radius[2]", 1),),
-        (
+        below("spectral radius at six samples", "radius[2]", 1),
+        witness=(
             says("T/(2 b)", "meets", "meets (6.9)"), below("radius without delay", "radius[0]", 1),
             above("radius at one sample", "radius[1]", 1),
         ),
         basis="no hand, which is passive; the worst material",
     ),
-    Statement(
+    statement(
         "Remark 6.3: passivity establishes stochastic stability", "mean-square stable",
-        (below("second-moment radius under Lambda", "moments", 1),), (above("that radius", "moments", 1),),
+        below("second-moment radius under Lambda", "moments", 1), witness=(above("that radius", "moments", 1),),
         basis="the coupler T/(2 b) at six samples of delay",
     ),
-    Statement(
-        "(6.10) is positive real", "for every delay", (above("least real part at six samples", "real[1]", 0),),
-        (above("least real part without delay", "real[0]", 0), below("at six samples", "real[1]", 0)),
+    statement(
+        "(6.10) is positive real", "for every delay", above("least real part at six samples", "real[1]", 0),
+        witness=(above("least real part without delay", "real[0]", 0), below("at six samples", "real[1]", 0)),
         basis="z^-n times a positive real function is not positive real",
     ),
-    Statement(
-        "(6.10) without delay, F(z) as printed, with 1/s^2 M(s)", "positive real", (above("least real part", "twice", 0),),
-        (below("least real part", "twice", 0), above("the same with 1/s M(s)", "real[0]", 0)),
+    statement(
+        "(6.10) without delay, F(z) as printed, with 1/s^2 M(s)", "positive real", above("least real part", "twice", 0),
+        witness=(below("least real part", "twice", 0), above("the same with 1/s M(s)", "real[0]", 0)),
         basis="M(s) of (6.1) is a position already: F integrates once too often",
     ),
-    Statement(
+    statement(
         "(6.11): the switching wall is passive", "v f >= change of V_E",
-        (above("energy that a press at 800 and a release at 1000 N/m absorbs, J,", "press[0]", -1e-9),),
-        (below("that energy", "press[0]", 0), above("with the energy rule", "press[1]", -1e-9)),
+        above("energy that a press at 800 and a release at 1000 N/m absorbs, J,", "press[0]", -1e-9),
+        witness=(below("that energy", "press[0]", 0), above("with the energy rule", "press[1]", -1e-9)),
         basis="V_E has no mode in it; 0.1 m deep",
     ),
 )
 TRANSPARENCY = (
-    Statement(
+    statement(
         "(6.14), the subject of (6.17): the system of Figure 6.6, weighted by (6.13)", "F",
-        (exactly("norm of (6.14) as printed beside that of Figure 6.6, N/m,", "printed", "meant", 1e-6),),
-        (below("norm of (6.14)", "printed", 1e-9), above("of Figure 6.6", "meant", 100)),
+        exactly("norm of (6.14) as printed beside that of Figure 6.6, N/m,", "printed", "meant", 1e-6),
+        witness=(below("norm of (6.14)", "printed", 1e-9), above("of Figure 6.6", "meant", 100)),
         basis=f"B_w is missing from the last rows, so that nothing drives W; wave coupler, weight of {CUTOFF_HZ:g} Hz, Lambda",
     ),
-    Statement(
+    statement(
         "(6.12): the smallest distortion is the most transparent wall", "-",
-        (below(f"distortion of the stiffest safe coupler under a weight of {CUTOFF_HZ:g} Hz, N/m,", "best", "off"),),
-        (
+        below(f"distortion of the stiffest safe coupler under a weight of {CUTOFF_HZ:g} Hz, N/m,", "best", "off"),
+        witness=(
             above("distortion of that coupler", "best", "off"), above("without a coupler", "without", "off"),
             below("at least, for any causal rendering,", "bound", "off"),
         ),
         basis="material 1; no wall at all has {off:g} N/m: it is nearer to the target, which has no delay",
     ),
-    Statement(
+    statement(
         "6.4: C = C_bar + d z/(z - 1) + D_c, with a constant depth", "constant depth (Figure 6.8)",
-        (below("creep of the avatar in 100 s under 1 N with d = 0.0025, m,", "drift", 0.01),),
-        (above("that creep", "drift", 1),), basis="an integrator lets the static stiffness vanish: d must be 0",
+        below("creep of the avatar in 100 s under 1 N with d = 0.0025, m,", "drift", 0.01),
+        witness=(above("that creep", "drift", 1),), basis="an integrator lets the static stiffness vanish: d must be 0",
     ),
 )
 PUSH = (
-    Statement(
+    statement(
         "Figure 6.8: materials 2 and 3 end at one depth", "the same",
-        (
-            exactly("difference of the final depths, mm,", "apart", 0, 1e-3, "final"),
-            exactly("deeper than material 1, mm,", "deeper", 0.25, 1e-3),
-        ),
+        exactly("difference of the final depths, mm,", "apart", 0, 1e-3, "final"),
+        exactly("deeper than material 1, mm,", "deeper", 0.25, 1e-3),
         basis="1 N on the free device; the stiffest coupler for 0 to 8 samples of delay, as no coupler is printed",
     ),
-    Statement(
+    statement(
         "Figure 6.8: decaying oscillation, then a constant depth", "yes",
-        (above("least overshoot, mm,", "overshoot", 1), below("movement in the last 5 s, mm,", "rest", 0.1)), basis="the same",
+        above("least overshoot, mm,", "overshoot", 1), below("movement in the last 5 s, mm,", "rest", 0.1), basis="the same",
     ),
-    Statement(
+    statement(
         "Figure 6.8: the delays of the responses are caused by the network", "the response begins late",
-        (below("movement after one sample, mm,", "start", 1e-9),), (above("movement after one sample, mm,", "start", 0.1),),
+        below("movement after one sample, mm,", "start", 1e-9), witness=(above("movement after one sample, mm,", "start", 0.1),),
         basis="the push acts on the device itself; only its image arrives late",
     ),
 )

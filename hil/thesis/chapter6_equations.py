@@ -22,7 +22,7 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.runtime.virtual import simulate
-from hil.thesis.statements import Statement, above, below, exactly, says
+from hil.thesis.statements import above, below, exactly, says, statement
 from plants.omni import Omni
 
 CUTOFF_HZ = 0.3
@@ -140,53 +140,49 @@ def _split_error(taps: tuple[float, ...]) -> float:
 
 # fmt: off
 EQUATIONS = (
-    Statement(
+    statement(
         "(6.1): the joint by itself is unstable", "an integrator",
-        (exactly("spectral radius over 100 s", "far", 1, 1e-12), above("angle after 100 s of 1 N m, rad,", "angle", 10)),
+        exactly("spectral radius over 100 s", "far", 1, 1e-12), above("angle after 100 s of 1 N m, rad,", "angle", 10),
         basis="bounded input, unbounded output",
     ),
-    Statement(
+    statement(
         "6.2.2: lambda_ii = 1 - sum lambda_ij", "a transition matrix",
-        (exactly("largest |row sum - 1| of the printed Lambda", "rows", 0, 1e-12), above("smallest entry", "entry", 0)),
+        exactly("largest |row sum - 1| of the printed Lambda", "rows", 0, 1e-12), above("smallest entry", "entry", 0),
     ),
-    Statement(
+    statement(
         "Remark 6.2: materials that do not touch give 0 in Lambda, which the design allows", "lambda_ij = lambda_ji = 0",
-        (
-            exactly("lambda_12 + lambda_21 of strips 1 3 2 3", "touch", 0, 1e-15),
-            below("second-moment radius under that Lambda", "radius", 1),
-        ),
+        exactly("lambda_12 + lambda_21 of strips 1 3 2 3", "touch", 0, 1e-15),
+        below("second-moment radius under that Lambda", "radius", 1),
         basis="the wave coupler for six samples, no hand",
     ),
-    Statement(
+    statement(
         "(6.4) to (6.6), tau1 = tau2 = 3 T = 0.15 s", "x/f = M/(1 + M C_o)",
-        (
-            exactly("largest difference of the rig from the closed loop, um,", "rig", 0, 1.0, "largest"),
-            exactly("delay of each direction, s", "delay", 0.15, 1e-12),
-        ),
+        exactly("largest difference of the rig from the closed loop, um,", "rig", 0, 1.0, "largest"),
+        exactly("delay of each direction, s", "delay", 0.15, 1e-12),
         basis="omni-push, 1 N, 800 slots over the emulated network; packets carry single precision",
     ),
-    Statement(
+    statement(
         "(6.8): force of a material", "K x + B x'",
-        (exactly("largest difference of the wall that runs, N,", "force", 0, 1e-9),),
+        exactly("largest difference of the wall that runs, N,", "force", 0, 1e-9),
         basis="presses of 1 and 2 mm into each material, without a coupler",
     ),
-    Statement(
+    statement(
         "Figures 6.5, 6.6: taking D_c out of C changes nothing", "the same",
-        (exactly("largest relative difference of the responses", "split", 0, 1e-12),),
+        exactly("largest relative difference of the responses", "split", 0, 1e-12),
         basis="G/(1 + G C) beside the loop of G/(1 + G D_c) and the rest of C, 200 angles, each material",
     ),
-    Statement(
+    statement(
         "(6.17): a level gamma that it certifies bounds the distortion", "|z| < gamma |omega|",
-        (above(f"{LEVEL_N_PER_M:g} N/m, which it {{certifies}}, over the norm", "share", 1),),
-        (
+        above(f"{LEVEL_N_PER_M:g} N/m, which it {{certifies}}, over the norm", "share", 1),
+        witness=(
             says(f"(6.17) at {LEVEL_N_PER_M:g} N/m", "certifies", "certifies"),
             above("norm of the system of Figure 6.6, N/m,", "norm", 1e4 * LEVEL_N_PER_M),
         ),
         basis=f"wave coupler, weight of {CUTOFF_HZ:g} Hz, D_w = 0, Lambda, six samples",
     ),
-    Statement(
+    statement(
         "6.5.2: it is clear that different parts of the wall have different stiffness", "1000 and 800 N/m",
-        tuple(
+        *(
             above(f"relative difference of the stiffness felt, {reading},", f"felt[{n}]", DISTINGUISHABLE)
             for n, reading in enumerate(READINGS)
         ),
@@ -258,52 +254,48 @@ def _attenuation(coupler: Coupler) -> dict[str, float]:
 
 # fmt: off
 STATEMENTS = (
-    Statement(
+    statement(
         "Remark 6.1: the rates of one patch are those of every patch of its material", "a repeated pattern",
-        (exactly("largest difference of Lambda over one cell and over two by two", "repeated", 0, 1e-12),),
+        exactly("largest difference of Lambda over one cell and over two by two", "repeated", 0, 1e-12),
         basis="the pattern of Figure 6.2 as rows of squares between strips",
     ),
-    Statement(
+    statement(
         "6.2.2: with a time-varying speed Lambda varies too", "lambda_ij(nu) in proportion to nu",
-        (
-            exactly("least chance to leave a material at half the speed over that at full speed", "least", 0.5, 1e-9),
-            exactly("largest", "most", 0.5, 1e-9),
-        ),
+        exactly("least chance to leave a material at half the speed over that at full speed", "least", 0.5, 1e-9),
+        exactly("largest", "most", 0.5, 1e-9),
         basis="the same pattern",
     ),
-    Statement(
+    statement(
         "6.3: constant delays can be used to model some types of networks", "certain protocols",
-        (exactly("largest difference of the rig over random ages of 1 to 5 and over constant ages of 5, m,", "ages", 0, 1e-15),),
+        exactly("largest difference of the rig over random ages of 1 to 5 and over constant ages of 5, m,", "ages", 0, 1e-15),
         basis="omni-wifi: both ends wait until the largest delay has passed, and the packet carries a row for every age",
     ),
-    Statement(
+    statement(
         "6.3: a coupler allows a larger T and more of K_i and B_i", "no b > K_i T/2 + |B_i|",
-        (
-            below("damping that the wall needs with the coupler, N s/m,", "needed", "b"),
-            above("without one, N s/m,", "bare", "b"),
-        ),
+        below("damping that the wall needs with the coupler, N s/m,", "needed", "b"),
+        above("without one, N s/m,", "bare", "b"),
         basis="the stiffest coupler for 0 to 8 samples of delay, for any passive wall and hand; metre reading",
     ),
-    Statement(
+    statement(
         "(6.7): it is equivalent to the least distortion", "the same minimum",
-        (above("distortion of next to no wall over that of a safe coupler", "nearer", 1),),
-        (below("that ratio", "nearer", 1), above("ratio of how far the device is from x_d under 1 N", "farther", 1)),
+        above("distortion of next to no wall over that of a safe coupler", "nearer", 1),
+        witness=(below("that ratio", "nearer", 1), above("ratio of how far the device is from x_d under 1 N", "farther", 1)),
         basis=f"wave coupler beside {ABSENT_M_PER_N:g} m/N, material 1, weight of 3 Hz: what distorts less errs more",
     ),
-    Statement(
+    statement(
         "6.4: a coupler of this form satisfies Theorem 6.1", "C_bar strictly proper",
-        (says("T/(2 b) - 0.05 z^-1", "meets", "meets (6.9)"),), (says("T/(2 b) - 0.05 z^-1", "meets", "misses (6.9)"),),
+        says("T/(2 b) - 0.05 z^-1", "meets", "meets (6.9)"), witness=(says("T/(2 b) - 0.05 z^-1", "meets", "misses (6.9)"),),
         basis="C_bar = -0.05 z^-1 m/N is strictly proper, d = 0 and D_c = T/(2 b)",
     ),
-    Statement(
+    statement(
         "(6.15), (6.16): a level gamma bounds |z| over |omega|", "|z| < gamma |omega|",
-        (below("largest |z|/|omega| over the exact norm", "share", 1), above("largest |z|/|omega|, N/m,", "ratio", 1)),
+        below("largest |z|/|omega| over the exact norm", "share", 1), above("largest |z|/|omega|, N/m,", "ratio", 1),
         basis=f"{RUNS} motions of one frequency each, {SLOTS} slots under Lambda; wave coupler, weight of {CUTOFF_HZ:g} Hz, "
         "norm {gamma:.4g} N/m",
     ),
-    Statement(
+    statement(
         "6.6: the coupler depends on the damping b of the device", "b may change in the workspace",
-        (above("damping that the coupler for b needs", "needed", "least_b"), below("that damping", "needed", "b")),
+        above("damping that the coupler for b needs", "needed", "least_b"), below("that damping", "needed", "b"),
         basis="the stiffest coupler: a device with 1 % less damping has no certificate",
     ),
 )

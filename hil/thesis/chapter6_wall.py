@@ -25,7 +25,7 @@ from hil.compose import compose
 from hil.errors import HilError
 from hil.experiment import load_experiment
 from hil.thesis.chapter6_equations import SIDE_M, STEP_M, WAVE, B, distortion_norm, loop_of, safe_coupler
-from hil.thesis.statements import Statement, above, below, exactly, says
+from hil.thesis.statements import above, below, exactly, says, statement
 
 MODES_610 = (1, 2, 1, 2, 1, 0)  # {2, 3, 2, 3, 2, 1}
 LEVEL = 1e-3
@@ -64,38 +64,36 @@ def visits(heading: float) -> tuple[int, ...]:
 
 # fmt: off
 WALL = (
-    Statement(
+    statement(
         "6.5: Lambda from a pattern of patches", "0.4 0.3 0.3; 0.3 0.4 0.3; 0.15 0.15 0.7",
-        (exactly("largest difference", "error", 0, 1e-12, "entry"),),
+        exactly("largest difference", "error", 0, 1e-12, "entry"),
         basis="lambda_ij = nu T c_ij/(pi A_i) over rows of squares between strips, nu T = 0.15 pi w",
     ),
-    Statement(
+    statement(
         "(6.3): lambda_ij in proportion to c_ij/sum c_ij and nu", "one factor for every i",
-        (exactly("ratio of the probabilities with which Lambda leaves its materials", "apart", 1, 1e-9),),
-        (above("that ratio", "apart", 1.0 + 1e-9),),
+        exactly("ratio of the probabilities with which Lambda leaves its materials", "apart", 1, 1e-9),
+        witness=(above("that ratio", "apart", 1.0 + 1e-9),),
         basis="the printed rows of (6.3) sum to nu times one factor; the areas are missing from it",
     ),
-    Statement(
+    statement(
         "6.5.2: material 3 is left less often, as its area is larger", "0.15 < 0.3",
-        (
-            exactly("distance of the area shares from the stationary law of Lambda", "balance", 0, 1e-12),
-            above("area of material 3 over that of material 1", "areas", 1),
-        ),
+        exactly("distance of the area shares from the stationary law of Lambda", "balance", 0, 1e-12),
+        above("area of material 3 over that of material 1", "areas", 1),
         basis="the same pattern; boundaries of {length:g} m each",
     ),
-    Statement(
+    statement(
         "6.2.2: one step of the avatar follows Lambda", "Lambda",
-        (below("distance of the exact one-step matrix of the geometry", "off", 0.02),),
+        below("distance of the exact one-step matrix of the geometry", "off", 0.02),
         basis="uniform place and direction, nu T = 0.15 pi w; the linear law holds for short steps only",
     ),
-    Statement(
+    statement(
         "6.1: the movement is independent of the past, so the material is a Markov process", "memoryless",
-        (below(f"G on {{freedom}} degrees of freedom, level {LEVEL:g}:", "G", "limit"),), (above("G", "G", "far"),),
+        below(f"G on {{freedom}} degrees of freedom, level {LEVEL:g}:", "G", "limit"), witness=(above("G", "G", "far"),),
         basis="20,000 samples of a straight slide at the published speed",
     ),
-    Statement(
+    statement(
         "Figure 6.10: the modes {2, 3, 2, 3, 2, 1}", "2 3 2 3 2 1",
-        (says("a straight slide that shows them", "slide", "found"),),
+        says("a straight slide that shows them", "slide", "found"),
         computed="heading {heading:.2f} degrees", basis="the same pattern, from within material 2, of 300 headings",
     ),
 )
@@ -197,66 +195,56 @@ def _later() -> dict[str, Any]:
 
 # fmt: off
 OWN = (
-    Statement(
+    statement(
         "6.4: couplers C_i, each of which meets (6.9), are safe over a mixed wall", "Theorem 6.1 for each i",
-        (above("energy that a press behind one and a release behind the other absorb, J,", "jump", -1e-9),),
-        (
+        above("energy that a press behind one and a release behind the other absorb, J,", "jump", -1e-9),
+        witness=(
             says("both couplers", "each", "meet (6.9)"), below("that energy", "jump", -0.01),
             above("least surplus where C_i = C - s_i and what is stored is handed over, J,", "handed", -1e-9),
         ),
         basis=f"{DEPTH_M:g} m into material 1, {SOFT_M_PER_N:g} m/N and T/(2 b): couplers that jump under pressure give energy",
     ),
-    Statement(
+    statement(
         "6.4: a coupler for each material is more transparent than one for all", "C_i(z), i = 1 .. N",
-        (
-            says("verdict on C_i = C - s_i", "own", "certified"),
-            above("least ratio of the stiffness felt to that with one coupler", "stiffer", 1),
-            below(f"largest ratio of the distortion (6.12), weight of {CUTOFF_HZ:g} Hz,", "clearer", 1),
-            exactly("stiffness felt at the published period over its ceiling, wave coupler,", "of_ceiling", 1, 2e-3),
-        ),
+        says("verdict on C_i = C - s_i", "own", "certified"),
+        above("least ratio of the stiffness felt to that with one coupler", "stiffer", 1),
+        below(f"largest ratio of the distortion (6.12), weight of {CUTOFF_HZ:g} Hz,", "clearer", 1),
+        exactly("stiffness felt at the published period over its ceiling, wave coupler,", "of_ceiling", 1, 2e-3),
         basis="omni-materials beside omni-1khz: {felt[0]:.0f}, {felt[1]:.0f}, {felt[2]:.0f} N/m felt, with one coupler "
         "{one[0]:.0f}, {one[1]:.0f}, {one[2]:.0f}; s_i = 1/(K_i + 2 B_i/T). At 0.05 s one coupler reaches "
         "{one_of_ceiling:.4f} of the ceiling",
     ),
-    Statement(
+    statement(
         "6.4: a weighting function maximises transparency at its frequencies", "W(z)",
-        (
-            below("largest |W C| of the weighted design over that of the stiffest", "weighed", 1),
-            above("static stiffness of the stiffest over that of the weighted design", "softer", 1),
-        ),
+        below("largest |W C| of the weighted design over that of the stiffest", "weighed", 1),
+        above("static stiffness of the stiffest over that of the weighted design", "softer", 1),
         basis="W = (1 - 0.97/z)/(1 - 0.9/z), 1 kHz, delays 0 to 6, 7 N s/m: with the taps free the problem is convex",
     ),
-    Statement(
+    statement(
         "(6.15): the least level over the sets Omega_eta is the best coupler", "min gamma",
-        (above("how far apart (6.14) puts three triples, N/m,", "levels", 1e-9),),
-        (below("that distance", "levels", 1e-9), above("largest norm of Figure 6.6 over the smallest", "norms", 1.02)),
+        above("how far apart (6.14) puts three triples, N/m,", "levels", 1e-9),
+        witness=(below("that distance", "levels", 1e-9), above("largest norm of Figure 6.6 over the smallest", "norms", 1.02)),
         basis=f"wave coupler, twice it, the stiffest for 0 to 8 samples; weight of {CUTOFF_HZ:g} Hz: the search has no guide",
     ),
 )
 LATER = (
-    Statement(
+    statement(
         "6.6: damping that changes over the workspace", "worst b",
-        (
-            says("coupler for the least of 1.9857, 1.9 and 3 N s/m", "zones", "certified"),
-            says("coupler for 1.9857 N s/m", "for_b", "undecided"),
-        ),
+        says("coupler for the least of 1.9857, 1.9 and 3 N s/m", "zones", "certified"),
+        says("coupler for 1.9857 N s/m", "for_b", "undecided"),
         basis="omni-push with two zones; sum u w >= b_min sum w^2 is all that the proof uses",
     ),
-    Statement(
+    statement(
         "6.6: a random delay, certified without equalising", "random delays",
-        (
-            says("coupler for delays of 2 and 3 samples in any order", "moving", "certified"),
-            says("coupler for each of them held", "each_held", "undecided"),
-            above("its compliance over that of waiting for the largest", "waiting", 1),
-        ),
+        says("coupler for delays of 2 and 3 samples in any order", "moving", "certified"),
+        says("coupler for each of them held", "each_held", "undecided"),
+        above("its compliance over that of waiting for the largest", "waiting", 1),
         basis="a sufficient condition: the sum of all pairs of delays instead of the largest",
     ),
-    Statement(
+    statement(
         "6.6: a sliding speed that varies as a semi-Markov process", "Lambda(nu)",
-        (
-            below("second-moment radius of the loop in contact", "paced", 1),
-            says("verdict on omni-paces", "paces", "certified"),
-        ),
+        below("second-moment radius of the loop in contact", "paced", 1),
+        says("verdict on omni-paces", "paces", "certified"),
         basis="{modes} modes of speed, stay and material; 0.188, 0.03 and 0 m/s, the stiffest coupler for 0 to 8 samples",
     ),
 )

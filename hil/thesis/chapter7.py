@@ -24,7 +24,7 @@ from hil.thesis import chapter7_friction as friction
 from hil.thesis import chapter7_models as models
 from hil.thesis import chapter7_runs as runs
 from hil.thesis.chapter7_runs import ideal, numbers_of, on_all_cores, upright
-from hil.thesis.statements import Statement, above, below
+from hil.thesis.statements import above, below, statement
 
 Array = npt.NDArray[np.float64]
 TOPICS = ("/plant/measurement", "/reference", "/actuator/applied")
@@ -118,10 +118,10 @@ SMITH_BASIS = f"mean of {SMITH_RUNS} runs with the same delays, differences with
 
 # fmt: off
 SMITH = (
-    Statement(
+    statement(
         "Figure 7.4: the proposed controllers are faster than a Smith predictor, overshoot more, reject disturbances better",
         "holds",
-        tuple(
+        *(
             claim(f"{what} of Smith {gain}, less that of {which},", f"{name}[{side}][{n}][{k}]", 0)
             for gain, name in (("-0.03", "cautious"), ("-0.16", "bold"))
             for n, which in enumerate(("(7.36)", "(7.37)"))
@@ -132,13 +132,11 @@ SMITH = (
         ),
         readings=True, computed="{words}", basis=f"{SMITH_BASIS}; of {SMITH_GAINS} it holds for {{holds}}",
     ),
-    Statement(
+    statement(
         "the same for every Smith gain", "implied",
-        (
-            above("least sum of squares of a Smith predictor less that of (7.36) or (7.37)", "every[0]", 0),
-            above("least disturbance peak of a Smith predictor less that of (7.36) or (7.37), rad,", "every[2]", 0),
-        ),
-        tuple(
+        above("least sum of squares of a Smith predictor less that of (7.36) or (7.37)", "every[0]", 0),
+        above("least disturbance peak of a Smith predictor less that of (7.36) or (7.37), rad,", "every[2]", 0),
+        witness=tuple(
             below(f"{what} of Smith -0.16 less that of (7.36)", f"bold[less][0][{k}]", 0)
             for k, what in enumerate(("sum of squares", "overshoot", "disturbance peak"))
         ),

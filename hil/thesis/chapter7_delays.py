@@ -26,7 +26,7 @@ from hil.thesis import Plot, ReportProgress
 from hil.thesis.chapter7_designs import NAME, PLANTS, TIE, best
 from hil.thesis.chapter7_models import H2, NETWORK, Array, Plant, motor
 from hil.thesis.chapter7_runs import BATCH_RUNS, on_all_cores, squared_error
-from hil.thesis.statements import ERRORS, Statement, above, below, exactly
+from hil.thesis.statements import ERRORS, above, below, exactly, statement
 from plants.dc_motor import DCMotor
 
 PATTERNS = {"none": "tau", "estimate": "previous", "known": "generated"}
@@ -143,31 +143,29 @@ def late_estimate(previous: Array) -> dict[str, Any]:
 
 ESTIMATED = (
     *(
-        Statement(
+        statement(
             f"{NAME[name]}: d_k estimated by the state of its chain at the controller, one command a packet, H2",
             "Section 7.2, another potential method",
-            (above("what it gains over gains that know tau alone", f"{name}[less]", TIE),),
+            above("what it gains over gains that know tau alone", f"{name}[less]", TIE),
             computed=f"{{{name}[estimate]:.5g}} against {{{name}[none]:.5g}} without; a row for every d_k {{{name}[known]:.5g}}",
             basis="d_k-1 is known, gains are means over the filter; stacked z, R = 0.01. The likeliest d_k is right in "
             "{right:.1%} of the slots, {guess:.1%} without d_k-1",
         )
         for name in PLANTS
     ),
-    Statement(
+    statement(
         "motor: the same where the controller knows the d that came with its sample, of slot k - 1 - tau_k",
         "Section 7.2, another potential method",
-        (above("what it gains over gains that know tau alone", "late_less", TIE),),
+        above("what it gains over gains that know tau alone", "late_less", TIE),
         computed="{late:.6g} against {without:.6g}: {late_less:.3%}, where d_k-1 itself gains {motor[less]:.3%}",
         basis="H2, initial modes uniform over (d_k, d_k-1, d_k-2); only the sensor's packet can bring the controller a d",
     ),
-    Statement(
+    statement(
         "motor: a controller that filters d_k and sends one command costs what its certificate says",
         "-",
-        (
-            below("distance of the runs from the certificate (standard errors)", "off", ERRORS),
-            exactly("H2 norm of the loop on the rig, information = previous", "ran", "motor[estimate]", 1e-6),
-            below("distance of its squared error from the prediction (standard errors)", "apart", ERRORS),
-        ),
+        below("distance of the runs from the certificate (standard errors)", "off", ERRORS),
+        exactly("H2 norm of the loop on the rig, information = previous", "ran", "motor[estimate]", 1e-6),
+        below("distance of its squared error from the prediction (standard errors)", "apart", ERRORS),
         computed="{runs:.4f} +- {error:.4f} in runs, {motor[estimate]:.4f} by the certificate; squared error on the rig "
         "{sse:.4g} rad^2 s",
         basis=f"{RUNS} runs of {SLOTS} slots, packet by packet, from an impulse at the input; on the rig {H2_EXPERIMENT} with "
@@ -211,22 +209,20 @@ def stays(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 STAYS = (
-    Statement(
+    statement(
         "8.2.1: gains that know how long d has lasted, over a semi-Markov delay",
         "less conservative",
-        (
-            below("H2 norm with the stay of d over that without", "share", 1),
-            below("second-moment radius with it", "radius", 1),
-            exactly("H2 norm of the gains without it, by the loop that knows it", "again", "plain", 1e-9),
-            exactly("H2 norm of the loop that runs", "ran", "informed", 1e-6),
-        ),
+        below("H2 norm with the stay of d over that without", "share", 1),
+        below("second-moment radius with it", "radius", 1),
+        exactly("H2 norm of the gains without it, by the loop that knows it", "again", "plain", 1e-9),
+        exactly("H2 norm of the loop that runs", "ran", "informed", 1e-6),
         basis="DC motor at 0.05 s, no delay to the controller; d is 0 for three or four samples and 1 for one or two: "
         "{informed:.4f} against {plain:.4f}. `hil run dc-motor-ours-stays`: a packet has a row for every d and stay",
     ),
-    Statement(
+    statement(
         "8.2.1: runs whose packets have a row for every d and how long it has lasted",
         "-",
-        (below("distance of the runs from their prediction (standard errors)", "off", ERRORS),),
+        below("distance of the runs from their prediction (standard errors)", "off", ERRORS),
         computed="squared error {sse_informed:.4g} rad^2 s with the stay, {sse_plain:.4g} without",
         basis=f"{BATCH_RUNS} runs of {STAYS_EXPERIMENT}, packet by packet, and as many with row_sojourns = 1",
     ),
@@ -304,20 +300,18 @@ def _radius_by_packets() -> float:
 
 # fmt: off
 TRADE_OFF = (
-    Statement(
+    statement(
         "(7.33): a compromise between H2 and H-infinity by a prescribed gamma", "min beta s.t. (7.24) and (7.30)",
-        (
-            below("largest H-infinity norm over its level, less 1", "over", 1e-6),
-            below("largest rise of beta as the level is let go", "rise", SLACK),
-            above("what the tightest level costs in beta", "paid", SLACK),
-            above("what it gains in gamma", "gained", SLACK),
-        ),
+        below("largest H-infinity norm over its level, less 1", "over", 1e-6),
+        below("largest rise of beta as the level is let go", "rise", SLACK),
+        above("what the tightest level costs in beta", "paid", SLACK),
+        above("what it gains in gamma", "gained", SLACK),
         computed="gamma {ends[0]:.5g} ... {ends[1]:.5g}, beta {ends[2]:.5g} ... {ends[3]:.5g}",
         basis="the motor over its network, stacked z, R = 0.01, rows by the d when they are applied; no mixed design is printed",
     ),
-    Statement(
+    statement(
         "Remark 7.1: packets lost, at most so many in a row, are delays of (7.3)-(7.5)", "can accommodate packet dropouts",
-        (exactly("second-moment radius over the chain of ages", "chain", "packets", 1e-9),),
+        exactly("second-moment radius over the chain of ages", "chain", "packets", 1e-9),
         computed="{chain:.10g} over the chain of ages, {packets:.10g} packet by packet",
         basis=f"the motor with (7.37); to the controller a packet is lost with chance {LOST[0]:g}, {MOST_LOST[0]} in a row "
         f"at most, to the actuator {LOST[1]:g} and {MOST_LOST[1]}; beside it nothing but what the receivers hold",

@@ -34,7 +34,7 @@ from hil.thesis.chapter7_models import (
     vtol,
 )
 from hil.thesis.chapter7_runs import on_all_cores
-from hil.thesis.statements import Statement, above, below, equal, exactly, not_judged, says, within
+from hil.thesis.statements import above, below, equal, exactly, not_judged, says, statement, within
 
 PLANTS: dict[str, Callable[[], Plant]] = {"motor": motor, "vtol": vtol}
 NAME = {"motor": "motor", "vtol": "VTOL"}
@@ -173,18 +173,19 @@ DESIGNS = (
         )
         for key in [f"{name}_{objective}"]
         for each in (
-            Statement(
+            statement(
                 f"{NAME[name]}: the published gains have the norm {symbol}", printed,
-                (equal("norm with the published gains", f"{key}[norm]", printed, f"{key}[rounding]"),),
+                equal("norm with the published gains", f"{key}[norm]", printed, f"{key}[rounding]"),
                 beside=(equal("smallest norm found", f"{key}_sum[norm]", printed),),
                 computed=f"{{{key}[norm]:.5g}}; smallest norm found {{{key}_sum[norm]:.5g}}",
                 basis="z = Q x + R u1 as printed (a sum); an inequality that meets a level says only that the norm is below it; "
                 + basis,
             ),
-            Statement(
+            statement(
                 f"{NAME[name]}: {symbol} is the minimum", "the minimum",
-                (within("smallest norm found over that of the published gains", f"{key}[least]", 0.999, 1.001),),
-                (below("smallest norm found over that of the published gains", f"{key}[least]", 0.999),) * (name == "vtol"),
+                within("smallest norm found over that of the published gains", f"{key}[least]", 0.999, 1.001),
+                witness=(below("smallest norm found over that of the published gains", f"{key}[least]", 0.999),)
+                * (name == "vtol"),
                 computed=f"best {{{key}_sum[norm]:.4f}} (sum, gains up to {{{key}_sum[largest]:.3g}}), "
                 f"{{{key}_stacked[norm]:.4f}} (stacked, gains up to {{{key}_stacked[largest]:.3g}})",
                 basis="to a thousandth; " + (
@@ -195,9 +196,9 @@ DESIGNS = (
         )
     ),
     *(
-        Statement(
+        statement(
             f"motor: {label}", printed,
-            (exactly("largest difference", f"motor_{key}_sum[off]", 0, HALF, f"motor_{key}[size]"),),
+            exactly("largest difference", f"motor_{key}_sum[off]", 0, HALF, f"motor_{key}[size]"),
             computed=f"{{motor_{key}_sum[words]}}",
             basis=f"half a unit of the last printed digit; largest difference {{motor_{key}_sum[off]:.4f}}, for a norm that is "
             f"{{motor_{key}[least]:.4f}} of that of the published gains: the optimum is flat",
@@ -208,9 +209,9 @@ DESIGNS = (
         )
     ),
     *(
-        Statement(
+        statement(
             f"VTOL: {NAMES[objective]} gain K({tau},{d}) of 7.4.1", _vector(GAINS["vtol", objective][tau, d]),
-            (exactly("largest difference, z a sum,", f"{key}_sum[each][{tau}][{d}]", 0, HALF, f"{key}[size]"),),
+            exactly("largest difference, z a sum,", f"{key}_sum[each][{tau}][{d}]", 0, HALF, f"{key}[size]"),
             beside=(exactly("largest difference, z stacked,", f"{key}_stacked[each][{tau}][{d}]", 0, HALF, f"{key}[size]"),),
             computed="; ".join(
                 f"[{{{key}_{z}[gains][{tau}][{d}][0][0]:.4f}} {{{key}_{z}[gains][{tau}][{d}][1][0]:.4f}}] ({z})"
@@ -221,9 +222,9 @@ DESIGNS = (
         for objective in ("h2", "hinf") for key in [f"vtol_{objective}"] for tau in range(3) for d in range(2)
     ),
     *(
-        Statement(
+        statement(
             f"{NAME[name]}: time for the two designs", f"{hours} h on a PC of 2012",
-            (not_judged("CPU time (s)", f"seconds[{name}]", "the PC of 2012 is not at hand"),),
+            not_judged("CPU time (s)", f"seconds[{name}]", "the PC of 2012 is not at hand"),
             computed=f"{{seconds[{name}]:.1f}} s of CPU time for four, this machine",
             basis="four: H2 and H-infinity, z stacked and summed, with all starts",
         )
@@ -231,10 +232,10 @@ DESIGNS = (
     ),
 )
 INFORMED = tuple(
-    Statement(
+    statement(
         f"{NAME[name]}, {NAMES[objective]}: the row for d at generation is more effective than the one before [53]",
         "more effective (Remark 7.3, Section 7.5)",
-        tuple(
+        *(
             below(f"smallest {NAMES[objective]} norm over that with d before, less 1, z {z},", f"{key}{at}[before]", -TIE)
             for z, at in (("a sum", "[sum]"), ("stacked", ""))
         ),
@@ -246,10 +247,10 @@ INFORMED = tuple(
     )
     for name, objective in SERIES for key in [f"{name}_{objective}"]
 ) + tuple(
-    Statement(
+    statement(
         f"{NAME[name]}, {NAMES[objective]}: gains that depend on both delays are less conservative than one that does not [47]",
         "Section 7.1, less conservative",
-        (below(f"smallest {NAMES[objective]} norm over that with one gain, less 1", f"{key}[one]", -TIE),),
+        below(f"smallest {NAMES[objective]} norm over that with one gain, less 1", f"{key}[one]", -TIE),
         computed=f"{{{key}[generated]:.5f}} against {{{key}[constant]:.5f}} with one gain; {{{key}[tau]:.5f}} with one a tau",
         basis="stacked z, R = 0.01",
     )
@@ -286,26 +287,22 @@ def _loop(design: Design, plants: PlantSet) -> tuple[LoopStructure, Array, Array
 
 
 UNCERTAIN = (
-    Statement(
+    statement(
         f"(7.41), Remark 7.6: gains for norm-bounded plants are proved for what the nominal ones are not, gain +-{WIDE} %",
         "can be solved",
-        (
-            says("verdict on our gains", "wide[verdict][ours]", "certified"),
-            below("share of it that the small-gain theorem proves for the nominal gains", "wide[margin][nominal]", 1),
-            above("the same for ours", "wide[margin][ours]", 1),
-        ),
+        says("verdict on our gains", "wide[verdict][ours]", "certified"),
+        below("share of it that the small-gain theorem proves for the nominal gains", "wide[margin][nominal]", 1),
+        above("the same for ours", "wide[margin][ours]", 1),
         computed="{wide[margin][ours]:.3f} of it against {wide[margin][nominal]:.3f}, {wide[ratio]:.2f} times; without "
         "uncertainty the H2 norm is {wide[h2]:.3f} against {nominal_h2:.3f}",
         basis="the motor over its network, H2, stacked z, rows by the d when they are applied; no design is printed. Verdict on "
         "the nominal gains: {wide[verdict][nominal]}",
     ),
-    Statement(
+    statement(
         f"(7.41): the guaranteed cost of such gains is less than that of the nominal ones, gain +-{NARROW} %",
         "-",
-        (
-            below("guaranteed H2 norm over that of the nominal gains", "narrow[cost][ours]", "narrow[cost][nominal]"),
-            above("certified uncertainty over that of the nominal gains", "narrow[ratio]", 1.05),
-        ),
+        below("guaranteed H2 norm over that of the nominal gains", "narrow[cost][ours]", "narrow[cost][nominal]"),
+        above("certified uncertainty over that of the nominal gains", "narrow[ratio]", 1.05),
         computed="{narrow[cost][ours]:.4f} against {narrow[cost][nominal]:.4f}; they bear {narrow[ratio]:.2f} times as much",
         basis="both by the multiplier that proves least; without uncertainty {narrow[h2]:.3f} against {nominal_h2:.3f}",
     ),

@@ -26,7 +26,7 @@ from hil.measure.tracking import tracking_of_batch
 from hil.rig.loop import Loop
 from hil.thesis import ReportProgress
 from hil.thesis.chapter7_runs import BATCH_RUNS, numbers_of, on_all_cores
-from hil.thesis.statements import ERRORS, Statement, above, below, run, says
+from hil.thesis.statements import ERRORS, above, below, run, says, statement
 
 Array = npt.NDArray[np.float64]
 
@@ -158,9 +158,9 @@ def experiment(motor: Imperfections, value: float, report_progress: ReportProgre
 # fmt: off
 EXPERIMENT_ROWS = (
     *(
-        Statement(
+        statement(
             f"Table 7.2, experiment, {NAMES[name]}, by a motor fitted to it", " / ".join(printed),
-            tuple(run(f"share of {{seeds}} runs below {p}", f"{name}[runs][{k}]", p) for k, p in enumerate(printed)),
+            *(run(f"share of {{seeds}} runs below {p}", f"{name}[runs][{k}]", p) for k, p in enumerate(printed)),
             computed=f"{{{name}[mean][0]:.2f}} ({{{name}[sd][0]:.2f}}) / {{{name}[mean][1]:.4f}} ({{{name}[sd][1]:.4f}})",
             basis="T = 0.05 s, fitted motor ({motor}; misfit {misfit:.1f} over eight numbers); {seeds} runs that the fit has not "
             "seen",
@@ -168,9 +168,9 @@ EXPERIMENT_ROWS = (
         for name, printed in EXPERIMENT.items()
     ),
     *(
-        Statement(
+        statement(
             f"Remark 7.7: steady-state error, {NAMES[name]}, by a motor fitted to it", f"{printed} rad",
-            (run(f"share of {{seeds}} runs below {printed} rad", f"{name}[runs][2]", printed),),
+            run(f"share of {{seeds}} runs below {printed} rad", f"{name}[runs][2]", printed),
             computed=f"95 % of the runs in [{{{name}[ends][0]:.4f}}, {{{name}[ends][1]:.4f}}] rad",
             basis="stiction, dead zone and the encoder leave an error of either sign; integral action removes it",
         )
@@ -197,14 +197,12 @@ def integral_action(report_progress: ReportProgress) -> dict[str, Any]:
 
 
 INTEGRAL = (
-    Statement(
+    statement(
         "Remark 7.7: a dynamic controller enhances the steady-state tracking",
         "to further enhance",
-        (
-            above("fall of the mean |error| less 4 standard errors, rad,", "surely", 0),
-            below("mean |error| with integral action, rad,", "mean[dynamic]", "half"),
-            says("verdict on its loop", "verdict", "certified"),
-        ),
+        above("fall of the mean |error| less 4 standard errors, rad,", "surely", 0),
+        below("mean |error| with integral action, rad,", "mean[dynamic]", "half"),
+        says("verdict on its loop", "verdict", "certified"),
         computed="{mean[dynamic]:.4f} rad with integral action, {mean[static]:.4f} rad without; squared error from the step on "
         "{sse[dynamic]:.4g} and {sse[static]:.4g} rad^2 s",
         basis=f"{REALISTIC['dynamic']} and {REALISTIC['static']}, {BATCH_RUNS} runs each, mean over 20 to 30 s; enhanced: to "

@@ -18,7 +18,7 @@ from design.networked_loop.closed_loop import loop_structure
 from design.tracking.synthesis import TrackingProblem, solve
 from hil.design_questions import LAMBDA, PI, PRINTED_VTOL
 from hil.thesis import ReportProgress
-from hil.thesis.statements import ERRORS, Statement, above, below, equal, exactly, within
+from hil.thesis.statements import ERRORS, above, below, equal, exactly, statement, within
 from plants import VTOL, DCMotor
 from transport.packets import encode_control
 from transport.wire import FD_LENGTHS, ControlPacket
@@ -119,25 +119,23 @@ EIGENVALUES = ((1.0028, 0.0026), (1.0028, -0.0026), (0.9977, 0.0), (0.9795, 0.0)
 
 # fmt: off
 MODELS = (
-    Statement(
+    statement(
         "motor: A, B at T = 0.05 s", "[1.00021 .00460; .00460 .00004], [.34868; 7.68069]",
-        (
-            exactly("largest eigenvalue", "eigenvalues[1]", 1, 0.5e-5),
-            exactly("smallest eigenvalue", "eigenvalues[0]", "smaller", 0.5e-5),
-            *(exactly(f"angle {n + 1} samples after an impulse", f"response[{n}]", f"hold[{n}]", 0.5e-5) for n in (0, 1)),
-        ),
-        (above("largest eigenvalue, 1 of any hold,", "eigenvalues[1]", 1.0001),),
+        exactly("largest eigenvalue", "eigenvalues[1]", 1, 0.5e-5),
+        exactly("smallest eigenvalue", "eigenvalues[0]", "smaller", 0.5e-5),
+        *(exactly(f"angle {n + 1} samples after an impulse", f"response[{n}]", f"hold[{n}]", 0.5e-5) for n in (0, 1)),
+        witness=(above("largest eigenvalue, 1 of any hold,", "eigenvalues[1]", 1.0001),),
         computed="[1 {A[0][1]:.6f}; 0 {A[1][1]:.6f}], [{B[0][0]:.6f}; {B[1][0]:.6f}]",
         basis="a hold has the eigenvalues 1 and exp(-3.5287 T) at every T; the printed ones are {eigenvalues[1]:.5f} and "
         "{eigenvalues[0]:.5f}, so the first is never met and the second asks for T = {needed:.1f} s",
     ),
-    Statement(
-        "VTOL: A, B at T = 0.01 s", "4 decimals", (exactly("largest difference", "off", 0, HALF, "entry"),),
+    statement(
+        "VTOL: A, B at T = 0.01 s", "4 decimals", exactly("largest difference", "off", 0, HALF, "entry"),
         basis="half a unit of the last printed digit; zero-order hold of the matrices of Chapters 3 and 4",
     ),
-    Statement(
+    statement(
         "VTOL: eigenvalues of A", "0.9977, 0.9795, 1.0028 +- 0.0026i",
-        tuple(
+        *(
             exactly(f"{part} of eigenvalue {n + 1}", f"pair[{n}].{name}", value, HALF)
             for n, both in enumerate(EIGENVALUES)
             for part, name, value in zip(("real part", "imaginary part"), ("real", "imag"), both)
@@ -146,29 +144,29 @@ MODELS = (
         basis="half a unit of the last printed digit, of the unrounded hold; the printed four decimals have the imaginary part "
         "{rounded:.4f}",
     ),
-    Statement(
+    statement(
         "Remark 7.5: P1 > P2 implies Gamma(P1) < Gamma(P2)", "monotonically decreasing",
-        (below("largest eigenvalue of Gamma(P1) - Gamma(P2)", "change[1]", 0),),
-        (
+        below("largest eigenvalue of Gamma(P1) - Gamma(P2)", "change[1]", 0),
+        witness=(
             above("largest eigenvalue of Gamma(P1) - Gamma(P2)", "change[1]", 0), above("margin of both in (7.17)", "valid", 0),
             above("smallest eigenvalue of P1 - P2", "greater", 0),
         ),
         computed="Gamma(P1) - Gamma(P2) has the eigenvalues {change[0]:g} and {change[1]:g}",
         basis="one mode, A = [0 2; 0 0], P2 = diag(10, 50), P1 = P2 + I; both fulfil (7.17)",
     ),
-    Statement(
+    statement(
         "Theorem 7.1: (7.17), with <= 0, is sufficient", "stochastically stable",
-        (below("spectral radius of the motor without control", "idle", 1),),
-        (
+        below("spectral radius of the motor without control", "idle", 1),
+        witness=(
             exactly("largest eigenvalue of A' P A - P", "left", 0, 1e-12), above("smallest eigenvalue of P", "idle_P", 0),
             above("spectral radius", "idle", 1 - 1e-12),
         ),
         basis="P = V^-T V^-1 of its eigenvectors V: where nothing is done the angle stays; (7.17) has to be strict. The proof of "
         "Theorem 7.2 has no more than <= from (7.21)",
     ),
-    Statement(
-        "(7.19): the H2 norm sums |E z|^2", "|| E z ||^2", (exactly("norm by (7.20)-(7.21)", "energy", "mean", 1e-6),),
-        (
+    statement(
+        "(7.19): the H2 norm sums |E z|^2", "|| E z ||^2", exactly("norm by (7.20)-(7.21)", "energy", "mean", 1e-6),
+        witness=(
             within("sum of E |z|^2 over 4000 runs less (7.20)-(7.21), standard errors", "errors[0]", -ERRORS, ERRORS),
             above("the same less (7.19), standard errors", "errors[1]", ERRORS),
         ),
@@ -176,9 +174,9 @@ MODELS = (
         "{emulated:.4f}",
         basis='(7.20)-(7.21) and the proof compute the sum of E |z|^2; both are offered (definition="mean" is as printed)',
     ),
-    Statement(
+    statement(
         "(7.35): payload of one control packet", "20 bytes",
-        (exactly("bytes", "bytes", 20), exactly("CAN FD frames of our packet", "frames", 1)),
+        exactly("bytes", "bytes", 20), exactly("CAN FD frames of our packet", "frames", 1),
         basis="(d + 1) rows x 2 inputs + one time stamp, 4 bytes each: one CAN FD frame with our header",
     ),
 )
@@ -218,28 +216,28 @@ VTOL_GAIN, SMALL_GAIN = "[-56.0196 -10.5998]", "[-71.05 -26.80]"
 
 # fmt: off
 LOCAL_DESIGNS = (
-    Statement(
+    statement(
         "motor: (7.36) and (7.37) stabilise at T = 0.05 s", "stochastically stable",
-        (below("radius with (7.36)", "radii[0]", 1), below("radius with (7.37)", "radii[1]", 1)),
+        below("radius with (7.36)", "radii[0]", 1), below("radius with (7.37)", "radii[1]", 1),
         basis="spectral radius of the second-moment operator: Theorem 7.1, exactly",
     ),
-    Statement(
-        "motor: local H-infinity gain", f"{LOCAL}", (equal("gain", "gain", f"{LOCAL}"),),
+    statement(
+        "motor: local H-infinity gain", f"{LOCAL}", equal("gain", "gain", f"{LOCAL}"),
         basis="designed without the network, z a sum, T = 0.05 s: norm {norm:.4f}",
     ),
-    Statement(
-        "motor: the local gain runs over the network", "stable (Figure 7.8)", (below("radius at T = 0.05 s", "over[0]", 1),),
-        (above("radius at T = 0.05 s", "over[0]", 1), below("radius at T = 0.025 s", "over[1]", 1)),
+    statement(
+        "motor: the local gain runs over the network", "stable (Figure 7.8)", below("radius at T = 0.05 s", "over[0]", 1),
+        witness=(above("radius at T = 0.05 s", "over[0]", 1), below("radius at T = 0.025 s", "over[1]", 1)),
         basis="not mean-square stable at the stated period; stable at half of it",
     ),
-    Statement(
-        "VTOL: the local gain runs over the network", "stable (Figures 7.2, 7.3)", (below("radius", "vertical", 1),),
-        (above("radius", "vertical", 1),), basis="not mean-square stable; five seconds of it are finite all the same",
+    statement(
+        "VTOL: the local gain runs over the network", "stable (Figures 7.2, 7.3)", below("radius", "vertical", 1),
+        witness=(above("radius", "vertical", 1),), basis="not mean-square stable; five seconds of it are finite all the same",
     ),
-    Statement(
+    statement(
         f"VTOL: {VTOL_GAIN} is the local H2 gain", VTOL_GAIN,
-        (below("its H2 norm above the smallest found, relative,", "excess[h2]", 0.01),),
-        (above("its H2 norm above the smallest found, relative,", "excess[h2]", 0.01),),
+        below("its H2 norm above the smallest found, relative,", "excess[h2]", 0.01),
+        witness=(above("its H2 norm above the smallest found, relative,", "excess[h2]", 0.01),),
         beside=(below(f"its H-infinity norm above that of {SMALL_GAIN}, relative,", "excess[hinf]", 0.01),),
         computed="smallest H2 norm {values[h2][1]:.4f} at [{best[0][0]:.4f} {best[1][0]:.4f}]; the printed gain has "
         "{values[h2][0]:.4f}, {excess[h2]:.0%} more",
@@ -247,12 +245,10 @@ LOCAL_DESIGNS = (
         f"label is not swapped either: {SMALL_GAIN} has the H-infinity norm {{values[hinf][1]:.4f}}, the printed gain "
         "{values[hinf][0]:.4f}, {excess[hinf]:.0%} more",
     ),
-    Statement(
+    statement(
         "VTOL: the labels of the networked gains of 7.4.1", "K for beta_min, K for gamma_min",
-        (
-            below("H2 norm of the H2 gains, less than of the others", "labels[0][0]", "labels[1][0]"),
-            below("H-infinity norm of the H-infinity gains, less than of the others", "labels[1][1]", "labels[0][1]"),
-        ),
+        below("H2 norm of the H2 gains, less than of the others", "labels[0][0]", "labels[1][0]"),
+        below("H-infinity norm of the H-infinity gains, less than of the others", "labels[1][1]", "labels[0][1]"),
         computed="H2 norms {labels[0][0]:.4f} and {labels[1][0]:.4f}, H-infinity norms {labels[0][1]:.4f} and {labels[1][1]:.4f} "
         "of the gains that are called H2 and H-infinity",
         basis="z a sum; no exchange of the labels would give the printed beta_min and gamma_min",

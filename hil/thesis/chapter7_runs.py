@@ -25,7 +25,7 @@ from hil.sweeps.lockstep import run_batch, runs_per_batch, view_of_batch
 from hil.thesis import ReportProgress
 from hil.thesis.chapter7_models import NETWORK, VTOL_H2, VTOL_HINF, VTOL_LOCAL, Array, everywhere, vtol
 from hil.thesis.judgement import rank
-from hil.thesis.statements import Statement, above, not_judged, run
+from hil.thesis.statements import above, not_judged, run, statement
 
 BATCH_RUNS = 200
 
@@ -180,9 +180,9 @@ def vtol_numbers(name: str) -> dict[str, Any]:
 # fmt: off
 MEDIAN = "median run of the local gain over the larger of theirs, 0-50 s"
 TABLE_7_2_ROWS = tuple(
-    Statement(
+    statement(
         f"Table 7.2, simulation, {name}", " / ".join(printed),
-        tuple(run(f"share of {{{name}_0[runs]}} runs below {p}", f"{name}_0[sums][{k}]", p) for k, p in enumerate(printed)),
+        *(run(f"share of {{{name}_0[runs]}} runs below {p}", f"{name}_0[sums][{k}]", p) for k, p in enumerate(printed)),
         beside=tuple(
             run(f"share of {{{name}_1[runs]}} runs at T = {PERIODS_S[1]} s below {p}", f"{name}_1[sums][{k}]", p)
             for k, p in enumerate(printed)
@@ -194,9 +194,9 @@ TABLE_7_2_ROWS = tuple(
     )
     for name, printed in TABLE_7_2.items()
 ) + (
-    Statement(
+    statement(
         "Table 7.2: the proposed controllers outperform the local gain, above all from 5 s on", "outperform",
-        (above(MEDIAN, "over[0][0]", 1), above("the same over 5-50 s", "over[0][1]", "over[0][0]")),
+        above(MEDIAN, "over[0][0]", 1), above("the same over 5-50 s", "over[0][1]", "over[0][0]"),
         beside=(
             above(f"T = {PERIODS_S[1]} s: {MEDIAN}", "over[1][0]", 1), above("the same over 5-50 s", "over[1][1]", "over[1][0]"),
         ),
@@ -214,8 +214,8 @@ RANKS = {
     for name, (_, _, printed) in TABLE_7_1.items()
 }
 TABLE_7_1_ROWS = tuple(
-    Statement(
-        f"Table 7.1, {name}", printed, (OTHER,) if name == UNKNOWN else RANKS[name], beside=RANKS[name] * (name == UNKNOWN),
+    statement(
+        f"Table 7.1, {name}", printed, *((OTHER,) if name == UNKNOWN else RANKS[name]), beside=RANKS[name] * (name == UNKNOWN),
         computed=f"{{{name}[text]}}99 % of the runs in [{{{name}[low]:.4g}}, {{{name}[high]:.4g}}]", readings=True,
         basis=f"unit step at t = 0, exact mean (sd) of sum of squares times T over 0-5 s, impulse of {IMPULSES[0]:g} on both "
         f"inputs at step 300 (its size is not printed); radius {{{name}[radius]:.3f}}"
@@ -223,9 +223,9 @@ TABLE_7_1_ROWS = tuple(
     )
     for name, (_, _, printed) in TABLE_7_1.items()
 ) + (
-    Statement(
+    statement(
         "Table 7.1: the proposed H2 controller outperforms the local H2 gain", "outperforms",
-        tuple(
+        *(
             above(f"median run of the local gain over that of the proposed one, impulse of {size:g}", f"over[{k}]", 1)
             for k, size in enumerate(IMPULSES)
         ),

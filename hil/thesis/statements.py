@@ -3,7 +3,7 @@
 A chapter computes numbers under names; a table of statements refers to them as a format string does, ``"J[1]"``, and
 `judge` puts the two together. Words may quote numbers in braces. No statement has code of its own::
 
-    Statement("J of (5.16)", "220.2", (equal("J for I(0) = 2", "J[1]", "220.2"),), basis="others: {J[0]:.3f}")
+    statement("J of (5.16)", "220.2", equal("J for I(0) = 2", "J[1]", "220.2"), basis="others: {J[0]:.3f}")
 """
 
 from __future__ import annotations
@@ -73,6 +73,14 @@ class Statement:
     computed: str = ""
     basis: str = ""
     readings: bool = False
+
+
+def statement(
+    item: str, printed: str, *claims: Claim, witness: tuple[Claim, ...] = (), beside: tuple[Claim, ...] = (), computed: str = "",
+    basis: str = "", readings: bool = False,
+) -> Statement:  # fmt: skip
+    """Return a statement that holds where its claims do; for the rest see `hil.thesis.judgement.Row`."""
+    return Statement(item, printed, claims, witness, beside, computed, basis, readings)
 
 
 def judge(statements: Sequence[Statement], values: Values) -> tuple[Row, ...]:
