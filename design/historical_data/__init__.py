@@ -104,15 +104,7 @@ class LiftedLoop:
 
     def radius(self) -> float:
         """Return the growth of E|X|^2 per slot: below 1 the loop is (mean-square) stable, and only then."""
-        if self.cyclic:
-            return float(np.abs(np.linalg.eigvals(self._monodromy())).max() ** (2.0 / len(self.L)))
         return periodic_radius(self.L, self.transition)
-
-    def _monodromy(self) -> Array:
-        product = np.eye(self.L.shape[-1])
-        for matrix in self.L:
-            product = matrix @ product
-        return product
 
     def cost_to_go(self, guess: Array | None = None) -> Array:
         """Return S with E sum of X'Q X from a slot of phase i on = X' S_i X: S_i = Q_i + L_i' E_i(S) L_i.

@@ -15,6 +15,7 @@ from design.controllers.sensor_nodes import SensorNodes
 from design.errors import Infeasible, NotStable
 from design.historical_data import Array, DelayedPlant, LiftedLoop, cycle
 from design.historical_data.sensor_schedule import undecided_because
+from design.jump_linear.higher_moments import power
 
 RARE: Final = 1e-5
 """Branches of this probability are left."""
@@ -214,7 +215,7 @@ def cost_moments(loop: LiftedLoop, x0: npt.ArrayLike, phases: Array) -> CostMome
     first = np.einsum("a,iab,b->i", X, S, X)
     mean = float(phases @ first)
     upper = np.triu_indices(size)
-    L2 = np.array([_on_pairs(L, upper) for L in loop.L])
+    L2 = np.array([power(L, 2).toarray() for L in loop.L])
     later = np.tensordot(P, S, axes=1)
     forms = [[_form(L.T @ (S[j] - later[i]) @ L, upper) for j in range(len(S))] for i, L in enumerate(loop.L)]
     price = np.array([sum(p * np.outer(f, f) for p, f in zip(P[i], forms[i])) for i in range(len(S))])
@@ -231,15 +232,6 @@ def cost_moments(loop: LiftedLoop, x0: npt.ArrayLike, phases: Array) -> CostMome
             return CostMoments(mean, variance)
         Z = np.tensordot(P.T, L2 @ Z @ L2.transpose(0, 2, 1), axes=1)
     raise NotStable("the variance of the cost has no finite sum: the loop is not stable in the fourth moment")
-
-
-def _on_pairs(L: Array, upper: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Array:
-    """Return what takes the products x_a x_b, a <= b, to those of L x."""
-    a, b = upper
-    found = L[np.ix_(a, a)] * L[np.ix_(b, b)]
-    mixed = a != b
-    found[:, mixed] += (L[np.ix_(a, b)] * L[np.ix_(b, a)])[:, mixed]
-    return np.asarray(found)
 
 
 def _form(M: Array, upper: tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]) -> Array:

@@ -299,8 +299,7 @@ def bounded_real_margin(system: MJLS, gamma: float) -> float | None:
 
     P solves the equations with a small multiple of I added to C'C, so that a positive margin is strict.
     """
-    matrices = system.matrices
-    A, B, C, D, transition = matrices
+    A, B, C, D, transition = matrices = system.matrices
     scale = float(np.abs(C.transpose(0, 2, 1) @ C).max())
     near: Policy | None = None
     if many(matrices):

@@ -26,7 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from typing import NamedTuple
 
 import numpy as np
@@ -93,16 +93,11 @@ def _decide(coefficients: Sequence[Fraction]) -> bool:
 def _from_chebyshev(a: Sequence[Fraction]) -> Integers:
     """Power coefficients of sum a_j T_j, multiplied by the common denominator."""
     common = math.lcm(*(c.denominator for c in a)) if a else 1
-    scaled = [int(c * common) for c in a]
-    before, now = [1], [0, 1]
-    total = [0] * max(len(scaled), 1)
-    for j, c in enumerate(scaled):
-        row = before if j == 0 else now
-        if j > 1:
-            row = [(2 * now[i - 1] if i else 0) - (before[i] if i < len(before) else 0) for i in range(len(now) + 1)]
-            before, now = now, row
-        for i, r in enumerate(row):
-            total[i] += c * r
+    total, before, now = [0] * len(a), [0, 1], [1]  # T_-1 = T_1
+    for c in a:
+        for i, r in enumerate(now):
+            total[i] += int(c * common) * r
+        before, now = now, [2 * n - b for n, b in zip_longest([0, *now], before, fillvalue=0)]
     return _trimmed(total)
 
 

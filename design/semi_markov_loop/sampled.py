@@ -12,8 +12,8 @@ the samples only, and counts the sojourn h from its first sight in whole periods
 - failure and detection: ``sampled_detection``, a Lyapunov function on pairs of modes and sections, checked by eigenvalues;
 - random delays: ``sampled_random_delay``, the modes of the plant times those of the network; certifies and refuses;
 - a loop too large for either: ``sampled_detection`` has a quadratic form that grows while the mode stays; refuses only;
-- a state delay inside the plant: ``sampled_phase``, a Lyapunov function over the phase of a period, for every delay within its
-  bounds; it certifies. One of them is 0: where the loop without a delay grows, that refuses.
+- a state delay inside the plant: ``sampled_inner_delay``, a Lyapunov function over the phase of a period, for every delay within
+  its bounds; it certifies. One of them is 0: where the loop without a delay grows, that refuses.
 
 What neither decides is undecided, with the reason, and so is what ``_not_covered`` lists.
 
@@ -37,7 +37,8 @@ from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
-from design.semi_markov_loop.sampled_phase import delayed_decrease, uncertain_decrease
+from design.semi_markov_loop.sampled_inner_delay import delayed_decrease
+from design.semi_markov_loop.sampled_phase import uncertain_decrease
 from design.semi_markov_loop.sampled_random_delay import random_delay_verdict
 from design.semi_markov_loop.sojourn_cells import refined
 from design.semi_markov_loop.sojourn_renewal import SampledLoop, renewal_radius

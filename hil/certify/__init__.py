@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from design.controllers import Controller, GainTable, LoopModel
 from design.verdict import Kind, State, Verdict
 from hil.rig import Port, motion_of
-from hil.rig.loop_chains import waiting_chance
+from hil.rig.missing_packets import waiting_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant, Plant
 
 if TYPE_CHECKING:

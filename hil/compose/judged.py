@@ -21,17 +21,8 @@ from hil.plugins import is_ours
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import CANCELS, EQUAL, RUN_AGAIN, JumpStep, Loop, OneStep, Watched, digest_of
-from hil.rig.loop_chains import (
-    ANY_PHASE,
-    IN_PHASE,
-    STOPPED,
-    chance_behind_cuts,
-    loop_chains,
-    never_received,
-    percent,
-    waited_for,
-    watchdog_chance,
-)
+from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains
+from hil.rig.missing_packets import STOPPED, chance_behind_cuts, never_received, percent, waited_for, watchdog_chance
 from hil.rig.schedules import whole_again
 from plants.parts.protocols import JumpPlant
 

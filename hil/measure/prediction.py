@@ -25,7 +25,7 @@ from hil.measure.tracking import squared_unit
 from hil.rig import motion_of
 from hil.rig.delay_chains import gains_over
 from hil.rig.loop import Loop
-from hil.rig.loop_chains import STOPPED, percent, watchdog_chance
+from hil.rig.missing_packets import STOPPED, percent, watchdog_chance
 from plants.parts.protocols import BeyondModel, HasStateDelays, JumpPlant
 
 Matrix = NDArray[np.float64]

@@ -12,9 +12,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from types import FrameType
+from typing import IO
 
-from msgspec import Struct, field, structs
-from msgspec.json import encode
+from msgspec import DecodeError, Struct, field, structs
+from msgspec.json import decode, encode
 
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
@@ -30,6 +31,7 @@ from transport.links.opening import open_link
 from transport.links.zenoh_refusals import standard_output_is_free
 
 IDLE_S = 0.2  # longest wait for one frame, so that a signal is seen soon
+LONGEST_REPORT = 1 << 16
 ENOUGH = 20  # frames of no use; a rig that waits for its controller sends so many in a second
 
 
@@ -140,6 +142,26 @@ def _write(fd: int, report: ControllerReport) -> None:
     if fd >= 0:
         with suppress(OSError):
             os.write(fd, b"\n" + encode(report))
+
+
+def read_reports(file: IO[bytes], started: int) -> ControllerReport:
+    """Return what the controller processes of a session reported, as one report: what each counted is added up.
+
+    Args:
+        file: a report a line; a process that was killed wrote none, or a part of one.
+        started: number of controller processes.
+    """
+    file.seek(0)
+    found = []
+    for line in file.read(LONGEST_REPORT).splitlines():
+        with suppress(DecodeError):
+            found.append(decode(line, type=ControllerReport))
+    return ControllerReport(
+        counts={name: sum(each.counts.get(name, 0) for each in found) for each in found for name in each.counts},
+        departed=next((each.departed for each in found if each.departed), None),
+        failed=next((each.failed for each in found if each.failed), None),
+        silent=started - len(found),
+    )
 
 
 def main(job: Job) -> None:

@@ -13,14 +13,11 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import IO, Final
-
-from msgspec import DecodeError
-from msgspec.json import decode
+from typing import Final
 
 from hil.errors import HilError, Terminated
 from hil.experiment.rig_tables import RESTART
@@ -34,7 +31,7 @@ from hil.runtime.changes import Changes, ChangeSchedule, ChangeSenders, Dump
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.real import controller_process, go_ahead_of_others, leave_to_loop, rig_process
 from hil.runtime.real.child import Child, end_all, is_stopped
-from hil.runtime.real.controller_process import ControllerReport
+from hil.runtime.real.controller_process import ControllerReport, read_reports
 from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, StopSignals
 from transport.links.private_directory import bus_directory, clear_dead_channels
 
@@ -90,7 +87,6 @@ class HeartbeatTimeout:
 
 
 EVERY_NS: Final = 1_000_000_000
-LONGEST_REPORT: Final = 1 << 16
 
 
 class FreeMemory:
@@ -281,7 +277,7 @@ def run_real(
             if thread.ident is not None:
                 thread.join()
             os.close(read_fd)
-        outcome.controller = _read_reports(report, processes.controllers)
+        outcome.controller = read_reports(report, processes.controllers)
     outcome.interrupted = signals.seen
     status = rig.poll()
     if not outcome.pump.records:
@@ -321,23 +317,3 @@ def _starter(loop: Loop) -> tuple[Callable[..., Child], Dump]:
     from cloudpickle import dump
 
     return partial(Child, dump=dump, folders=[str(Path(folder).absolute()) for folder in sys.path]), dump
-
-
-def _read_reports(file: IO[bytes], started: int) -> ControllerReport:
-    """Return what the controller processes of a session reported, as one report: what each counted is added up.
-
-    Args:
-        file: a report a line; a process that was killed wrote none, or a part of one.
-        started: number of controller processes.
-    """
-    file.seek(0)
-    found = []
-    for line in file.read(LONGEST_REPORT).splitlines():
-        with suppress(DecodeError):
-            found.append(decode(line, type=ControllerReport))
-    return ControllerReport(
-        counts={name: sum(each.counts.get(name, 0) for each in found) for each in found for name in each.counts},
-        departed=next((each.departed for each in found if each.departed), None),
-        failed=next((each.failed for each in found if each.failed), None),
-        silent=started - len(found),
-    )

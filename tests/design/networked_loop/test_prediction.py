@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from design.errors import DesignError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_vector
-from design.networked_loop import prediction, steady_state
+from design.networked_loop import moment_recursion, steady_state
 from design.networked_loop.prediction import predict_tracking
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
@@ -238,9 +238,9 @@ def test_two_cycles_in_phase_meet_in_half_of_their_pairs(selection: str) -> None
 def test_transitions_one_by_one_predict_what_all_of_them_do(monkeypatch, share):
     r, w = schedule(60)
     known = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
-    monkeypatch.setattr(prediction, "SPARSE", share)
-    monkeypatch.setattr(prediction, "LARGE", 0)
+    monkeypatch.setattr(moment_recursion, "SPARSE", share)
+    monkeypatch.setattr(moment_recursion, "LARGE", 0)
     found = predict_tracking(*MOTOR, LAMBDA, PI, PRINTED_H2, "generated", r, period_s=PERIOD_S, disturbance=w)
-    assert isinstance(prediction.sparse(PI), np.ndarray) == (share == 0.0)
+    assert isinstance(moment_recursion.sparse(PI), np.ndarray) == (share == 0.0)
     for name in ("error_mean", "error_sd", "sum_mean", "sum_sd"):
         assert getattr(found, name) == pytest.approx(getattr(known, name), rel=1e-6, abs=1e-6)

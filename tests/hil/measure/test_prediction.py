@@ -15,7 +15,7 @@ from msgspec.structs import replace as struct_replace
 from hil.compose import compose
 from hil.experiment import load_experiment
 from hil.measure.prediction import PredictedSum, drive_of, left_out, predict
-from hil.rig.loop_chains import watchdog_chance
+from hil.rig.missing_packets import watchdog_chance
 from hil.sweeps.seeds import run_seeds
 from plants.dc_motor import DCMotor, LoadTorque
 from plants.parts.protocols import PlantRun

@@ -14,8 +14,8 @@ from msgspec import structs
 
 from hil.runtime.real import supervisor
 from hil.runtime.real.child import GRACE_S, LAST_LOOK_S, end_all
-from hil.runtime.real.controller_process import ControllerReport, _write
-from hil.runtime.real.supervisor import START_S, HeartbeatTimeout, _read_reports
+from hil.runtime.real.controller_process import ControllerReport, _write, read_reports
+from hil.runtime.real.supervisor import START_S, HeartbeatTimeout
 
 STEP_S = 0.02
 
@@ -159,8 +159,8 @@ def test_every_controller_of_a_session_that_ended_in_order_is_read_and_the_other
     after = ControllerReport(counts={"sent": 4, "refused": 1}, departed=(9, "by 0.3"))
     with TemporaryFile() as file:
         os.write(file.fileno(), written)
-        assert _read_reports(file, 1) == ControllerReport(silent=1)
+        assert read_reports(file, 1) == ControllerReport(silent=1)
         _write(file.fileno(), report)
-        assert _read_reports(file, 2) == structs.replace(report, silent=1)
+        assert read_reports(file, 2) == structs.replace(report, silent=1)
         _write(file.fileno(), after)
-        assert _read_reports(file, 3) == structs.replace(report, counts={"sent": 7, "refused": 1}, silent=1)
+        assert read_reports(file, 3) == structs.replace(report, counts={"sent": 7, "refused": 1}, silent=1)
