@@ -41,6 +41,20 @@ def test_a_channel_of_killed_processes_is_removed_and_a_live_one_stays(bus_direc
         assert live.dropped == live.lost == 0
 
 
+def test_a_folder_that_is_no_channel_stays_and_so_does_a_file_of_another_name(bus_directory: Path) -> None:
+    """`HIL_CAN_DIR` may be a private folder with others in it, such as /run/user/1000."""
+    for name in ("empty", "bus", "rig0"):
+        (bus_directory / name).mkdir(mode=0o700)
+    for path in (bus_directory / "bus" / "bus.0", bus_directory / "rig0" / "bus.py"):
+        path.write_text("mine")
+    with Mesh(bus_directory / "rig0"):
+        pass
+    killed_in(bus_directory / "rig0")
+    clear_dead_channels(bus_directory)
+    assert sorted(path.name for path in bus_directory.iterdir()) == ["bus", "empty", "rig0"]
+    assert (bus_directory / "bus" / "bus.0").exists() and (bus_directory / "rig0" / "bus.py").read_text() == "mine"
+
+
 def test_a_socket_at_which_another_container_listens_stays(bus_directory: Path) -> None:
     channel = bus_directory / "far"
     channel.mkdir(mode=0o700)

@@ -209,7 +209,7 @@ def _locked(path: Path) -> int:
 
 
 BUS_FILE: Final = "bus"
-LEFT_BEHIND: Final = ("joined", f"{BUS_FILE}.*")
+LEFT_BEHIND: Final = ("joined", f"{BUS_FILE}.[0-9]*", f"{BUS_FILE}.new-*")
 """Files beside the sockets of a channel: the mark of the mesh, and the state of a bus that takes time."""
 
 SOCKETS: Final = "[0-9]*-[0-9]*.sock"
@@ -227,16 +227,17 @@ def bus_directory() -> Path:
 
 
 def clear_dead_channels(directory: Path) -> None:
-    """Remove the sockets of ended processes, and each channel that has no other; what cannot be removed stays.
+    """Remove the sockets of ended processes, and each channel that had no other; what cannot be removed stays.
 
-    A live channel notices nothing: no socket of a process that runs is touched.
+    A live channel notices nothing: no socket of a process that runs is touched. A folder without a socket is no channel:
+    `HIL_CAN_DIR` may name a folder in which others stand.
 
     Args:
         directory: holds a folder for every channel.
     """
     with suppress(OSError):
         for channel in [each for each in directory.iterdir() if not each.is_symlink() and each.is_dir()]:
-            if all(map(_process_runs, channel.glob(SOCKETS))) and any(channel.glob(SOCKETS)):
+            if all(map(_process_runs, channel.glob(SOCKETS))):
                 continue
             with suppress(TransportError, OSError), locked(channel, _LOCK_S):
                 for path in channel.glob(SOCKETS):
