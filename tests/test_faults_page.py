@@ -108,6 +108,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "with `auth=`": ("test_with_a_key_a_second_controller_is_refused_counted_and_reported",
                      "test_what_was_recorded_in_another_session_is_refused"),
+    "a file, link or folder": ("test_no_file_is_removed_for_a_socket",),
     "zenoh over tcp: connections that say": (
         "test_connections_that_are_no_session_are_counted_and_none_that_says_nothing_is_closed",
         "test_what_both_ends_of_a_link_counted_is_read_from_their_events",

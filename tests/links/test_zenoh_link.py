@@ -275,6 +275,25 @@ def test_a_bad_uri_is_refused_with_a_hint(uri: str, hint: str) -> None:
     assert hint in str(caught.value) and repr(uri) in str(caught.value)
 
 
+@pytest.mark.parametrize("name", ["mine", "mine.lock"])
+@pytest.mark.parametrize("kind", ["file", "link", "folder"])
+def test_no_file_is_removed_for_a_socket(tmp_path: Path, name: str, kind: str) -> None:
+    """zenoh removes whatever is called as its socket or its lock are: a URI, as any experiment has one, would delete a file."""
+    place, other = tmp_path / name, tmp_path / "other"
+    other.write_text("precious")
+    if kind == "folder":
+        place.mkdir()
+    else:
+        place.write_text("precious") if kind == "file" else place.symlink_to(other)
+    for options in ("", "#so_rcvbuf=4096"):
+        with pytest.raises(TransportError, match=rf"{name}: is in the way of the socket .*/mine, and none of zenoh's"):
+            open_link(f"zenoh:unixsock-stream/{tmp_path}/mine{options}", "rig")
+    with pytest.raises(TransportError, match="is in the way of the socket"):
+        config("rig", f"unixsock-stream/{tmp_path}/mine", {})
+    assert place.is_dir() if kind == "folder" else place.read_text() == "precious"
+    config("controller", f"unixsock-stream/{tmp_path}/mine", {})
+
+
 @pytest.mark.parametrize("endpoint", ["", "tcp/127.0.0.1:{port}", "tcp/localhost:{port}"])
 def test_a_second_controller_is_refused_until_the_first_has_gone(endpoint: str) -> None:
     port, name = free_port(), f"two{os.getpid()}"

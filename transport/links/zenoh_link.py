@@ -21,6 +21,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import stat
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
@@ -208,8 +209,14 @@ def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
         role: the rig listens, the controller connects.
         endpoint: zenoh's.
         entries: further ones, which replace ours.
+
+    Raises:
+        TransportError: the rig's endpoint is the place of a file that is no socket.
     """
     import zenoh
+
+    if role == "rig":
+        _refuse_a_file(endpoint)
 
     config = zenoh.Config()
     for key, value in {
@@ -233,6 +240,16 @@ def config(role: Role, endpoint: str, entries: dict[str, Any]) -> zenoh.Config:
     }.items():
         config.insert_json5(key, json.dumps(value))
     return config
+
+
+def _refuse_a_file(endpoint: str) -> None:
+    """Refuse a Unix socket in the place of a file: zenoh removes what is there, and what is called so and ``.lock``."""
+    protocol, _, path = endpoint.partition("#")[0].partition("/")
+    for place, is_left in ((path, stat.S_ISSOCK), (f"{path}.lock", stat.S_ISREG)) if protocol in _LOCAL else ():
+        with suppress(OSError, ValueError):  # nothing is there, or nothing can be: zenoh says so
+            status = os.lstat(place)
+            if status.st_size or not is_left(status.st_mode):
+                raise TransportError(f"{place}: is in the way of the socket {path}, and none of zenoh's; name another endpoint")
 
 
 def open_zenoh(uri: str, role: Role) -> ZenohLink:
