@@ -183,6 +183,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "`bit-errors`, and": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
     "one that takes samples": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
     "any, where a region": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
+    "any, where `limits.passivity`": ("test_a_fault_that_may_leave_something_behind_leaves_a_loop_undecided",),
     "one in which the actuator": ("test_a_loop_is_certified_where_no_fault_can_trip_the_watchdog",
                                   "test_a_law_that_loses_commands_may_trip_the_watchdog_behind_a_fault"),
     # What hil writes
