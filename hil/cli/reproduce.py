@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import sys
 import textwrap
-import time
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.terminal import json_option, print_json, terminal_columns, wants_json
+from hil.cli.terminal import Working, json_option, print_json, terminal_columns, wants_json
 
 if TYPE_CHECKING:
-    from hil.thesis import Checkpoint, Reproduction, Step
+    from hil.thesis import Reproduction, Step
     from hil.thesis.checkpoint import KeptStages
     from hil.thesis.judgement import Row
 
@@ -43,7 +40,7 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
     command goes on from there.
     """
     from hil.files import write_output
-    from hil.thesis import chapters, compute_chapter
+    from hil.thesis import chapters, compute_chapter, seconds_left
     from hil.thesis.checkpoint import KeptStages
     from hil.thesis.pages import chapter_page, index_page, power, power_in_words
 
@@ -59,10 +56,10 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
         if kept is not None and kept.stages:
             click.echo(f"goes on: {_stages(kept)} in {state}", err=True)
         stack.push(partial(_interrupted, kept))
-        progress = stack.enter_context(_Progress(names, kept))
-        for name in names:
-            progress.begin(name)
-            results[name] = compute_chapter(name, progress, kept)
+        nominal_s = [seconds_left(name, kept) for name in names]
+        watch = stack.enter_context(Working("reproduce", max(round(sum(nominal_s)), 1)))
+        for i, name in enumerate(names):
+            results[name] = compute_chapter(name, partial(_told, watch, name, sum(nominal_s[:i])), kept)
             if output is not None:
                 write_output(pages[name], chapter_page(results[name]))
                 click.echo(f"figures: {pages[name]}", err=True)
@@ -82,6 +79,12 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
         if with_power:
             found = {name: {**each, "power": power(results[name].rows)} for name, each in found.items()}
         print_json(found if chapter == ALL else found[chapter])
+
+
+def _told(watch: Working, chapter: str, before_s: float, step: Step) -> None:
+    """Say which step runs; how far all is, is counted in nominal seconds, so that the rest is estimated by the pace so far."""
+    words = f"{chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
+    watch.counted(round(before_s + step.seconds), what=words)
 
 
 def _stages(kept: KeptStages) -> str:
@@ -132,64 +135,3 @@ def _show_counts(rows: Sequence[Row]) -> None:
 def _folded(text: str, indent: str = "") -> str:
     """Fold a paragraph at the columns of the terminal, at most `WIDEST`."""
     return textwrap.fill(text, min(terminal_columns(), WIDEST), subsequent_indent=indent, break_on_hyphens=False)
-
-
-class _Progress:
-    """Stages, the steps inside them, and the time that is left: a bar on a terminal, a line per new word elsewhere.
-
-    The rest is estimated from the nominal lengths of the stages and from how long those that were computed here have taken.
-    """
-
-    def __init__(self, names: Sequence[str], kept: Checkpoint | None) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-        from hil.thesis import seconds_left
-
-        console = Console(stderr=True)
-        self._terminal = console.is_terminal
-        words, left = TextColumn("{task.description}", markup=False), TextColumn("{task.fields[left]}")
-        columns = (words, BarColumn(), TimeElapsedColumn(), left)
-        self._bar = Progress(*columns, console=console, disable=not self._terminal, transient=True)
-        self._rest = {name: seconds_left(name, kept) for name in names}  # of the chapters that come
-        self._task = self._bar.add_task("", total=max(sum(self._rest.values()), 1e-9), left="")
-        self._chapter, self._seconds, self._last, self._before, self._begun = "", 0.0, "", 0.0, time.perf_counter()
-
-    def begin(self, chapter: str) -> None:
-        """Say which chapter comes."""
-        self._before += self._seconds
-        self._chapter, self._seconds = chapter, self._rest.pop(chapter)
-
-    def __enter__(self) -> _Progress:
-        self._bar.start()
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
-        self._bar.stop()
-
-    def __call__(self, step: Step) -> None:
-        words = f"{self._chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
-        done = self._before + step.seconds
-        left_text = remaining(time.perf_counter() - self._begun, done, step.left + sum(self._rest.values()))
-        self._bar.update(self._task, description=words, completed=done, left=left_text)
-        if not self._terminal and words != self._last:
-            print(words + (f" ({left_text})" if left_text else ""), file=sys.stderr, flush=True)
-        self._last = words
-
-
-def remaining(spent_s: float, done_s: float, left_s: float) -> str:
-    """How long it still takes, in words.
-
-    Args:
-        spent_s: time that has gone by.
-        done_s: nominal length of what was done in it.
-        left_s: nominal length of the rest.
-
-    >>> remaining(20.0, 10.0, 60.0), remaining(0.1, 0.0, 100.0), remaining(20.0, 1.0, 5.0), remaining(1.0, 1.0, 119.5)
-    ('about 2 min left', 'about 100 s left', 'about 100 s left', 'about 2 min left')
-    """
-    if left_s <= 0.0:
-        return ""
-    pace = spent_s / done_s if done_s >= 1.0 else 1.0
-    seconds = left_s * pace
-    return f"about {seconds:.0f} s left" if seconds < 120.0 - 0.5 else f"about {seconds / 60.0:.0f} min left"

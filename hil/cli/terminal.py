@@ -178,7 +178,7 @@ class Working:
 
     def __init__(self, title: str, total: int | None = None) -> None:
         self._title, self._total = visible(title), total
-        self._said, self._shown = self._title, ("", -1)
+        self._said, self._shown, self._share = self._title, ("", -1), 0.0
         self._bar: Progress | None = None
         self._task: Any = None
         self._done = Event()
@@ -215,7 +215,7 @@ class Working:
         total = total or self._total or 1
         shown = what, 100 * done // total
         if shown != self._shown:
-            self._shown = shown
+            self._shown, self._share = shown, done / total
             title = f"{self._title}, {visible(what)}" if what else self._title
             self._say(f"{title}: {done} of {total}", done, total)
 
@@ -228,8 +228,9 @@ class Working:
         lasted = 0.0
         while not self._done.wait(self.EVERY_S):
             lasted += self.EVERY_S
+            left = f", about {lasted * (1.0 / self._share - 1.0):.0f} s left" if 0.0 < self._share < 1.0 else ""
             with suppress(OSError, ValueError):  # nobody reads it any more
-                print(f"hil: {self._said} ({lasted:.0f} s)", file=sys.stderr, flush=True)
+                print(f"hil: {self._said} ({lasted:.0f} s{left})", file=sys.stderr, flush=True)
 
 
 _OUT: Final = "hil.cli.terminal"

@@ -102,7 +102,6 @@ class Step:
         done: steps of the stage that are done.
         total: steps of the stage; 0 where they are not counted.
         seconds: nominal length of what has been computed of the chapter, s; what was kept from before does not count.
-        left: nominal length of the rest, s.
     """
 
     stage: str
@@ -112,7 +111,6 @@ class Step:
     done: int = 0
     total: int = 0
     seconds: float = 0.0
-    left: float = 0.0
 
 
 class Checkpoint(Protocol):
@@ -204,20 +202,19 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoi
         kept: what was done before, and where the rest is put as it is done.
     """
     parts = {s.title: kept.get(name, s.title) if kept else None for s in chapter.stages}
-    seconds, left = 0.0, sum(s.seconds for s in chapter.stages if parts[s.title] is None)
+    seconds = 0.0
     for number, stage in enumerate(chapter.stages, start=1):
         if parts[stage.title] is not None:
             continue
 
         def report_progress(
-            text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds,
-            left: float = left,
+            text: str, done: int = 0, total: int = 0, /, number: int = number, stage: Stage = stage, seconds: float = seconds
         ) -> None:  # fmt: skip
             part = stage.seconds * min(done / total, 1.0) if total else 0.0
             progress(
                 Step(
                     stage=stage.title, number=number, stages=len(chapter.stages), text=text, done=done, total=total,
-                    seconds=seconds + part, left=left - part,
+                    seconds=seconds + part,
                 )
             )  # fmt: skip
 
@@ -225,7 +222,7 @@ def compute(chapter: Chapter, progress: Progress, name: str = "", kept: Checkpoi
         found = parts[stage.title] = stage.part(report_progress)
         if kept:
             kept.put(name, stage.title, found)
-        seconds, left = seconds + stage.seconds, left - stage.seconds
+        seconds += stage.seconds
     every = [part for part in parts.values() if part is not None]
     rows = tuple(each for part in every for each in part.rows)
     return Reproduction(title=chapter.title, rows=rows, figures=tuple(plot for part in every for plot in part.figures))

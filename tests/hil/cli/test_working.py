@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pty
+import re
 import signal
 import subprocess
 import threading
@@ -127,8 +128,9 @@ def test_a_long_computation_is_seen_on_a_terminal_and_ends_with_ctrl_c(
 def test_in_a_pipe_a_line_says_now_and_then_how_far_it_is(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:  # fmt: skip
-    monkeypatch.setattr(Working, "EVERY_S", 0.001)
-    said = ""
+    said, working = "", Working("motor, gains", 3)
+    soon = working._done.wait
+    monkeypatch.setattr(working._done, "wait", lambda _: soon(0.001))
 
     def told(text: str) -> bool:
         nonlocal said
@@ -136,14 +138,16 @@ def test_in_a_pipe_a_line_says_now_and_then_how_far_it_is(
         return text in said
 
     before = threading.active_count()
-    with Working("motor, gains", 3) as watch:
+    with working as watch:
         until(lambda: told("hil: motor, gains ("), "the title")
         watch.counted(2, what="a\nb")
         until(lambda: told("hil: motor, gains, a\\nb: 2 of 3 ("), "a count")
+        lasted, left = re.findall(r"2 of 3 \((\d+) s, about (\d+) s left\)\n", said)[0]
+        assert int(lasted) == 2 * int(left), "a third is left"
         watch("h2", 1, 4, 0.123456789)
         until(lambda: told("hil: motor, gains: h2 norm 0.123457 ("), "a norm")
     assert threading.active_count() == before
-    assert capsys.readouterr().out == "" and said.endswith(" s)\n")
+    assert capsys.readouterr().out == "" and said.endswith(" s left)\n")
 
 
 def test_a_page_with_own_modules_has_one_thread_as_they_are_watched_from_a_fork(
