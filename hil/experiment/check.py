@@ -6,18 +6,15 @@ A network law may stand in a file of its own, as `hil identify law` writes one: 
 from __future__ import annotations
 
 import dataclasses
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from hil.errors import HilError
-from hil.experiment.nodes import Medium, Node
 from hil.experiment.table import UnavailablePlugin
 from hil.experiment.table_check import INFINITE, TableCheck, fault_at, infinite_faults
-from hil.experiment.tables import HIDDEN, Direction, Experiment, Network
+from hil.experiment.tables import HIDDEN, Experiment
 from hil.files import read_regular
 from hil.files.toml_text import parse_toml
 from hil.plugins import is_own, registry
@@ -25,7 +22,8 @@ from hil.plugins.registry import OBJECT
 from hil.plugins.user_plugins import in_own_words, own_fault
 from plants.errors import PlantError
 from plants.parts.protocols import ReferencesFiles
-from transport.laws import BoundedAge, load_files
+from transport.errors import FieldError
+from transport.laws import load_files
 
 MAX_BYTES = 1_000_000
 BESIDE = "fit"
@@ -40,26 +38,23 @@ def read_law_file(name: Any, folder: str) -> dict[str, Any]:
         folder: where the experiment stands.
 
     Raises:
-        HilError: it is no text, cannot be read, is no TOML, or has no law.
+        FieldError: it is no text, cannot be read, is no TOML, or has no law.
     """
     if not isinstance(name, str):
-        raise HilError(f"file: expected the name of a law's file, got {name!r:.60}")
+        raise FieldError("file", f"expected the name of a law's file, got {name!r:.60}")
     path = Path(folder) / name
     try:
         table = parse_toml(read_regular(path, MAX_BYTES, "a file of a network law").decode())
     except UnicodeDecodeError:
-        raise HilError(f"file: {path}: is no text") from None
+        raise FieldError("file", f"{path}: is no text") from None
     except ValueError as error:
-        raise HilError(f"file: {path}: not valid TOML: {error}") from error
+        raise FieldError("file", f"{path}: not valid TOML: {error}") from error
     except HilError as error:
-        raise HilError(f"file: {error}") from error
+        raise FieldError("file", f"{error}") from error
     table.pop(BESIDE, None)
     if not isinstance(table.get("kind"), str):
-        raise HilError(f"file: {path}: kind: missing; expected a network law, as `hil identify law` writes one")
+        raise FieldError("file", f"{path}: kind: missing; expected a network law, as `hil identify law` writes one")
     return table
-
-
-OLDEST = 63  # slots
 
 
 def _without_own_measures(raw: dict[str, Any]) -> dict[str, Any]:
@@ -81,7 +76,7 @@ class Checker:
     """
 
     def __init__(self, folder: str | None = ".", objects: Mapping[str, object] | None = None) -> None:
-        self._tables = TableCheck(folder)
+        self._tables = TableCheck(folder, self._made, objects or {})
         self.faults = self._tables.faults
         self.kinds: dict[str, str] = {}
         self._folder = folder
@@ -92,14 +87,7 @@ class Checker:
         folder = self._folder or "."
         if self._folder is None:
             raw = _without_own_measures(raw)
-        given: dict[str, Any] = {
-            "plant": self.plugin("hil.plants", raw.get("plant"), "plant"),
-            "controller": self.plugin("hil.controllers", raw.get("controller"), "controller"),
-            "network": self._network(raw.get("network"), folder),
-            "text": text,
-            "folder": folder,
-            "kinds": self.kinds,
-        }
+        given: dict[str, Any] = {"text": text, "folder": folder, "kinds": self.kinds}
         for reserved in HIDDEN:
             if reserved in raw:
                 self.faults.append(f"{reserved}: unknown field")
@@ -111,88 +99,23 @@ class Checker:
         self.faults[:] = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
 
-    def _network(self, raw: Any, folder: str) -> Network | None:
-        if raw is None:
-            self.faults.append("network: missing table; it has sc.law and ca.law")
-            return None
-        if not isinstance(raw, dict):
-            self.faults.append(f"network: expected a table, got {raw!r:.60}")
-            return None
-        given: dict[str, Any] = {
-            "nodes": self._nodes(raw.get("nodes", {}), folder),
-            "media": self._named(Medium, raw.get("media", {}), "network.media", lambda table, path: {}),
-        }
-        for side in ("sc", "ca"):
-            table = raw.get(side)
-            if not isinstance(table, dict):
-                self.faults.append(f"network.{side}: missing table" if table is None else f"network.{side}: expected a table")
-                given[side] = None
-                continue
-            law = self._law(table.get("law"), f"network.{side}.law", folder)
-            bound = law.max_age if isinstance(law, BoundedAge) else None
-            default = 3 if bound is None else int(bound)
-            direction = self._tables.table(
-                Direction, {"max_age": default} | {k: v for k, v in table.items() if k != "law"}, f"network.{side}", {"law": law}
-            )
-            if direction is not None and law is not None:
-                if direction.max_age < 0:
-                    self.faults.append(f"network.{side}.max_age: {direction.max_age} is negative")
-                elif bound is not None and direction.max_age < bound:
-                    self.faults.append(f"network.{side}.max_age: {direction.max_age} is below the law's largest delay {bound}")
-                elif direction.max_age > OLDEST:
-                    field = "max_age:" if "max_age" in table else "law: its largest delay"
-                    self.faults.append(f"network.{side}.{field} {direction.max_age} is above {OLDEST}")
-            given[side] = direction
-        network: Network | None = self._tables.table(Network, {k: v for k, v in raw.items() if k not in given}, "network", given)
-        return network
-
-    def _nodes(self, raw: Any, folder: str) -> dict[str, Any] | None:
-        """Return the sensor nodes, each with the network law that it names."""
-
-        def law(table: dict[str, Any], path: str) -> dict[str, Any]:
-            named = "law" in table or f"{path}.law" in self._objects
-            return {"law": self._law(table.get("law"), f"{path}.law", folder)} if named else {}
-
-        found = self._named(Node, raw, "network.nodes", law)
-        if found is None:
-            return None
-        # A log does not keep the order of tables: their numbers stand in the resolved form.
-        numbered = enumerate(found.items())
-        return {n: msgspec.structs.replace(t, id=i) if t is not None and t.id is None else t for i, (n, t) in numbered}
-
-    def _named(
-        self, cls: type, raw: Any, table_path: str, plugin_fields: Callable[[dict[str, Any], str], dict[str, Any]]
-    ) -> dict[str, Any] | None:
-        """Return the tables of one kind by name; `plugin_fields` makes the fields that are plug-ins."""
-        if not isinstance(raw, dict):
-            self.faults.append(f"{table_path}: expected a table, got {raw!r:.60}")
-            return None
-        found: dict[str, Any] = {}
-        for name, table in raw.items():
-            path = f"{table_path}.{name:.60}"
-            if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name):
-                self.faults.append(f"{path}: expected a name of lower-case letters, digits and _")
-            elif not isinstance(table, dict):
-                self.faults.append(f"{path}: expected a table, got {table!r:.60}")
-            else:
-                given = plugin_fields(table, path)
-                found[name] = self._tables.table(cls, {k: v for k, v in table.items() if k not in given}, path, given)
-        return found
-
-    def _law(self, raw: Any, path: str, folder: str) -> Any:
-        """Return a network law with the files that it names read, from where the experiment stands."""
-        if isinstance(raw, dict) and raw.keys() == {"file"} and self._folder is not None:
-            try:
-                raw = read_law_file(raw["file"], folder)
-            except HilError as e:
-                self.faults.append(f"{path}.{e}")
-                return None
-        law = self.plugin("hil.laws", raw, path)
+    @contextmanager
+    def _kept(self, path: str, *kinds: type[Exception]) -> Iterator[None]:
+        """Keep what goes wrong in the block as the fault of a path."""
         try:
-            return load_files(law, folder)
-        except ValueError as e:
-            self.faults.append(fault_at(path, e))
-            return None
+            yield
+        except kinds as error:
+            self.faults.append(fault_at(path, error))
+
+    def _made(self, group: registry.Group, raw: Any, path: str) -> Any:
+        """Return what fills the table of a plug-in, a network law with the files that it names read."""
+        if group != "hil.laws":
+            return self.plugin(group, raw, path)
+        with self._kept(path, ValueError):
+            if isinstance(raw, dict) and raw.keys() == {"file"} and self._folder is not None:
+                raw = read_law_file(raw["file"], self._folder)
+            return load_files(self.plugin(group, raw, path), self._folder or ".")
+        return None
 
     def plugin(self, group: registry.Group, raw: Any, path: str) -> Any:
         if path in self._objects:
@@ -220,13 +143,10 @@ class Checker:
         self.kinds[path] = kind
         if not is_own(kind):
             return self._filled(cls, kind, rest, path)
-        try:
-            with in_own_words():
-                made = self._filled(cls, kind, rest, path)
-        except AssertionError as e:
-            self.faults.append(f"{path}: {kind!r}: {e}")
-            return None
-        return made if made is None or self._sound(group, made, path, repr(kind)) else None
+        with self._kept(f"{path}: {kind!r}", AssertionError), in_own_words():
+            made = self._filled(cls, kind, rest, path)
+            return made if made is None or self._sound(group, made, path, repr(kind)) else None
+        return None
 
     def _object(self, group: registry.Group, made: object, path: str) -> Any:
         """Return an object of Python that stands for a table; None: what it lacks is kept.
@@ -245,11 +165,9 @@ class Checker:
         return self._with_files(made, path, self._folder or ".") if isinstance(made, ReferencesFiles) else made
 
     def _with_files(self, made: ReferencesFiles, path: str, folder: str) -> ReferencesFiles | None:
-        try:
+        with self._kept(path, ValueError, PlantError):
             return made.with_files(folder)
-        except (ValueError, PlantError) as e:
-            self.faults.append(fault_at(path, e))
-            return None
+        return None
 
     def _sound(self, group: registry.Group, plugin: object, path: str, kind: str) -> bool:
         """Return whether an object of the user's own is what its place asks for; what it is not is kept as a fault."""
@@ -278,7 +196,5 @@ class Checker:
 
     def _own_measures(self, experiment: Experiment, folder: str) -> None:
         for i, name in enumerate(experiment.report.measures):
-            try:
+            with self._kept(f"report.measures[{i}]", HilError):
                 registry.load("hil.measures", name, folder)
-            except HilError as error:
-                self.faults.append(f"report.measures[{i}]: {error}")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import typing
 from typing import Any, Final, Literal
 
+from hil.experiment.plug_in import PlugIn
 from hil.experiment.table import Seconds, Table, named_twice, not_negative
 from transport.can_bus_model import BASE_MOST, EXTENDED_MOST, BitRates
 from transport.errors import FieldError
@@ -206,7 +207,7 @@ class Node(Table, frozen=True, kw_only=True):
     buffer: int = 1
     trigger: TriggerTable = TriggerTable()
     clock: ClockTable = ClockTable()
-    law: Any = None
+    law: typing.Annotated[Any, PlugIn("hil.laws")] = None
     can_id: int | None = None
 
     @staticmethod

@@ -42,8 +42,14 @@ class Seconds(float):
 class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base of every table of an experiment file.
 
-    ``faults(values)`` checks the fields that could be converted, whether or not the others could.
+    ``faults(values)`` checks the fields that could be converted, whether or not the others could; before, ``completed(values)``
+    adds what follows from them.
     """
+
+    @staticmethod
+    def completed(values: dict[str, Any]) -> dict[str, Any]:
+        """Return the fields with those that the others say."""
+        return values
 
     @staticmethod
     def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:

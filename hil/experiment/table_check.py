@@ -11,14 +11,16 @@ import math
 import re
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any, Final
 
 import msgspec
 
 from hil.errors import HilError, nearest
+from hil.experiment.plug_in import plug_in_of
 from hil.experiment.table import Seconds, Table
 from hil.experiment.tables import HIDDEN, Experiment, Links, Network
+from hil.plugins import registry
 from hil.plugins.fields import is_table, keys_of
 from hil.plugins.user_plugins import FieldFault
 
@@ -170,6 +172,13 @@ def _word(kind: Any) -> str:
     return {float: "number", int: "integer", str: '"text"', bool: "true or false"}.get(kind, "value")
 
 
+def _table_word(hint: Any) -> str:
+    """Return what is said of a missing field that takes a table: so, and which keys that has to have."""
+    tables = [*filter(is_table, choices(hint))]
+    needs = [each.key for cls in tables[:1] for each in keys_of(cls) if each.default is None]
+    return (" table" if tables or plug_in_of(hint) else "") + (f"; it has {' and '.join(needs)}" if needs else "")
+
+
 def infinite_faults(value: Any, path: str) -> Iterator[str]:
     """Yield the numbers that are not finite, or beyond what any field holds, wherever they stand."""
     if isinstance(value, float) and not math.isfinite(value):
@@ -193,11 +202,16 @@ class TableCheck:
 
     Args:
         folder: where the files of numbers stand that fields name; None: no file is read.
+        plug_in: makes what a plug-in's table says, by its group; a fault is kept here.
+        objects: what stands for the table of a plug-in, by its path, whether or not the file has that table.
     """
 
-    def __init__(self, folder: str | None = ".") -> None:
+    def __init__(
+        self, folder: str | None = ".", plug_in: Callable[[registry.Group, Any, str], Any] | None = None,
+        objects: Collection[str] = (),
+    ) -> None:  # fmt: skip
         self.faults: list[str] = []
-        self._folder = folder
+        self._folder, self._plug_in, self._objects = folder, plug_in, objects
 
     def table(self, cls: type, raw: dict[str, Any], path: str, given: dict[str, Any]) -> Any:
         """Convert one table into ``cls``; ``given`` holds fields that were made elsewhere (None: faulty there)."""
@@ -206,7 +220,8 @@ class TableCheck:
         fields = {each.key: each.name for each in keys_of(cls)}
         required = [each.key for each in keys_of(cls) if each.default is None]
         before, values, broken = len(self.faults), dict(given), set(given)
-        for key, value in raw.items():
+        objects = {key: None for key in fields if key not in raw and joined(path, key) in self._objects}
+        for key, value in (raw | objects).items():
             at = joined(path, key)
             if tag == (key, value):
                 continue
@@ -222,9 +237,11 @@ class TableCheck:
                 values[fields[key]] = converted
             else:
                 broken.add(key)
+        if issubclass(cls, Table):
+            values = cls.completed(values)
         for key in required:
             if fields[key] not in values and key not in broken:
-                self.faults.append(f"{joined(path, key)}: missing")
+                self.faults.append(f"{joined(path, key)}: missing{_table_word(hints[fields[key]])}")
         if issubclass(cls, Table):
             faulty_fields = {fault.partition(": ")[0] for fault in self.faults[before:]}  # what is wrong is not also missing
             missing_or_wrong = (joined(path, fault) for fault in cls.faults(values))
@@ -246,7 +263,9 @@ class TableCheck:
         return msgspec.convert([self._value(kind, v, f"{path}[{i}]") for i, (kind, v) in enumerate(zip(kinds, value))], outer)
 
     def _value(self, hint: Any, value: Any, path: str) -> Any:
-        args = typing.get_args(hint)
+        args, mark = typing.get_args(hint), plug_in_of(hint)
+        if mark is not None and self._plug_in is not None:
+            return self._plug_in(mark.group, value, path)
         if isinstance(value, dict) and self._folder is not None and (dimensions := _dimensions(hint)):
             try:
                 from hil.files.arrays import numbers_from_file  # with the readers of three formats

@@ -2,34 +2,26 @@
 
 from __future__ import annotations
 
+import re
 import typing
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import msgspec
 
 from hil.experiment.nodes import Medium, Node, identifier_faults
+from hil.experiment.plug_in import ControllerTable, LawTable, PlantTable
 from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
 from hil.experiment.table import Seconds, Table, UnavailablePlugin, named_twice, not_negative, plain
 from hil.plugins import registry, written_in
+from transport.laws import BoundedAge
 from transport.links import TransportError
 from transport.links.traits import KeyTable, traits_of
-
-if TYPE_CHECKING:
-    from design.controllers import Controller
-    from hil.plugins.user_plugins import Designer
-    from plants.parts.protocols import Plant
-    from transport.laws import NetworkLaw
-
-    PlantTable = Plant
-    ControllerTable = Controller | Designer
-    LawTable = NetworkLaw
-else:  # msgspec reads these at run time: which class a table becomes is said by its kind, see `Checker.plugin`
-    PlantTable = ControllerTable = LawTable = Any
 
 DEFAULT_LINK: typing.Final = "can:hil:rig0"
 """The real link of an experiment that names none: a CAN bus without a kernel's, for the processes of one user."""
 
 HIDDEN = ("text", "kinds", "folder")  # fields of an experiment that are no keys of its file
+OLDEST: typing.Final = 63  # slots
 SPARSE = ("nodes", "media", "fault")  # fields that the resolved form leaves out where they are empty
 
 
@@ -80,6 +72,27 @@ class Direction(Table, frozen=True, kw_only=True):
     law: LawTable
     max_age: int
 
+    @staticmethod
+    def completed(values: dict[str, Any]) -> dict[str, Any]:
+        bound = largest_delay(values)
+        return {"max_age": 3 if bound is None else bound} | values
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        age, bound = values.get("max_age", 0), largest_delay(values)
+        if age < 0:
+            yield f"max_age: {age} is negative"
+        elif bound is not None and age < bound:
+            yield f"max_age: {age} is below the law's largest delay {bound}"
+        elif age > OLDEST:
+            yield f"{'law: its largest delay' if age == bound else 'max_age:'} {age} is above {OLDEST}"
+
+
+def largest_delay(values: typing.Mapping[str, Any]) -> int | None:
+    """Return the largest delay of the law among some fields, in slots; None where it has none."""
+    law = values.get("law")
+    return None if not isinstance(law, BoundedAge) or law.max_age is None else int(law.max_age)
+
 
 class Network(Table, frozen=True, kw_only=True):
     """The network that is emulated at the rig, on the way to the controller and on the way back.
@@ -95,6 +108,19 @@ class Network(Table, frozen=True, kw_only=True):
     ca: Direction
     nodes: dict[str, Node] = msgspec.field(default_factory=dict)
     media: dict[str, Medium] = msgspec.field(default_factory=dict)
+
+    @staticmethod
+    def completed(values: dict[str, Any]) -> dict[str, Any]:
+        # A log does not keep the order of tables: the numbers of nodes stand in the resolved form.
+        nodes = enumerate(values.get("nodes", {}).items())
+        return values | {"nodes": {n: msgspec.structs.replace(t, id=i) if t.id is None else t for i, (n, t) in nodes}}
+
+    @staticmethod
+    def faults(values: typing.Mapping[str, Any]) -> typing.Iterator[str]:
+        for field in ("nodes", "media"):
+            for name in values.get(field, {}):
+                if not re.fullmatch(r"[a-z][a-z0-9_]{0,40}", name):
+                    yield f"{field}.{name:.60}: expected a name of lower-case letters, digits and _"
 
 
 class Links(Table, frozen=True, kw_only=True):
