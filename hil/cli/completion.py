@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_type_hints
 
 import click
 
@@ -56,6 +57,10 @@ class FieldChange(click.ParamType[str]):
         from click.shell_completion import CompletionItem, split_arg_string
 
         from hil.experiment import shipped
+        from hil.experiment.check import MAX_BYTES
+        from hil.experiment.tables import Experiment
+        from hil.files import read_regular
+        from hil.files.toml_text import parse_toml
 
         # Click gives up on arguments before an option that still lacks its value: the words themselves are read.
         words = split_arg_string(os.environ.get("COMP_WORDS", ""))[2:]
@@ -63,7 +68,8 @@ class FieldChange(click.ParamType[str]):
         if source is None or "=" in incomplete:
             return []
         try:
-            paths = keys_of(_static(shipped().get(source, Path(source))))
+            text = read_regular(shipped().get(source, Path(source)), MAX_BYTES, "an experiment file").decode()
+            paths = [*paths_of(Experiment, parse_toml(text))]  # nothing that the file names is run: no own module, no FMU
         except (HilError, ValueError, RecursionError):  # what is wrong is reported when the command runs
             return []
         return [CompletionItem(f"{path}=") for path in paths if path.startswith(incomplete) and PLAIN.fullmatch(path)]
@@ -73,54 +79,37 @@ EXPERIMENT = ExperimentName()
 CHANGE = FieldChange()
 
 
-def _static(path: Path) -> dict[str, Any]:
-    """Return the tables of an experiment as they are written, with the keys that installed plug-ins and ours may have.
+def paths_of(cls: Any, said: dict[str, Any], at: str = "") -> Iterator[str]:
+    """Give the paths of all keys that a table has, or may have: by its class, and by the plug-ins that its tables name.
 
-    Nothing that the file names is run: no module of one's own, no FMU.
-    """
-    from hil.experiment.check import MAX_BYTES
-    from hil.experiment.rig_tables import Limits
-    from hil.experiment.tables import Experiment, Links, Report, Timing
-    from hil.files import read_regular
-    from hil.files.toml_text import parse_toml
-    from hil.plugins import registry
-    from hil.plugins.fields import fields_of
-
-    raw = parse_toml(read_regular(path, MAX_BYTES, "an experiment file").decode())
-
-    def with_keys(table: object, cls: object) -> object:
-        return {f.name: None for f in fields_of(cls)} | table if isinstance(table, dict) else table
-
-    def with_plugin(table: object, group: registry.Group) -> object:
-        kind = table.get("kind") if isinstance(table, dict) else None
-        return with_keys(table, registry.load(group, kind)) if kind in registry.names(group) else table
-
-    raw = {name: None for name in Experiment.__struct_fields__ if name not in ("kinds", "text", "folder")} | raw
-    for name, cls in (("links", Links), ("limits", Limits), ("timing", Timing), ("report", Report)):
-        raw[name] = with_keys(raw[name] or {}, cls)
-    raw["plant"] = with_plugin(raw["plant"], "hil.plants")
-    raw["controller"] = with_plugin(raw["controller"], "hil.controllers")
-    network = raw["network"] if isinstance(raw["network"], dict) else {}
-    for side in (network.get("sc"), network.get("ca")):
-        if isinstance(side, dict):
-            side["law"] = with_plugin(side.get("law"), "hil.laws")
-            side.setdefault("max_age", None)
-    return raw
-
-
-def keys_of(table: dict[str, Any], at: str = "") -> list[str]:
-    """Return the paths of all values in nested tables.
-
-    >>> keys_of({"seed": 0, "plant": {"gain": 1.0, "kind": "dc-motor"}})
+    >>> [*paths_of(None, {"seed": 0, "plant": {"gain": 1.0, "kind": "dc-motor"}})]
     ['seed', 'plant.gain', 'plant.kind']
     """
-    found = []
-    for key, value in table.items():
-        if isinstance(value, dict) and value:
-            found += keys_of(value, f"{at}{key}.")
+    from hil.experiment.tables import HIDDEN
+    from hil.plugins.fields import keys_of
+
+    hints = {} if cls is None else get_type_hints(cls, include_extras=True)
+    known = {} if cls is None else {each.key: hints[each.name] for each in keys_of(cls) if each.key not in HIDDEN}
+    for key in known | said:
+        table = said.get(key)
+        of = _class_of(known.get(key), table)
+        if of is None and not (isinstance(table, dict) and table):
+            yield f"{at}{key}"
         else:
-            found.append(f"{at}{key}")
-    return found
+            yield from paths_of(of, table if isinstance(table, dict) else {}, f"{at}{key}.")
+
+
+def _class_of(hint: Any, table: object) -> type | None:
+    """Return what a table of a field fills: a class of ours, or the installed plug-in of its kind."""
+    from hil.experiment.plug_in import plug_in_of
+    from hil.experiment.table_check import choices
+    from hil.plugins import registry
+    from hil.plugins.fields import is_table
+
+    mark, kind = plug_in_of(hint), table.get("kind") if isinstance(table, dict) else None
+    if mark is not None:
+        return registry.load(mark.group, kind) if kind in registry.names(mark.group) else None
+    return next(filter(is_table, choices(hint)), None)
 
 
 def script(shell: str) -> str:
