@@ -152,7 +152,7 @@ def _problem(
         slack=found.slack, shares=found.shares, unmet=unmet,
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
         silent=never_received(sc, ca, rig), waited=waited_for(controller, rig),
-        steps=tuple((round(s.at / e.period), s.value) for s in e.reference),
+        steps=tuple({round(s.at / e.period): s.value for s in e.reference}.items()),  # of one slot the last counts
         pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
     )  # fmt: skip
 

@@ -181,6 +181,17 @@ def test_a_step_that_the_first_rows_answer_is_not_judged_by_later_ones(rule: str
         assert bool(np.abs(commands).max() < SUPPLY) == within
 
 
+@pytest.mark.parametrize("instants", [(1.0, 1.0), (1.01, 0.99)])
+def test_of_two_steps_in_one_slot_the_last_is_judged(instants: tuple[float, float]) -> None:
+    gain = {"controller": {"kind": "local", "gain": [[-0.02]]}}
+    for values in ((-5.0, 0.5), (0.5, -5.0)):
+        steps = [{"at": at, "value": [value]} for at, value in zip(instants, values)]
+        loop = composed(reference=steps, **gain)
+        commands = simulate(loop, 0, ["/actuator/applied"]).arrays["/actuator/applied"]["voltage"]
+        within = bool(np.abs(commands).max() < SUPPLY)
+        assert (verdict_of(loop).kind == "stability in a region") == within == (values[1] == 0.5)
+
+
 class Careful(DCMotor):
     """Does not say what becomes of a disturbance beyond its limits."""
 
