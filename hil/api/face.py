@@ -99,7 +99,7 @@ def run(
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
         path = check_output(Path(log), force=force, remedy="choose another log=..., or add force=True")
-        return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
+        return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals, replace=force)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         path = Path(folder) / "run.mcap"
         session = run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)

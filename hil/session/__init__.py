@@ -80,6 +80,7 @@ def run_session(
     signals: str | None = None,
     index: Index = "full",
     onlooker: Onlooker | None = None,
+    replace: bool = True,
 ) -> Session:
     """Run an experiment, log it, and sum it up.
 
@@ -93,6 +94,7 @@ def run_session(
         signals: where subscribers over zenoh read named signals as they come, such as ``zenoh:tcp/127.0.0.1:7448``.
         index: `full`, or `chunk` for a log of less than half the size that some viewers cannot read.
         onlooker: observes the run, may change it, and in virtual time pace it.
+        replace: whether a log may be replaced that is there when the run begins.
 
     Raises:
         HilError: if the experiment cannot be composed, the log cannot be written, or the session could not start.
@@ -137,7 +139,7 @@ def run_session(
     table = channels_of(loop, on_can=on.on_can)
     with (
         published(signals, table, {} if onlooker is None else onlooker.begin(loop, table)) as publishing,
-        McapSink(path, table, provenance, now=now, index=index, keep=keep) as sink,
+        McapSink(path, table, provenance, now=now, index=index, keep=keep, replace=replace) as sink,
     ):
         observers = harmless(publishing, sink)
         outcome: dict[str, Any] = {}

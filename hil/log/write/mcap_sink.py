@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import stat
@@ -34,12 +35,13 @@ class McapSink(Sink):
     the same records give the same file; with it also after 50 ms, because a killed process loses its open chunk.
 
     Args:
-        path: file to write; an existing one is replaced.
+        path: file to write.
         channels: the session's table (``hil.log.topics.channels``).
         provenance: what stands before the first record.
         now: monotonic seconds of a clock, in real time only.
         index: how much of an index the file has, see `McapWriter`.
         keep: what is also kept as columns, see `AppendColumn`: topic to the fields of its records, None for all of them.
+        replace: whether a file may be replaced that is there and not empty.
 
     Attributes:
         kept: what was kept of the chunks that were written.
@@ -60,6 +62,7 @@ class McapSink(Sink):
         now: Callable[[], float] | None = None,
         index: Index = "full",
         keep: Keep | None = None,
+        replace: bool = True,
     ) -> None:
         self.path = Path(path)
         self.messages = 0
@@ -76,7 +79,7 @@ class McapSink(Sink):
         self._channels = channels
         self.kept = ColumnBuffer(channels, self._ids, keep or {}, self.path.parent)
         with located(f"log {self.path}: cannot be created", OSError):
-            self._disk = _Disk(self.path)
+            self._disk = _Disk(self.path, replace)
         self._writer = McapWriter(
             self._disk, profile="ros2", library=LIBRARY, index=index, chunk_ended=self.kept.take, folder=self.path.parent,
             room=0 if now is None else 2 * REAL_FLUSH_BYTES,
@@ -214,16 +217,18 @@ class McapSink(Sink):
         self.close()
 
 
-def _alone(path: Path) -> int:
+def _alone(path: Path, replace: bool) -> int:
     """Open a file, empty; no other run may write it until it is closed.
 
     Raises:
-        OSError: it is a symbolic link, another run writes it, or it cannot be opened.
+        OSError: it is a symbolic link, another run writes it, it may not be replaced, or it cannot be opened.
     """
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
     try:
         if stat.S_ISREG(os.fstat(descriptor).st_mode):
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if not replace and os.fstat(descriptor).st_size:
+                raise FileExistsError(errno.EEXIST, "another run has written it meanwhile")
             os.ftruncate(descriptor, 0)
     except OSError as error:
         os.close(descriptor)
@@ -237,9 +242,9 @@ class _Disk:
     What is large goes to the disk before it is flushed, and is cut off all the same if the rest does not follow.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, replace: bool) -> None:
         self._path = path
-        self._file = open(_alone(path), "w+b", buffering=0)  # noqa: SIM115
+        self._file = open(_alone(path, replace), "w+b", buffering=0)  # noqa: SIM115
         self._parts: list[bytes] = []
         self._waiting = 0  # bytes in the parts
         self._position = 0

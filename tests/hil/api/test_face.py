@@ -18,6 +18,7 @@ import hil
 import plants
 import transport
 from design import controllers
+from hil.compose import compose
 from plants import LinearPlant
 from plants.parts.linear_run import LinearRun
 from plants.parts.protocols import PlantRun
@@ -115,6 +116,22 @@ def test_run_does_what_the_command_does_and_keeps_no_log_unless_asked(tmp_path: 
     np.testing.assert_array_equal(again.arrays["/plant/state"], session.arrays["/plant/state"])
     with pytest.raises(hil.HilError, match="exists already"):
         hil.run("dc-motor-hinf", duration=1, log=tmp_path / "a.mcap")
+
+
+def test_a_log_that_another_run_wrote_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both looked before they composed their loops, and the quicker one has ended."""
+    path = tmp_path / "a.mcap"
+
+    def slowly(*asked: Any, **options: Any) -> Any:
+        path.write_text("of the other run")
+        return compose(*asked, **options)
+
+    monkeypatch.setattr("hil.session.compose", slowly)
+    with pytest.raises(hil.HilError, match=r"a\.mcap: cannot be created: another run has written it meanwhile"):
+        hil.run("dc-motor-local", duration=0.2, log=path)
+    assert path.read_text() == "of the other run"
+    hil.run("dc-motor-local", duration=0.2, log=path, force=True)
+    assert path.read_bytes().startswith(b"\x89MCAP")
 
 
 def test_changes_of_every_kind_reach_the_experiment() -> None:
