@@ -64,7 +64,7 @@ def svg_of(sheet: Figure) -> str:
     return text[text.find("<svg") :]
 
 
-def as_svg(paint: Callable[[Figure], None], height_mm: float = 90.0) -> str:
+def as_svg(paint: Callable[[Figure], None], height_mm: float) -> str:
     """Return a figure as the element ``<svg>`` of a cell, nothing where matplotlib is not installed."""
     try:
         return svg_of(drawn(paint, None, 160.0, height_mm))
@@ -96,8 +96,8 @@ class Result:
     rows: Sequence[Sequence[Cell]] = ()
     paint: Callable[[Figure], None] | None = None
 
-    def html(self) -> str:
-        """Return the cell: the line, the answer, the table, and the plot where matplotlib is installed."""
+    def html(self, height_mm: float = 90.0) -> str:
+        """Return the cell: the line, the answer, the table, and the plot, so high, where matplotlib is installed."""
         from html import escape  # its table of names is large
 
         said = "".join(f"<p><b>{escape(sentence)}</b></p>" for sentence in self.answer)
@@ -106,7 +106,7 @@ class Result:
         heads = "".join(f'<th style="{side}">{escape(head)}</th>' for side, head in zip(sides, self.columns))
         body = "".join("<tr>" + "".join(map(_cell, sides, row)) + "</tr>" for row in self.rows)
         table = f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>" if self.rows else ""
-        return f"<div><p>{escape(self.line)}</p>{said}{table}{as_svg(self.paint) if self.paint else ''}</div>"
+        return f"<div><p>{escape(self.line)}</p>{said}{table}{as_svg(self.paint, height_mm) if self.paint else ''}</div>"
 
     def plot(self, path: str | Path | None, width_mm: float, height_mm: float) -> Figure:
         """Return the plot, and write it to a file; see `hil.notebook.drawn`.

@@ -20,7 +20,7 @@ from hil.log.run import Run, StructuredArray
 from hil.log.topics import BUS, CA, SC, channels_of
 from hil.log.write.mcap_sink import McapSink
 from hil.log.write.provenance import Provenance
-from hil.measure import Named, measures_of
+from hil.measure import Named, in_one_row, measures_of
 from hil.measure.signals import with_unit
 from hil.measure.summary import summarise
 from hil.measure.view import APPLIED, MEASUREMENT, REFERENCE, TIMING, seconds, view_of
@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-
-TILES = 6
 
 LEFT: Final = 7
 """Exit status where plant or controller departed, in the run, from what it states."""
@@ -128,26 +126,19 @@ class Session(Struct, frozen=True, kw_only=True):
         return drawn(partial(_paint, run), path, width_mm, _height_mm(run) if height_mm is None else height_mm)
 
     def _repr_html_(self) -> str:
-        """Return the session in one line, its numbers as tiles, and the plot where matplotlib is installed."""
-        from html import escape  # its table of names is large
+        """Return the session in one line, its numbers, and the plot where matplotlib is installed."""
+        from hil.notebook import Result
 
-        from hil.notebook import as_svg
-
-        titles, units = self.summary["titles"], self.summary["units"]
-        found = [(k, v) for k, v in self.summary["metrics"].items() if isinstance(v, float)][:TILES]
-        tiles = "".join(
-            '<div style="border:1px solid #8884;border-radius:6px;padding:6px 10px">'
-            f'<div style="font-size:80%;opacity:.7">{escape(titles[name])}</div><b>{value:.5g}</b> {escape(units[name])}</div>'
-            for name, value in found
-        )
-        run = self.run
-        svg = as_svg(partial(_paint, run), max(90.0, _height_mm(run)))
-        return f'<div><p>{escape(repr(self))}</p><div style="display:flex;flex-wrap:wrap;gap:8px">{tiles}</div>{svg}</div>'
+        run, titles, units = self.run, self.summary["titles"], self.summary["units"]
+        found = in_one_row(self.summary["metrics"]).items()
+        rows: list[tuple[str, float]] = [(with_unit(titles[k], units[k]), v) for k, v in found if isinstance(v, float)]
+        result = Result(line=repr(self)[1:-1], columns=("quantity", "value"), rows=rows, paint=partial(_paint, run))
+        return result.html(max(90.0, _height_mm(run)))
 
     def __repr__(self) -> str:
         s, metrics = self.summary, self.summary["metrics"]
         number, value = next(((k, v) for k, v in metrics.items() if isinstance(v, float)), ("", None))
-        value_text = "" if value is None else f", {s['titles'][number]} {value:.5g}"
+        value_text = "" if value is None else f", {s['titles'][number]} {value:.5g} {s['units'][number]}".rstrip()
         safety = ", stopped by safety" if s.get("safety") else ""
         return f"<Session {s['experiment']} seed {s['seed']}, {s['clock']} time, {s['slots']} slots{value_text}{safety}>"
 
@@ -165,9 +156,11 @@ def _paint(run: Run, sheet: Figure) -> None:
         axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
     if followed:
         rows[0].legend()
+    unit = view.signals.input_unit()
     for number, name in enumerate(inputs):
-        rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=name)
-    rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", view.signals.input_unit() or ""))
+        label = name if unit is not None else with_unit(name, view.signals.inputs[name])
+        rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=label)
+    rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", unit or ""))
     if len(inputs) > 1:
         rows[-1].legend()
     rows[-1].set_xlabel("time (s)")

@@ -162,7 +162,7 @@ def test_what_cannot_be_is_reported_as_one_error() -> None:
 
 def test_a_session_is_one_line() -> None:
     said = repr(hil.run("dc-motor-hinf", duration=1))
-    assert said == "<Session dc-motor-hinf seed 0, virtual time, 20 slots, squared tracking error 0>"
+    assert said == "<Session dc-motor-hinf seed 0, virtual time, 20 slots, squared tracking error 0 rad² s>"
 
 
 def test_sweep_compare_and_design_give_numbers() -> None:

@@ -49,6 +49,7 @@ def test_the_summary_gives_each_number_its_unit_and_none_that_outputs_share_no_u
     place = session.metrics["outputs"]["place"]
     assert f"place squared tracking error {place['sse']:.5g} m² s" in said and "(m/s)² s" in said
     assert "squared tracking error -" not in said and "overshoot - " not in said
+    assert "squared tracking error of speed ((m/s)² s)" in session._repr_html_()
     page = render_report(view_of(session.run))
     assert "Steady-state error</div>" not in page and "Largest input</div>" in page
 
@@ -85,3 +86,6 @@ def test_inputs_of_several_units_have_no_largest_one(cart: Path) -> None:
     alone, many = hil.run(cart, **asked), hil.sweep(cart, runs=2, jobs=1, **asked)
     assert not {"max_abs_u", "peak_input"} & ({*alone.metrics} | {*many.values}) and "cost" in alone.metrics
     assert alone.metrics["cost"] == many.values["cost"][0]
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'hilrig[notebook]'")
+    legend = alone.plot().axes[-1].get_legend()
+    assert legend is not None and [each.get_text() for each in legend.get_texts()] == ["force (N)", "heat (W)"]

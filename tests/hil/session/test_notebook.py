@@ -89,7 +89,8 @@ def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: str | None
 
 def test_a_cell_shows_numbers_with_units_and_the_plot(session: hil.Session, monkeypatch: pytest.MonkeyPatch) -> None:
     html = session._repr_html_()
-    assert f"{session.metrics['sse']:.5g}</b> rad² s" in html and "<svg" in html and repr(session)[1:20] in html
+    assert "squared tracking error (rad² s)" in html and f">{session.metrics['sse']:.5g}<" in html
+    assert "<svg" in html and repr(session)[1:20] in html
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "<svg" not in session._repr_html_() and "rad² s" in session._repr_html_()
 

@@ -175,9 +175,9 @@ def test_a_quantity_that_is_not_there_is_answered_with_those_that_are(sweep: hil
         comparison.difference("dc-motor-h3", "sse")
 
 
-def test_a_tile_has_the_title_and_the_unit_of_the_page() -> None:
+def test_a_cell_of_a_run_has_the_title_and_the_unit_of_the_page() -> None:
     html = hil.run("dc-motor-hinf", seed=3, duration=10)._repr_html_()
-    assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "</b> %</div>" in html
+    assert "squared error after 5 s" in html and "sse_after_5s<" not in html and "overshoot (%)" in html
 
 
 def test_pages_of_many_runs_are_written_once(
