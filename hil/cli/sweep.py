@@ -19,6 +19,7 @@ from hil.errors import HilError, located, nearest
 
 if TYPE_CHECKING:
     from design.monte_carlo.confidence import StopRule
+    from hil.sweeps import Sweep
 
 
 @click.command()
@@ -74,10 +75,9 @@ def command(
     """
 
     from design.monte_carlo import Workers
-    from hil.cli.sweep_parameters import as_points, csv_of, end_interrupted, points_of, run_points
+    from hil.cli.sweep_parameters import end_interrupted, points_of, run_points
     from hil.experiment import load_experiment
     from hil.files import check_output, check_page, write_output
-    from hil.measure.signals import with_unit
     from hil.sweeps import SweepStore, statistics
     from hil.sweeps.seeds import columns_of, here, run_sweep, seeds_of
 
@@ -136,13 +136,13 @@ def command(
             "interval": None if seen is None or not seen.bounded else seen._asdict(),
         }
     if table is not None:
-        write_output(table, csv_of(as_points(found)), replace=force)
+        write_output(table, found.csv_text(), replace=force)
     if output is not None and out["runs"]:
         from hil.pages.many_runs import sweep_page
 
         write_output(output, sweep_page(found))
     written = (table, output if out["runs"] else None)
-    answer(out, _show, out, {q.name: with_unit(q.title, q.unit) for q in found.quantities}, written)
+    answer(out, _show, out, found, written)
     end_interrupted(found.interrupted, resume, "FILE")
     if rule is not None and not found.reached:
         sys.exit(1)
@@ -186,30 +186,27 @@ def stop_rule(text: str, level: float, metrics: tuple[str, ...]) -> tuple[str, S
         return metric, StopRule(half_width=number, statistic=statistic or "mean", level=level)  # type: ignore[arg-type]
 
 
-def _show(out: dict[str, Any], titles: dict[str, str], written: Sequence[Path | None]) -> None:
+def _show(out: dict[str, Any], found: Sweep, written: Sequence[Path | None]) -> None:
     print(f"{visible(out['experiment'])}: {out['runs']} runs in {out['wall_s']} s, {out['stopped_by_safety']} stopped by safety")
     if out["runs"]:
-        _show_metrics(out, titles)
+        _show_metrics(out, found)
     else:
         print("no run ended, so there is nothing to show")
     print_written(*written)
 
 
-def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
+def _show_metrics(out: dict[str, Any], found: Sweep) -> None:
+    from hil.measure.signals import with_unit
     from hil.pages import Table
-    from hil.sweeps.shown import SHORTER, in_no_run
+    from hil.sweeps import HEADS
+    from hil.sweeps.shown import SHORTER, measured
 
-    print_folded(out["caution"] or "")
-    rows: list[tuple[Any, ...]] = []
-    none: list[str] = []
-    for name, s in out["metrics"].items():
-        if not s["n"]:
-            none.append(titles[name])
-            continue
-        values = [s["mean"], s["sd"], *(s["percentiles"].get(p) for p in ("5", "50", "95"))]
-        rows.append((titles[name], s["n"], *("-" if v is None else f"{v:.4g}" for v in values)))
-    note = "; ".join(filter(None, (in_no_run(none) if none else "", SHORTER if out["stopped_by_safety"] else "")))
-    print_table(Table(columns=("metric", "n", "mean", "sd", "5 %", "50 %", "95 %"), rows=rows, note=note), folds=True)
+    print_folded(found.caution)
+    none = measured(found.quantities, [found.values])[1]
+    note = "; ".join(filter(None, (none, SHORTER if out["stopped_by_safety"] else "")))
+    rows = [[f"{cell:.4g}" if isinstance(cell, float) else cell for cell in row] for row in found.rows() if row[1]]
+    no_interval = [[*row[:3], *row[4:]] for row in (HEADS, *rows)]  # for which a terminal has no room
+    print_table(Table(columns=no_interval[0], rows=no_interval[1:], note=note), folds=True)
     wanted = out.get("until")
     if wanted and not wanted["interval"]:
         what = "mean" if wanted["statistic"] == "mean" else "deviation, whose sample is too small for its tails"
@@ -217,7 +214,7 @@ def _show_metrics(out: dict[str, Any], titles: dict[str, str]) -> None:
         print(f"{wanted['statistic']} of {wanted['metric']}: no interval of the {what}")
     if wanted and wanted["interval"]:
         seen = wanted["interval"]
-        title = titles[wanted["metric"]]
+        title = next(with_unit(q.title, q.unit) for q in found.quantities if q.name == wanted["metric"])
         print_folded(
             f"{wanted['statistic']} of {title}: {seen['value']:.6g} in [{seen['low']:.6g}, {seen['high']:.6g}] "
             f"with {wanted['level']:.6g} confidence, whenever it stops"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import sys
 import time
 from collections.abc import Sequence
@@ -16,7 +14,6 @@ from hil.errors import HilError
 
 if TYPE_CHECKING:
     from design.monte_carlo import Workers
-    from hil.sweeps import Sweep
     from hil.sweeps.parameters import ParameterSweep
     from hil.sweeps.points import Points
 
@@ -66,7 +63,7 @@ def run_points(
     if found.alone:
         print(f"hil: {found.alone}", file=sys.stderr)
     if table is not None:
-        write_output(table, csv_of(found), replace=force)
+        write_output(table, found.csv_text(), replace=force)
     if page is not None and found.columns:
         write_output(page, parameter_page(found))
     out: dict[str, Any] = {
@@ -99,29 +96,6 @@ def end_interrupted(status: int, resume: Path | None, kept: str) -> None:
         how = f"the same command goes on from {resume}" if resume is not None else f"--resume {kept} would keep what is finished"
         print(f"hil: interrupted; {how}", file=sys.stderr)
         sys.exit(status)
-
-
-def as_points(sweep: Sweep) -> ParameterSweep:
-    """Return a sweep of one point, where nothing is changed."""
-    from hil.sweeps.parameters import ParameterSweep
-    from hil.sweeps.points import Points
-
-    nowhere = Points(keys=(), values=((),))
-    return ParameterSweep(experiment=sweep.experiment, points=nowhere, columns=(sweep.values,), quantities=sweep.quantities)
-
-
-def csv_of(sweep: ParameterSweep) -> str:
-    """Return a row per run: what was changed, the seed, whether safety stopped it, every quantity; empty where undefined."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    names = [q.name for q in sweep.quantities]
-    writer.writerow([*sweep.points.keys, "seed", "stopped", *names])
-    for number, columns in enumerate(sweep.columns):
-        for i, seed in enumerate(columns["seed"].tolist()):
-            values = [float(columns[name][i]) for name in names]
-            row = ["" if v != v else repr(v) for v in values]
-            writer.writerow([*sweep.points.values[number], int(seed), int(columns["stopped"][i]), *row])
-    return text.getvalue()
 
 
 def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:

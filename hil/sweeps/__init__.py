@@ -36,6 +36,8 @@ from hil.sweeps.shown import (
     within,
 )
 
+HEADS = ("quantity", "runs", "mean", "95 % interval", "sd", "5 %", "50 %", "95 %")
+
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Sweep(ShownResult):
@@ -65,16 +67,19 @@ class Sweep(ShownResult):
 
     def _result(self, quantity: str | None = None) -> Result:
         of = asked(self.quantities, quantity, [self.values])
-        rows: list[list[Any]] = []
-        for each in self.quantities:
-            s, inner = statistics(self.values[each.name]), within(interval_of(self.values[each.name]))
-            shares = (s["percentiles"].get(p) for p in ("5", "50", "95"))
-            rows.append([with_unit(each.title, each.unit), s["n"], s["mean"], inner, s["sd"], *shares])
-        heads = ("quantity", "runs", "mean", "95 % interval", "sd", "5 %", "50 %", "95 %")
         value_text = f"{mean_and_interval(self.values[of.name], of)}; {stopped_in_words(self.values)}"
         paint = paint_distributions({self.experiment: self.values}, of)
         answer = [value_text, *filter(None, [self.caution])]
-        return Result(line=repr(self)[1:-1], answer=answer, columns=heads, rows=rows, paint=paint)
+        return Result(line=repr(self)[1:-1], answer=answer, columns=HEADS, rows=self.rows(), paint=paint)
+
+    def rows(self) -> list[list[Any]]:
+        """Return a row per quantity, as `HEADS` names its columns."""
+        found = []
+        for each in self.quantities:
+            s, inner = statistics(self.values[each.name]), within(interval_of(self.values[each.name]))
+            shares = (s["percentiles"].get(p) for p in ("5", "50", "95"))
+            found.append([with_unit(each.title, each.unit), s["n"], s["mean"], inner, s["sd"], *shares])
+        return found
 
     def __repr__(self) -> str:
         of, runs = asked(self.quantities, None, [self.values]), self.values["seed"].size

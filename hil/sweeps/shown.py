@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -52,6 +54,19 @@ class ShownResult(ABC):
             table[name] = np.concatenate([np.empty(0, kind), *(group[name].astype(kind) for group in groups)])
         return data_frame(table, {q.name: q.unit for q in self.quantities})
 
+    def csv_text(self) -> str:
+        """Return the same rows as CSV; a number that a run has not is empty."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        words, groups = self._runs()
+        names = [q.name for q in self.quantities]
+        writer.writerow([*words, "seed", "stopped", *names])
+        for number, group in enumerate(groups):
+            said = [each[number] for each in words.values()]
+            for seed, stopped, *values in zip(*(group[name].tolist() for name in ("seed", "stopped", *names))):
+                writer.writerow([*said, int(seed), int(stopped), *("" if v != v else repr(v) for v in values)])
+        return text.getvalue()
+
     def plot(
         self, path: str | Path | None = None, *, quantity: str | None = None, width_mm: float = 85.0, height_mm: float = 70.0
     ) -> Figure:
@@ -84,12 +99,7 @@ def measured(quantities: Sequence[Quantity], runs: Sequence[Values]) -> tuple[li
     """
     found = [q for q in quantities if any(np.isfinite(columns[q.name]).any() for columns in runs)]
     none = [q.title for q in quantities if q not in found]
-    return found, in_no_run(none) if none else ""
-
-
-def in_no_run(titles: Sequence[str]) -> str:
-    """Return that no run has a number for these."""
-    return f"no run has a number for: {', '.join(titles)}"
+    return found, f"no run has a number for: {', '.join(none)}" if none else ""
 
 
 def interval_of(values: NDArray[np.float64], level: float = 0.95) -> Interval:
