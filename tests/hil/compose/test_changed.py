@@ -385,6 +385,18 @@ def test_a_region_is_of_where_a_run_begins_and_not_of_where_it_is_changed(region
     assert verdict is not None and verdict.state == "undecided" and "where its state is then is not known" in verdict.reason
 
 
+def test_a_start_from_which_nothing_returns_is_not_where_a_run_is_changed() -> None:
+    """A loop around x' = x + sat(u) comes to rest from 1.5 within a limit of 2, and would not within 1."""
+    plant = "plant={kind='state-space',A=[[1.0]],B=[[1.0]],C=[[1.0]],initial_state=[1.5],saturation=[2.0]}"
+    laws = [f"network.{way}.law={{kind='constant',age=0}}" for way in ("sc", "ca")]
+    sets = [plant, "controller={kind='local',gain=[[-2.0]]}", *laws, "reference=[]", "disturbance=[]", "limits={}"]
+    loop = compose(load_experiment("dc-motor-h2", [*sets, "allow_uncertified=true"]))
+    weaker = compose(load_experiment("dc-motor-h2", [*sets, "allow_uncertified=true", "plant.saturation=[1.0]"]))
+    assert weaker.verdict is not None and weaker.verdict.state == "refused"
+    verdict = changed(loop, 100, "plant.saturation", [1.0]).verdict
+    assert verdict is not None and verdict.state == "undecided" and "where its state is then is not known" in verdict.reason
+
+
 def test_a_law_that_begins_anew_meets_the_other_direction_in_another_phase() -> None:
     """Both ages take turns. Begun together, tables of age 0 act alone; the law that takes over in the run meets age 1 with 0."""
     swaps = "kind='markov',matrix=[[0.0,1.0],[1.0,0.0]],initial=[1.0,0.0]"
