@@ -125,19 +125,17 @@ def problems(controller: str | None, names: tuple[str, ...], runs: int, write: b
         return
     table = None if controller is None else _table(controller)
     known = best_known()
-    found = {} if table is None else {problem.name: _run(problem, table, runs, reached) for problem in chosen}
+    found: dict[str, Reached] = {}
+    if table is not None:
+        with Working("problems", len(chosen)) as watch:
+            for i, problem in enumerate(chosen):
+                watch.counted(i, what=problem.name)
+                found[problem.name] = reached(problem, table, runs)
     said = {p.name: {"source": p.source, "experiment": p.experiment, "best_known": known.get(p.name)} for p in chosen}
     yours = {name: {"yours": to_builtins(reached)} for name, reached in found.items()}
     answer({name: entry | yours.get(name, {}) for name, entry in said.items()}, _show, chosen, known, found)
     if found and all(each.mean is None for each in found.values()):
         raise SystemExit(1)
-
-
-def _run(problem: Problem, table: str, runs: int, reached: Any) -> Reached:
-    if sys.stderr.isatty():
-        print(f"hil: {problem.name}", file=sys.stderr)
-    result: Reached = reached(problem, table, runs)
-    return result
 
 
 def _table(said: str) -> str:
