@@ -60,6 +60,7 @@ TESTS: dict[str, tuple[str, ...]] = {
                     "test_a_stopped_rig_is_given_up_within_a_second_or_fifty_periods"),
     "rig alive, but no record": ("test_a_silent_rig_that_is_not_stopped_has_ten_times_as_long",),
     "log removed": ("test_a_log_that_is_removed_while_it_is_written_is_said_and_summed_up",),
+    "can:hil: more than 64": ("test_a_flood_of_newcomers_is_let_in_up_to_a_number",),
     "can:hil: no free file descriptor": (
         "test_without_a_free_descriptor_no_process_spins_and_a_joining_one_waits",
         "test_a_participant_without_a_descriptor_is_counted_by_the_link",

@@ -226,6 +226,7 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
 
 STRANGERS: Final = {
     "refused": "packets or peers on the link were refused: they lacked the key or the name",
+    "turned_away": "times there was no room for a newcomer at the rig: too many are on the channel, or no descriptor was free",
     "unopened": "connections to the rig's endpoint said nothing, or nonsense, which delays the link where they are many",
 }
 """Counters of a link by which others are noticed."""

@@ -41,7 +41,7 @@ class LinkCounters(Struct):
         refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one
             whom the link lets speak; in a rig's process over zenoh also what the access-control list denies, and failed logins.
         foreign: frames of other identifiers that this end passed over.
-        turned_away: how often a newcomer found no free file descriptor here and had to wait (can:hil).
+        turned_away: how often a newcomer found no free file descriptor here, or too many others, and had to wait (can:hil).
         unopened: connections to a rig's process over TCP that are no session of zenoh: they say nothing, or nonsense.
     """
 

@@ -115,6 +115,9 @@ def _stamp(said: Sequence[tuple[int, int, bytes]]) -> int:
     return -1
 
 
+MOST: Final = 64
+"""Participants that one lets in: a datagram is sent to each by a call of its own."""
+
 _JOIN_TIMEOUT_S: Final = 2.0
 _MARK_BYTES: Final = 8
 
@@ -134,7 +137,7 @@ class Members:
         own: our end of a connection to ourselves.
         epoll: says when something waits from a source, or a newcomer.
         closed: whether we have left.
-        refused: how often a newcomer found no free file descriptor here. It is let in when one is free again.
+        refused: how often a newcomer found no free file descriptor here, or `MOST` others. It is let in when there is room again.
 
     Raises:
         TransportError: no such directory can be had, it belongs to another user, or the disk or the descriptors are used up.
@@ -191,6 +194,8 @@ class Members:
             else:
                 peers.append(self._peer(connection))
                 self._add(peers[-1])
+        if len(peers) > MOST:
+            raise TransportError(f"{self.directory}: more than {MOST} participants; choose another channel")
         self.peers = tuple(peers)
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._listener.setblocking(False)
@@ -251,12 +256,14 @@ class Members:
     def _accept_all(self) -> None:
         while not self.closed and self._listener is not None:
             try:
+                if len(self.sources) >= MOST:
+                    raise OSError(EMFILE, "as many as are let in")
                 connection, _ = self._listener.accept()
             except OSError as error:  # none left, or gone again
                 if error.errno in (EMFILE, ENFILE, ENOMEM, ENOBUFS) and self._listening:
                     # No one can be let in, and who waits would wake us up without end: look again when one has left.
                     self.epoll.unregister(self._listener)
-                    self._listening = False
+                    self._listening = self._knows_all = False
                     self.refused += 1
                 return
             peer = self._peer(connection)

@@ -345,4 +345,4 @@ def test_what_both_ends_of_a_link_counted_is_read_from_their_events() -> None:
         "refused": "2 packets or peers on the link were refused: they lacked the key or the name",
         "unopened": "3 connections to the rig's endpoint said nothing, or nonsense, which delays the link where they are many",
     }
-    assert strangers({"refused": 0}) == {}
+    assert strangers({"refused": 0}) == {} and [*strangers({"turned_away": 1})] == ["turned_away"]

@@ -381,6 +381,34 @@ def test_leaving_while_another_holds_the_lock_removes_the_socket(directory: Path
     assert not list(directory.glob("*.sock"))
 
 
+def test_a_flood_of_newcomers_is_let_in_up_to_a_number(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that let in whoever came was held for two seconds by 20,000 connections, and sent each datagram as often."""
+    monkeypatch.setattr("transport.links.mesh_members.MOST", 3)
+    with ExitStack() as stack:
+        mesh, other = stack.enter_context(Mesh(directory)), stack.enter_context(Mesh(directory))
+        (own,) = directory.glob(f"{os.getpid()}-0.sock")
+        newcomers = [stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)) for _ in range(5)]
+        for each in newcomers:
+            each.connect(str(own))
+        for _ in range(3):
+            mesh._members.admit()
+        assert mesh.receive(0.0) is None and mesh.participants == 4 and mesh.refused == 1
+        newcomers[0].close()
+        mesh.send(HEAD.pack(0.0, 0) + b"x")  # which finds that it has left
+        mesh._members.admit()
+        assert other.receive(1.0) is not None and mesh.participants == 4
+        other.close()
+        for each in newcomers[1:3]:
+            each.close()
+        mesh.close()
+        assert own.parent.exists(), "two are there whom it does not know"
+    crowd = [Mesh(directory) for _ in range(4)]
+    with pytest.raises(TransportError, match="more than 3 participants; choose another channel"):
+        Mesh(directory)
+    for each_mesh in crowd:
+        each_mesh.close()
+
+
 def test_a_participant_with_a_full_backlog_is_passed_over(directory: Path) -> None:
     directory.mkdir(mode=0o700)
     path = directory / f"{os.getpid()}-900.sock"
