@@ -137,27 +137,29 @@ def test_the_matrix_is_that_of_the_law_that_acts_whichever_tab_changed_it(page: 
 
 
 def test_a_trigger_holds_the_picture_and_cursors_measure_it(page: Page, browser: chromium.Page) -> None:
-    """Two browsers: one arms, the other has no token and only looks."""
-    with chromium.Page(width=390, height=844, dark=True) as other:
-        browser.open(page.url)
-        other.open(page.url.split("?")[0])
-        shows(browser, BADGE, "stable")
-        shows(other, BADGE, "stable")
-        assert other.evaluate("['pace', 'act', 'pace-keys', 'act-keys'].every((id) => document.getElementById(id).hidden)")
-        assert other.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing is wider than a phone"
-        browser.evaluate(choose("Trigger on", "1") + "; " + choose("Level", "1.5"))
-        browser.evaluate(KEY.format("t"))
-        page.wish(do="step", slots=300)
-        until(lambda: page.view()["slots"] == 300, "the step of the reference")
-        until(lambda: browser.evaluate("window.hilLive.table.triggered()") is not None, "the trigger")
-        assert browser.evaluate("window.hilLive.table.triggered()") == pytest.approx(1.0, abs=0.06), "where the reference steps"
-        browser.evaluate("window.hilLive.view.pointer = 0.5; window.hilLive.table.cursor(0); "
-                         "window.hilLive.view.pointer = 3.0; window.hilLive.table.cursor(1)")  # fmt: skip
-        rows = "[...document.querySelectorAll('.measured tr')].map(r => r.innerText)"
-        shows(browser, rows, "2.5")
-        reference = next(row for row in browser.evaluate(rows) if row.startswith("reference angle"))
-        assert reference.split("\t")[1:] == ["0", "3", "3"]
-        assert browser.problems == other.problems == []
+    """Who has no token only looks, on a phone too; who has one arms."""
+    browser.size(390, 844)
+    browser.colour_scheme("dark")
+    browser.open(page.url.split("?")[0])
+    shows(browser, BADGE, "stable")
+    assert browser.evaluate("['pace', 'act', 'pace-keys', 'act-keys'].every((id) => document.getElementById(id).hidden)")
+    assert browser.evaluate("document.documentElement.scrollWidth <= innerWidth"), "nothing is wider than a phone"
+    browser.size(1400, 1000)
+    browser.open(page.url)
+    shows(browser, BADGE, "stable")
+    browser.evaluate(choose("Trigger on", "1") + "; " + choose("Level", "1.5"))
+    browser.evaluate(KEY.format("t"))
+    page.wish(do="step", slots=300)
+    until(lambda: page.view()["slots"] == 300, "the step of the reference")
+    until(lambda: browser.evaluate("window.hilLive.table.triggered()") is not None, "the trigger")
+    assert browser.evaluate("window.hilLive.table.triggered()") == pytest.approx(1.0, abs=0.06), "where the reference steps"
+    browser.evaluate("window.hilLive.view.pointer = 0.5; window.hilLive.table.cursor(0); "
+                     "window.hilLive.view.pointer = 3.0; window.hilLive.table.cursor(1)")  # fmt: skip
+    rows = "[...document.querySelectorAll('.measured tr')].map(r => r.innerText)"
+    shows(browser, rows, "2.5")
+    reference = next(row for row in browser.evaluate(rows) if row.startswith("reference angle"))
+    assert reference.split("\t")[1:] == ["0", "3", "3"]
+    assert browser.problems == []
 
 
 def test_the_mouse_is_the_hand(tmp_path: Path, browser: chromium.Page) -> None:
