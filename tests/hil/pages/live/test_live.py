@@ -10,7 +10,7 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,11 +27,12 @@ from hil.experiment import Experiment, load_experiment
 from hil.log.read import read_run
 from hil.log.records import Field, Schema
 from hil.pages.live import Side, Tail, Trace, server
-from hil.pages.live.about import Window, picture, thinned
+from hil.pages.live.about import Window, about, picture, thinned
 from hil.pages.live.desk import Desk, Wish
 from hil.pages.live.script import Scripted, read_script
 from hil.pages.live.server import MOST_BYTES, MOST_CONNECTIONS, LivePage
 from hil.pages.live.watch import RequestedRun, _run, show_log, watch
+from hil.runtime.clock import PacedClock
 from hil.session import Session, run_session
 from hil.session.replay.recorded import changes_of
 from tests.waiting import until
@@ -61,9 +62,11 @@ class Page:
         self.thread = threading.Thread(target=run, daemon=True)
         self.thread.start()
         assert there.wait(60)
-        self.token = parse_qs(urlsplit(self.url).query)["token"][0]
-        self.port = urlsplit(self.url).port
+        self.reach(self.url)
         until(lambda: all(self.view(side=i)["status"] == status for i in range(len(self.asked))), "the runs")
+
+    def reach(self, url: str) -> None:
+        self.token, self.port = parse_qs(urlsplit(url).query)["token"][0], urlsplit(url).port
 
     def request(self, method: str, path: str, body: bytes | None = None, **headers: str) -> tuple[int, bytes]:
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=30)
@@ -117,6 +120,16 @@ def page(tmp_path: Path, composer: None) -> Iterator[Page]:
     page.begin()
     yield page
     page.end()
+
+
+@pytest.fixture
+def still() -> Iterator[Page]:
+    """The page of a run that has not begun: its server answers as that of any other."""
+    desk = Desk([Side(PacedClock(1.0, True), acts=True)])
+    with closing(desk), LivePage(desk, lambda: about(desk.sides, "here"), 0) as live:
+        page = Page(Path(), [])
+        page.reach(live.url)
+        yield page
 
 
 def test_virtual_time_is_paced_and_begins_at_once_unless_it_is_held(tmp_path: Path) -> None:
@@ -183,8 +196,8 @@ def test_only_loopback_pages_with_the_token_change_anything(page: Page) -> None:
     until(lambda: page.view()["slots"] == 1, "the step")
 
 
-def test_the_page_may_load_and_connect_to_itself_alone(page: Page) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", page.port)
+def test_the_page_may_load_and_connect_to_itself_alone(still: Page) -> None:
+    connection = http.client.HTTPConnection("127.0.0.1", still.port)
     connection.request("GET", "/")
     answer = connection.getresponse()
     policy = answer.headers["Content-Security-Policy"]
@@ -192,7 +205,7 @@ def test_the_page_may_load_and_connect_to_itself_alone(page: Page) -> None:
     answer.read()
     connection.close()
     for path in ("/live.js", "/scopes.js", "/devices.js", "/act.js", "/live.css", "/page.css", "/uPlot.js", "/uPlot.css"):
-        assert page.request("GET", path)[0] == 200
+        assert still.request("GET", path)[0] == 200
 
 
 NO_WISHES = (
@@ -202,29 +215,29 @@ NO_WISHES = (
 )  # fmt: skip
 
 
-def test_a_wish_that_is_none_is_refused(page: Page) -> None:
+def test_a_wish_that_is_none_is_refused(still: Page) -> None:
     for number, body in enumerate(NO_WISHES, 1):
-        status, data = page.request("POST", "/do", body, X_Hil_Token=page.token)
+        status, data = still.request("POST", "/do", body, X_Hil_Token=still.token)
         assert status == 400 and json.loads(data)["error"], body
-        assert page.view()["refused"] == number and page.view()["slots"] == 0
+        assert still.view()["refused"] == number
 
 
-def test_ten_megabytes_are_refused_before_they_are_read(page: Page) -> None:
+def test_ten_megabytes_are_refused_before_they_are_read(still: Page) -> None:
     for said in (str(10_000_000), "-1", "much", "9" * 30, "\xb2"):
-        with socket.create_connection(("127.0.0.1", page.port), timeout=30) as link:
-            link.sendall(f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nX-Hil-Token: {page.token}\r\n"
+        with socket.create_connection(("127.0.0.1", still.port), timeout=30) as link:
+            link.sendall(f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{still.port}\r\nX-Hil-Token: {still.token}\r\n"
                          f"Content-Length: {said}\r\n\r\n".encode("latin-1"))  # fmt: skip
             assert b" 413 " in link.recv(4096)
-    assert page.request("POST", "/do", b"x" * (MOST_BYTES + 1), X_Hil_Token=page.token)[0] == 413
-    assert page.view()["refused"] == 6
+    assert still.request("POST", "/do", b"x" * (MOST_BYTES + 1), X_Hil_Token=still.token)[0] == 413
+    assert still.view()["refused"] == 6
 
 
-def test_a_request_that_drips_in_is_given_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_request_that_drips_in_is_given_up(still: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """A byte now and then is no sign of life: the time is that of the whole request, head and body."""
     monkeypatch.setattr(server, "TIMEOUT_S", 0.5)
-    body = f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\nX-Hil-Token: {page.token}\r\nContent-Length: 9000\r\n\r\n"
+    body = f"POST /do HTTP/1.1\r\nHost: 127.0.0.1:{still.port}\r\nX-Hil-Token: {still.token}\r\nContent-Length: 9000\r\n\r\n"
     for head in ("GET /", body):
-        with socket.create_connection(("127.0.0.1", page.port), timeout=0.05) as link:
+        with socket.create_connection(("127.0.0.1", still.port), timeout=0.05) as link:
             link.sendall(head.encode())
             for _ in range(200):
                 with suppress(TimeoutError, ConnectionError):
@@ -234,7 +247,7 @@ def test_a_request_that_drips_in_is_given_up(page: Page, monkeypatch: pytest.Mon
                     link.sendall(b"x")
             else:
                 raise AssertionError("the page still waits for the rest")
-    assert page.view()["slots"] == 0
+    assert still.view()["refused"] == 0
 
 
 def test_a_change_is_shown_with_its_certificate_and_acts_when_it_is_applied(page: Page) -> None:
