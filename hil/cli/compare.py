@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from collections.abc import Sequence
 from itertools import groupby
@@ -100,9 +99,8 @@ def _show_comparison(comparison: Comparison, output: Path | None) -> None:
 )
 @click.option("--only", "names", multiple=True, metavar="PROBLEM", help="Only this problem; repeatable.")
 @click.option("--runs", type=click.IntRange(2, 100_000), default=200, show_default=True, help="Seeds 0, 1, ... of each problem.")
-@click.option("--write", is_flag=True, help="Run the controllers that were tried, and store the best of each problem.")
 @json_option()
-def problems(controller: str | None, names: tuple[str, ...], runs: int, write: bool) -> None:
+def problems(controller: str | None, names: tuple[str, ...], runs: int) -> None:
     """Show the problem set: of each problem the best controller that is known, its mean with a 95 % interval, and a lower bound.
 
     The objective is the sum of squared errors after one pulse, averaged over the seeds. Nothing is ranked.
@@ -118,21 +116,16 @@ def problems(controller: str | None, names: tuple[str, ...], runs: int, write: b
     if unknown:
         hint = nearest(min(unknown), names_of) or "."
         raise HilError(f"--only: no problem is called {min(unknown)!r}{hint} There are: {', '.join(names_of)}")
-    if write:
-        if controller is not None:
-            raise HilError("--write: stores what the set itself tried, and takes no --controller")
-        _write(chosen)
-        return
-    table = None if controller is None else _table(controller)
     known = best_known()
     found: dict[str, Reached] = {}
-    if table is not None:
+    if controller is not None:
+        table = _table(controller)
         with Working("problems", len(chosen)) as watch:
             for i, problem in enumerate(chosen):
                 watch.counted(i, what=problem.name)
                 found[problem.name] = reached(problem, table, runs)
     said = {p.name: {"source": p.source, "experiment": p.experiment, "best_known": known.get(p.name)} for p in chosen}
-    yours = {name: {"yours": to_builtins(reached)} for name, reached in found.items()}
+    yours = {name: {"yours": to_builtins(each)} for name, each in found.items()}
     answer({name: entry | yours.get(name, {}) for name, entry in said.items()}, _show, chosen, known, found)
     if found and all(each.mean is None for each in found.values()):
         raise SystemExit(1)
@@ -162,24 +155,6 @@ def _table(said: str) -> str:
     if not isinstance(made, dict) or not isinstance(made.get("kind"), str):
         raise HilError(f"--controller: {said[:80]!r}: kind: missing; expected the table of a controller, such as \"kind = 'h2'\"")
     return toml_value(made)
-
-
-def _write(chosen: list[Problem]) -> None:
-    from hil.files import write_output
-    from hil.sweeps.problems import RUNS, as_plain, best_known, best_of, folder, lower_bound, reached
-
-    path = folder() / "best.json"
-    stored = best_known() if path.exists() else {}
-    for problem in chosen:
-        tried = [reached(problem, table, RUNS) for table in problem.tried]
-        for each in tried:
-            mean, interval = _mean(each.mean, each.low, each.high)
-            print(f"{problem.name}: {each.controller}: {mean} ({interval}) {each.verdict} {each.said}")
-        best = best_of(tried)
-        if best is None:
-            raise HilError(f"{problem.name}: none of the controllers that are named ran")
-        stored[problem.name] = dict(as_plain(best, lower_bound(problem)))
-    write_output(path, json.dumps(dict(sorted(stored.items())), indent=1) + "\n")
 
 
 def _mean(mean: float | None, low: float | None, high: float | None) -> tuple[str, str]:

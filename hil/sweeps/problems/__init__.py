@@ -5,7 +5,6 @@ A problem is a plant, a network, an objective and seeds, with the best controlle
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -16,14 +15,11 @@ import numpy as np
 
 from design.errors import DesignError
 from design.monte_carlo.confidence import mean_interval
-from design.networked_loop.certify import lower_bounds
 from hil.compose import compose
-from hil.design_questions import tracking_target
 from hil.errors import HilError
 from hil.experiment import Experiment, load_experiment
 from hil.sweeps.seeds import run_seeds
 
-RUNS = 1000
 PULSE_AT_S, LASTS_S = 8.0, 7.0
 OBJECTIVE = "sse"
 
@@ -126,31 +122,3 @@ def reached(problem: Problem, controller: str, runs: int) -> Reached:
         verdict="undecided" if loop.verdict is None else loop.verdict.state,
         said="" if known else f"safety stopped {stopped} of {runs} runs",
     )  # fmt: skip
-
-
-def lower_bound(problem: Problem) -> float | None:
-    """Return what no controller that is linear in what it knows goes below in the mean, None where no bound is known.
-
-    The pulse is an impulse of the discrete loop, met in a long run; the sum of squared errors after it has no end. Only for one
-    input and one sensor node: over two inputs the bound is of both impulses together.
-    """
-    try:
-        target = tracking_target(problem.named)
-    except HilError:
-        return None
-    if target.B.shape[1] != 1:
-        return None
-    initial = np.kron(target.sc.stationary, target.ca.stationary)
-    bounds = lower_bounds(target.A, target.B, target.C, target.sc, target.ca, initial=initial)
-    return float(problem.pulse**2 * bounds.h2_delayed_information**2)
-
-
-def best_of(found: Sequence[Reached]) -> Reached | None:
-    """Return the controller of the smallest mean, of those that ran and that no verdict refused."""
-    ran = [each for each in found if each.mean is not None and each.verdict != "refused"]
-    return min(ran, key=lambda each: each.mean or 0.0) if ran else None
-
-
-def as_plain(found: Reached, bound: float | None) -> Mapping[str, Any]:
-    """Return what is stored of a problem."""
-    return {**msgspec.to_builtins(found), "lower_bound": bound}

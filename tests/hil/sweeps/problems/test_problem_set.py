@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import msgspec
 import pytest
 
-from hil.sweeps import problems as problem_set
-from hil.sweeps.problems import RUNS, best_known, best_of, folder, lower_bound, problems, reached
+from hil.errors import HilError
+from hil.sweeps.problems import best_known, problems, reached
 from tests.hil.cli.conftest import Hil, cli
+from tests.hil.sweeps.problems.store import RUNS, best_of, lower_bound, store
 
 __all__ = ["cli"]
 NAMES = [problem.name for problem in problems()]
@@ -52,39 +52,27 @@ def test_no_mean_is_given_where_safety_stopped_a_run() -> None:
     assert [reached(problem, problem.tried[0], runs).mean is None for runs in (1, 2)] == [True, False], "one run has no interval"
 
 
-@pytest.fixture
-def own_set(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A copy of the set in which nothing is stored yet, of four runs each."""
-    copy = shutil.copytree(folder(), tmp_path / "set", ignore=shutil.ignore_patterns("best.json", "*.py"))
-    monkeypatch.setattr(problem_set, "folder", lambda: copy)
-    monkeypatch.setattr(problem_set, "RUNS", 4)
-    return copy / "best.json"
-
-
-def test_the_best_of_the_controllers_that_were_tried_is_stored_beside_what_is_stored_of_others(cli: Hil, own_set: Path) -> None:
-    stored = {}
+def test_the_best_of_the_controllers_that_were_tried_is_stored_beside_what_is_stored_of_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:  # fmt: skip
+    path, stored = tmp_path / "best.json", {}
     for name in ("motor-ncsbench", "motor-5g"):
-        status, out, err = cli("problems", "--write", "--only", name)
-        assert status == 0, err
         problem = next(problem for problem in problems() if problem.name == name)
+        store([problem], path, runs=4)
         tried = [reached(problem, table, 4) for table in problem.tried]
-        for each, line in zip(tried, out.splitlines(), strict=True):
-            assert line.startswith(f"{name}: {each.controller}: {each.mean:.5g} ({each.low:.5g} to {each.high:.5g}) certified")
+        for each, line in zip(tried, capsys.readouterr().out.splitlines(), strict=True):
+            assert line.startswith(f"{name}: {each.controller}: {each.mean} ({each.low} to {each.high}) certified")
         best = min(tried, key=lambda each: each.mean or 0.0)
         stored[name] = msgspec.to_builtins(best) | {"lower_bound": lower_bound(problem)}
-        assert json.loads(own_set.read_text()) == stored
-    assert [*json.loads(own_set.read_text())] == sorted(stored)
+        assert json.loads(path.read_text()) == stored
+    assert [*json.loads(path.read_text())] == sorted(stored)
 
 
-def test_a_problem_on_which_no_controller_ran_is_refused_and_nothing_is_stored(
-    cli: Hil, own_set: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_problem_on_which_no_controller_ran_is_refused_and_nothing_is_stored(tmp_path: Path) -> None:
     one = msgspec.structs.replace(problems()[0], tried=("{kind='local',gain=[[1.0,2.0,3.0]]}",))
-    monkeypatch.setattr(problem_set, "problems", lambda: (one,))
-    status, out, err = cli("problems", "--write")
-    assert status == 2 and "none of the controllers that are named ran" in err
-    assert f"{one.name}: {one.tried[0]}: - (-)" in out
-    assert not own_set.exists()
+    with pytest.raises(HilError, match="none of the controllers that are named ran"):
+        store([one], tmp_path / "best.json", runs=4)
+    assert not (tmp_path / "best.json").exists()
 
 
 def test_a_controller_meets_all_problems_with_one_command(cli: Hil, tmp_path: Path) -> None:
@@ -113,7 +101,6 @@ def test_the_table_shows_every_problem(cli: Hil) -> None:
 @pytest.mark.parametrize(("words", "said"), [
     (["--only", "motor-thesi"], "no problem is called 'motor-thesi'"), (["--controller", "kind ="], "not valid TOML"),
     (["--controller", "gain = [[1.0]]"], "kind: missing"), (["--controller", "nowhere.toml"], "nowhere.toml: cannot be read"),
-    (["--write", "--controller", "kind = 'h2'"], "takes no --controller"),
 ])  # fmt: skip
 def test_faulty_requests_are_refused(cli: Hil, words: list[str], said: str) -> None:
     status, _, err = cli("problems", *words)
