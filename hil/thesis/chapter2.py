@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import product
 from typing import Any
 
@@ -25,20 +26,17 @@ from design.semi_markov_loop.second_moments import second_moment_decay, second_m
 from design.semi_markov_loop.stability import analyse
 from hil.pages import BarGroup, Bars
 from hil.thesis import Chapter, Plot, ReportProgress, Stage
-from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, feasibility, markov, verdict_of
+from hil.thesis.chapter2_feasibility import FEASIBILITY, FORMS, MARKOV, SECTIONS, Form, feasibility, markov, verdict_of
 from hil.thesis.chapter2_runs import IN_THE_LOOP, SETTLING, in_the_loop, settling, weibull_process
 from hil.thesis.statements import Statement, above, below, equal, exactly, number_of, says, statement
 
 
-def certified_scales(scales: dict[tuple[str, int], float]) -> Plot:
+def certified_scales(lines: Mapping[Form, list[float]]) -> Plot:
     """What every method certifies, by the number of sections."""
-    counts = (1, 2, 4, 8)
-    names = {"pwl": "linear in h (ours)", "pwc": "constant per section (sound)", "printed": "printed (unsound)"}
-    groups = tuple(
-        BarGroup(label=names[m], values=[scales[m, n] for n in counts], hollow=m == "printed") for m in ("pwl", "pwc", "printed")
-    )
+    names: dict[Form, str] = {"pwl": "linear in h (ours)", "pwc": "constant per section (sound)", "printed": "printed (unsound)"}
+    groups = tuple(BarGroup(label=name, values=lines[form], hollow=form == "printed") for form, name in names.items())
     bars = Bars(
-        title="largest certified scale of the uncertainty", categories=[f"M = {n}" for n in counts], groups=groups,
+        title="largest certified scale of the uncertainty", categories=[f"M = {n}" for n in SECTIONS], groups=groups,
         x_label="sections", y_label="scale",
     )  # fmt: skip
     intro = "A_i(t), B_2(t) as printed, equal probability, |K| <= 100."
@@ -150,21 +148,23 @@ TOLERANCE = 2e-3
 """Of the largest certified scale, relative: less growth than this is none."""
 
 
+def _scale(form: Form, sections: int | Partition) -> float:
+    """Largest scale of the uncertainty for which a form of the condition has gains."""
+    asked: dict[str, Any] = {"process": chapter2_process(), "gain_bound": 100.0, "sections": sections}
+    request: Synthesis = PrintedRequest(**asked) if form == "printed" else FeedbackRequest(**asked, method=form)
+    return largest_uncertainty(chapter2_system("vertices"), request, tolerance=TOLERANCE)[0]
+
+
 def _scales(report_progress: ReportProgress) -> dict[str, Any]:
     """What every method certifies, by the number of sections."""
-    scales: dict[tuple[str, int], float] = {}
-    for method in FORMS:
-        for sections in SECTIONS:
-            report_progress(f"{method}, {sections} sections", len(scales), len(FORMS) * len(SECTIONS))
-            request: Synthesis = PrintedRequest(process=chapter2_process(), gain_bound=100.0, sections=sections)
-            if method != "printed":
-                request = FeedbackRequest(process=chapter2_process(), gain_bound=100.0, sections=sections, method=method)
-            scales[method, sections] = largest_uncertainty(chapter2_system("vertices"), request, tolerance=TOLERANCE)[0]
-    lines = {method: [scales[method, m] for m in SECTIONS] for method in FORMS}
+    lines: dict[Form, list[float]] = {form: [] for form in FORMS}
+    for n, (form, sections) in enumerate(product(FORMS, SECTIONS)):
+        report_progress(f"{form}, {sections} sections", n, len(FORMS) * len(SECTIONS))
+        lines[form].append(_scale(form, sections))
     return {
-        "least": {method: float((np.diff(line) / line[:-1]).min()) for method, line in lines.items()},
-        "figures": (certified_scales(scales),),
-        "line": {method: ", ".join(f"{scale:.2f}" for scale in line) for method, line in lines.items()},
+        "least": {form: float((np.diff(line) / line[:-1]).min()) for form, line in lines.items()},
+        "figures": (certified_scales(lines),),
+        "line": {form: ", ".join(f"{scale:.2f}" for scale in line) for form, line in lines.items()},
     }  # fmt: skip
 
 
@@ -175,15 +175,12 @@ def _strategies(report_progress: ReportProgress) -> dict[str, Any]:
     """Largest scale that is certified with four sections by each strategy of Remark 2.2."""
     process = chapter2_process()
     cuts: tuple[Partition, ...] = (equal_probability(process, 4), uniform(process, 4), rate_threshold(process, 4.5 / 4))
-    found: dict[str, Any] = {}
-    for method in ("pwc", "pwl"):
-        scales = []
-        for n, cut in enumerate(cuts):
-            report_progress(f"{method}, {STRATEGIES[n]}", len(found) * len(cuts) + n, 2 * len(cuts))
-            asked = FeedbackRequest(process=process, gain_bound=100.0, sections=cut, method=method)
-            scales.append(largest_uncertainty(chapter2_system("vertices"), asked, tolerance=TOLERANCE)[0])
-        found[method] = {"scales": scales, "role": max(scales) / min(scales)}
-    return found | {"sections": [len(cut[0]) for cut in cuts]}
+    scales: dict[Form, list[float]] = {"pwc": [], "pwl": []}
+    for n, (form, (name, cut)) in enumerate(product(scales, zip(STRATEGIES, cuts, strict=True))):
+        report_progress(f"{form}, {name}", n, len(scales) * len(cuts))
+        scales[form].append(_scale(form, cut))
+    roles = {form: {"scales": found, "role": max(found) / min(found)} for form, found in scales.items()}
+    return roles | {"sections": [len(cut[0]) for cut in cuts]}
 
 
 # fmt: off

@@ -7,6 +7,7 @@ finite all the same. Moments are predicted. Every split over cores gives the sam
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
@@ -35,18 +36,14 @@ T = TypeVar("T")
 def on_all_cores(
     work: Callable[..., T], asked: Sequence[Sequence[Any]], report_progress: ReportProgress, names: Sequence[str]
 ) -> list[T]:
-    """``work(*arguments)`` for all of them, in their order; progress is reported as each ends. Give the longest first."""
-    found: dict[int, T] = {}
+    """``work(*arguments)`` for all of them, in their order; progress is reported in this order, too. Give the longest first."""
+    found: list[T] = []
     report_progress(f"{len(asked)} pieces", 0, len(asked))
-    for at, result in spread(partial(_numbered, work), [*enumerate(asked)], Workers(backend="loky"), unordered=True):
-        found[at] = result
-        report_progress(names[at], len(found), len(asked))
-    return [found[at] for at in range(len(asked))]
-
-
-def _numbered(work: Callable[..., T], job: tuple[int, Sequence[Any]]) -> tuple[int, T]:
-    at, arguments = job
-    return at, work(*arguments)
+    pieces = [partial(work, *arguments) for arguments in asked]
+    for name, result in zip(names, spread(operator.call, pieces, Workers(backend="loky")), strict=True):
+        found.append(result)
+        report_progress(name, len(found), len(asked))
+    return found
 
 
 Numbers = Callable[[BatchView], Sequence[BatchValues]]
@@ -77,14 +74,11 @@ def numbers_of(loop: Loop, seeds: Sequence[int], columns: int, numbers: Numbers)
 
 def squared_error(loop: Loop) -> tuple[float, float]:
     """Return the mean squared error of runs, rad^2 s, and how many standard errors it is from its prediction."""
-    e = loop.experiment
-    runs = run_batch(loop, range(BATCH_RUNS))
-    squares = (runs.outputs[0] - runs.reference[-1, 0])[:, runs.known] ** 2  # the error counts from t = 0, see Table 7.2
-    sums = float(e.period) * squares.sum(axis=0)
-    predicted = predict(loop, e.slots)
+    sums = sums_of_squares(loop, range(BATCH_RUNS))[0]
+    sums = sums[np.isfinite(sums)]
+    predicted = predict(loop, loop.experiment.slots)
     expected = np.nan if predicted is None else predicted.sums[0].mean
-    mean = float(sums.mean())
-    return mean, abs(mean - expected) / (float(sums.std()) / np.sqrt(len(sums)))
+    return float(sums.mean()), abs(float(sums.mean()) - expected) / (float(sums.std()) / np.sqrt(len(sums)))
 
 
 def predicted_sums(loop: Loop) -> str:
