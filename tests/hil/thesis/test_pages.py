@@ -94,9 +94,10 @@ def test_all_ends_with_the_counts_of_all_chapters(run) -> None:
     assert run("all").stdout.endswith("8 rows: 7 reproduced, 1 not reproduced, 0 claim false, 0 undecided\n\n")
 
 
-def test_progress_is_reported_on_standard_error(run) -> None:
-    outcome = run("ch7", "--json")
-    assert "ch7 1/2 first: half" in outcome.stderr and "first" not in outcome.stdout
+def test_progress_is_the_chapter_the_stage_and_its_step(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("hil.cli.terminal.Working.counted", lambda watch, done, total=None, what="": said.append(what))
+    assert "first" not in run("ch7", "--json").stdout and said == ["ch7 1/2 first", "ch7 1/2 first: half"]
 
 
 @pytest.mark.parametrize("href", ["", "http://x", "../x.html", "javascript:alert(1)", "a\\b"])
