@@ -101,14 +101,15 @@ def _product(a: Whole, b: Whole) -> Whole:
 
 
 def _solved(M: Whole, R: Whole) -> tuple[Whole, int] | None:
-    """Solve M X = R without fractions: X times the determinant, and that; None where M is singular (Bareiss, 1968)."""
+    """Solve M X = R without fractions: X times the determinant, and that; None where M is singular (Bareiss, 1968).
+
+    M is a matrix times its transpose: unless it is singular, no pivot is zero.
+    """
     n, work, before = len(M), [[*m, *r] for m, r in zip(M, R)], 1
     for k in range(n):
-        pivot = next((i for i in range(k, n) if work[i][k]), None)
-        if pivot is None:
-            return None
-        work[k], work[pivot] = work[pivot], [-entry for entry in work[k]] if pivot != k else work[k]
         own, lead = work[k], work[k][k]
+        if not lead:
+            return None
         for i, row in enumerate(work):
             if i != k:
                 first = row[k]

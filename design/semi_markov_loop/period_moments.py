@@ -148,7 +148,7 @@ def period_moments(
     if system.uncertainty is not None:
         if not upper:
             raise FieldError("uncertainty", "is bounded from above only")
-        blocks = blocks + np.array([uncertain_moments(system, i, size, slack) for i in range(modes)])
+        blocks = blocks + np.array([uncertain_moments(system.uncertainty, i, size, slack) for i in range(modes)])
     whole = _with_jumps(blocks, fresh, upper)
     flows = expm(np.multiply.outer(period_s - nodes, whole))
     flows = flows.reshape(nodes.size, modes, q, modes, q)
@@ -200,20 +200,18 @@ def _first_jump(stiffness: float, period_s: float) -> tuple[FloatArray, FloatArr
     return 0.5 * period_s * (points + 1.0), 0.5 * period_s * weights
 
 
-def uncertain_moments(system: JumpSystem, mode: int, size: int, slack: float) -> FloatArray:
+def uncertain_moments(uncertainty: NormBounded | VertexUncertainty, mode: int, size: int, slack: float) -> FloatArray:
     r"""What an uncertainty may add to d/dt E z z' at most, shape (q, q) on svec.
 
     With y = (dA x + dB u, 0): y z' + z y' <= eps z z' + y y' / eps, and y y' <= [E; 0][E; 0]' |F_A x + F_B u|^2 (norm-bounded)
     or the sum of D_v z z' D_v' over the vertices.
     """
-    uncertainty, total = system.uncertainty, slack * np.eye(svec_size(size))
+    total = slack * np.eye(svec_size(size))
     if isinstance(uncertainty, NormBounded):
         left, right = factors(uncertainty, mode, size)
         return np.asarray(total + np.outer(svec(left @ left.T), svec(right.T @ right)) / slack)
-    if isinstance(uncertainty, VertexUncertainty):
-        changes = held_flow(uncertainty.da[:, mode], uncertainty.db[:, mode], size)
-        return np.asarray(total + congruence(changes).sum(axis=0) / slack)
-    return np.zeros_like(total)
+    changes = held_flow(uncertainty.da[:, mode], uncertainty.db[:, mode], size)
+    return np.asarray(total + congruence(changes).sum(axis=0) / slack)
 
 
 def pair_box(process: FaultDetection, i: int, k: int, until_s: float = math.inf) -> Box:
