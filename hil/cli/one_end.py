@@ -65,7 +65,7 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
         loop = compose(named)
     uri = link_of(loop.rig, link).uri
     find_link(uri)  # what cannot be a link is said first
-    print(f"hil: controller of {loop.experiment.name} on {uri}; Ctrl-C ends it", file=sys.stderr)
+    print(f"hil: controller of {loop.experiment.name} on {visible(uri)}; Ctrl-C ends it", file=sys.stderr)
     standard_output_is_free()  # words go to standard error
     serve(loop, uri, warn=lambda said: print(f"hil: {visible(said)}", file=sys.stderr))
 

@@ -85,10 +85,6 @@ def wall_loop_of(view: RunView) -> Loop | None:
     return loop if loop is not None and isinstance(loop.controller, WallController) else None
 
 
-def _touching(controller: object) -> HasContact | None:
-    return controller if isinstance(controller, HasContact) else None
-
-
 def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
     """Return the avatar's path; None where the controller does not say what it touches, or nothing was answered.
 
@@ -97,8 +93,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
         loop: what ran, of `wall_loop_of`.
     """
     controller = loop.start_controller()
-    touching = _touching(controller)
-    if touching is None or isinstance(controller, MultiSampleController):
+    if not isinstance(controller, HasContact) or isinstance(controller, MultiSampleController):
         return None
     answers = view.run.arrays[ROWS.name][:MOST_ANSWERS]
     measured = view.run.arrays[MEASUREMENT]
@@ -119,7 +114,7 @@ def avatar_path(view: RunView, loop: Loop) -> AvatarPath | None:
         packet = [samples.get(taken - i, samples[taken]) for i in range(loop.samples)]
         rows = controller.rows(k, tau, [value for sample in packet for value in sample], reference.at(k))
         same = same and float(np.float32(rows[0][0])) == force
-        contact = touching.contact
+        contact = controller.contact
         found.append((k * loop.model.period_s, contact.avatar_m, contact.material, packet[0][1], packet[0][2]))
     if not found:
         return None

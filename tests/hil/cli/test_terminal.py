@@ -136,6 +136,13 @@ def test_an_experiment_cannot_write_to_the_terminal(cli: Hil, tmp_path: Path, ol
     assert (status, out) == (2, "") and "\x1b" not in err and "x1b" in err and "Traceback" not in err
 
 
+@pytest.mark.parametrize("command", [("controller",), ("rig",), ("run", "--clock", "real")])
+def test_a_link_of_an_experiment_cannot_write_to_the_terminal(cli: Hil, tmp_path: Path, command: tuple[str, ...]) -> None:
+    (tmp_path / "x.toml").write_text(GOOD + '\n[links]\nuri = "zenoh:?name=a\\u001b[2Jb"\n')
+    status, out, err = cli(command[0], "x.toml", *command[1:])
+    assert (status, out) == (2, "") and "\x1b" not in err and "x1b" in err
+
+
 def test_a_message_is_not_as_long_as_its_input(cli: Hil, tmp_path: Path) -> None:
     (tmp_path / "x.toml").write_text("\n".join(f"key_{i} = 1" for i in range(5_000)))
     status, _, err = cli("run", "x.toml")

@@ -64,7 +64,7 @@ def test_forces_of_another_program_are_reported():
 def test_a_controller_that_does_not_say_what_it_touches_has_no_path(monkeypatch):
     experiment = load_experiment("omni-push", ["duration=2"])
     view = view_of(simulate(compose(experiment), 0), experiment)
-    monkeypatch.setattr(avatar, "_touching", lambda controller: None)
+    monkeypatch.setattr(avatar, "HasContact", type("Nothing", (), {}))
     assert avatar_path(view, wall_loop_of(view)) is None
 
 
