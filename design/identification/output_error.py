@@ -124,23 +124,31 @@ class ResidualTest:
     p_value: float
 
 
-def residual_test(residuals: Array, size: float) -> ResidualTest:
+def residual_test(residuals: Array, size: float, jacobian: Array) -> ResidualTest:
     """Return the Ljung-Box test of residuals (n,), in order of time: only where they are noise do intervals mean what they say.
 
-        Q = n (n + 2) sum_l r_l^2/(n - l),     chi^2 with as many degrees of freedom as lags
+        Q = n (n + 2) sum_l (r_l - e_l)^2/(n - l),     chi^2 with as many degrees of freedom as lags
+
+    The fit takes from white noise what it can follow, P of it, and leaves e_l = -sum_t P(t, t + l)/(n - parameters): of records
+    that are short, each with a start of its own, more than chance does.
 
     Reference: Ljung and Box, On a measure of lack of fit in time series models, Biometrika 65, 1978.
 
     Args:
         residuals: measured minus fitted output (n,).
         size: standard deviation of the output, to know rounding from noise.
+        jacobian: derivatives of the fitted outputs by the parameters (n, parameters).
     """
     n = residuals.size
     lags = min(LAGS, max(n // 50, 1))
     power = float(residuals @ residuals)
     if power <= n * (EXACT * size) ** 2:
         return ResidualTest(verdict="exact", statistic=0.0, lags=lags, p_value=1.0)
-    shares = [float(residuals[lag:] @ residuals[:-lag]) / power for lag in range(1, lags + 1)]
+    taken, fitted = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))[0], jacobian.shape[1]
+    shares = [
+        float(residuals[lag:] @ residuals[:-lag]) / power + float((taken[lag:] * taken[:-lag]).sum()) / (n - fitted)
+        for lag in range(1, lags + 1)
+    ]
     statistic = n * (n + 2) * sum(r * r / (n - lag) for lag, r in enumerate(shares, 1))
     p_value = float(chi2.sf(statistic, lags))
     return ResidualTest(
@@ -264,7 +272,7 @@ def identify_axis(records: Sequence[Record]) -> AxisFit:
         friction=Interval(value=f, error=error, low=f - wide, high=f + wide),
         gain=interval(g, math.sqrt(gg)), pole=interval(p, math.sqrt(pp)), inertia=over_gain(1.0, 0.0, 0.0),
         damping=over_gain(p, pp, gp), noise_sd=math.sqrt(variance), samples=samples, plain=plain, start=start,
-        residuals=residual_test(best.left, size), starts=best.starts,
+        residuals=residual_test(best.left, size, jacobian), starts=best.starts,
     )  # fmt: skip
 
 
