@@ -14,6 +14,7 @@ import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Questions
+from hil.cli.run import LONGEST_WAIT_S, run, session_options
 from hil.cli.terminal import Working, answer, json_option, visible
 from hil.errors import nearest
 
@@ -22,12 +23,7 @@ NONE_THERE = 1  # exit status: neither rig nor controller
 
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
-@click.option("--link", metavar="URI", help="Link to the controller; the experiment's own by default.")
-@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
-@click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
-@click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace the file of -o.")
+@session_options
 @click.option("--wait", type=Duration(), help="How long to wait for a controller; until Ctrl-C by default.")
 @json_option("Print the summary as one JSON object.")
 @click.option("--quiet", is_flag=True, help="No live view.")
@@ -38,8 +34,6 @@ def rig(ctx: click.Context, /, experiment: str, wait: float | None, **options: o
     The controller is `hil controller EXPERIMENT` elsewhere, or a program of your own: hil new controller NAME --language python
     --for EXPERIMENT. It is `hil run --clock real --external` without a limit to the waiting.
     """
-    from hil.cli.run import LONGEST_WAIT_S, run
-
     wait = LONGEST_WAIT_S if wait is None else wait
     ctx.invoke(run, experiment=experiment, clock="real", external=True, wait=wait, **options)
 

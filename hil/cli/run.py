@@ -8,6 +8,7 @@ import os
 import re
 import stat
 import sys
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
@@ -84,16 +85,27 @@ def let_go(path: Path) -> None:
             os.close(descriptor)
 
 
+def session_options(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command what each takes that runs a session: changes, link, seed, duration and log."""
+    for option in (
+        click.option("--force", is_flag=True, help="Replace the file of -o."),
+        click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/."),
+        click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min."),
+        click.option("--seed", type=int, help="Seed of the run; the experiment's own by default."),
+        click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447; the "
+                     "experiment's own by default."),
+        click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE",
+                     help="Change a field, such as plant.gain=170."),
+    ):  # fmt: skip
+        command = option(command)
+    return command
+
+
 @click.command()
 @click.argument("experiment", type=EXPERIMENT)
-@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
+@session_options
 @click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True,
               help="virtual: one process, as fast as it computes; real: rig and controller over a link.")  # fmt: skip
-@click.option("--link", metavar="URI", help="Link in real time, such as can:hil:rig0 or zenoh:tcp/127.0.0.1:7447.")
-@click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
-@click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace the file of -o.")
 @click.option("--log-mode", "log_mode", metavar="OCTAL", default="600", show_default=True, help="Who may read the log.")
 @click.option("--index", type=click.Choice(["full", "chunk"]), default="full", show_default=True,
               help="Index of the log; chunk: half the size, but Foxglove and Lichtblick refuse it.")  # fmt: skip
@@ -207,19 +219,14 @@ def run(
 
 @click.command()
 @click.argument("experiments", type=EXPERIMENT, nargs=-1, required=True, metavar="EXPERIMENT [EXPERIMENT] | LOG.mcap")
-@click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field, such as plant.gain=170.")
+@session_options
 @click.option("--clock", type=click.Choice(["virtual", "real"]), default="virtual", show_default=True,
               help="real: separate processes keep time; takes fewer changes.")  # fmt: skip
-@click.option("--link", metavar="URI", help="Link in real time.")
-@click.option("--seed", type=int, help="Seed of the run; the experiment's own by default.")
-@click.option("--duration", type=str, metavar="S", help="Length of the run: 10, 10s, 2min.")
 @click.option("--speed", type=Within(1e-3, 1e3), default=1.0, show_default=True, help="Times real time.")
 @click.option("--paused", is_flag=True, help="Pause before slot 0, until the page resumes.")
 @click.option("--script", type=click.Path(path_type=Path), metavar="FILE",
               help="Without a page: run with the changes of a script, or of a log; in virtual time at full speed.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Port of the page on 127.0.0.1; a free one by default.")
-@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.mcap", help="Log; by default below runs/.")
-@click.option("--force", is_flag=True, help="Replace the file of -o.")
 @click.option("--folder", metavar="DIR", help="Of a LOG: folder of own modules, which are run.")
 @click.option("--open", "show", is_flag=True, help="Open the page in the browser.")
 @foxglove_option
