@@ -172,11 +172,12 @@ def issue_certificate(folder: Path, name: str, hosts: Sequence[str] = (), days: 
 
     Raises:
         HilError: the authority's key cannot be read, or the name cannot.
+        TransportError: the list of revoked names cannot be read.
     """
     if not _NAME.fullmatch(name) or name in _TAKEN:
         raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.', and none of {', '.join(_TAKEN)}")
     root, certificate = authority_key(folder, "certificates are issued")
-    if name in _revoked(folder):
+    if name in revoked_names(folder / "ca.pem"):
         raise HilError(f"{folder / REVOKED}: the name {name} is revoked; choose another one")
     begin = datetime.now(UTC) - BEFORE
     files = end_files(folder, name, root, certificate.subject, hosts, begin, begin + timedelta(days=days))
@@ -197,25 +198,19 @@ def revoke_names(folder: Path, names: Sequence[str]) -> Path:
         The list.
 
     Raises:
-        HilError: a name that is none, no ca.pem there, or the list cannot be read or written.
+        HilError: a name that is none, no ca.pem there, or the list cannot be written.
+        TransportError: the list cannot be read.
     """
     for name in names:
         if not _NAME.fullmatch(name):
             raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.'")
     if not os.path.isfile(folder / "ca.pem"):
         raise HilError(f"{folder / 'ca.pem'}: no such file; the list stands beside the certificate of the authority")
-    every = sorted(_revoked(folder) | set(names))
+    every = sorted(revoked_names(folder / "ca.pem") | set(names))
     with written_whole(folder / REVOKED, replace=True) as part:
         part.write_text("".join(f"{name}\n" for name in every))
         part.chmod(0o644)
     return folder / REVOKED
-
-
-def _revoked(folder: Path) -> frozenset[str]:
-    try:
-        return revoked_names(folder / "ca.pem")
-    except TransportError as error:
-        raise HilError(str(error)) from error
 
 
 def renew_certificates(folder: Path, days: int = 365) -> list[Path]:

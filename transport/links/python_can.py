@@ -47,6 +47,9 @@ def with_mf4() -> type[can.io.mf4.MF4Writer]:
     return writer
 
 
+_NO_FRAME: Final = (REMOTE, False, b"")
+
+
 class MessageFrames:
     """Frames by way of the messages of a bus.
 
@@ -70,15 +73,23 @@ class MessageFrames:
         return True
 
     def recv_frame(self, timeout: float) -> tuple[int, bool, bytes] | None:
-        """Receive: identifier with the flags of <linux/can.h>, whether FD, data; or None."""
+        """Receive: identifier with the flags of <linux/can.h>, whether FD, data; or None.
+
+        A datagram of ``udp_multicast`` may come from anyone: what is no frame is a remote one, which a link calls malformed.
+        """
         try:
             message = self._bus.recv(timeout)
+            if message is None:
+                return None
+            flags = ERROR * bool(message.is_error_frame) | REMOTE * bool(message.is_remote_frame)
+            flags |= EXTENDED * bool(message.is_extended_id)
+            return message.arbitration_id | flags, bool(message.is_fd), bytes(message.data)
         except can.CanError as error:
+            if error.error_code is None and not isinstance(error.__cause__, OSError | None):
+                return _NO_FRAME
             raise _of_system(error) from error
-        if message is None:
-            return None
-        flags = message.is_error_frame * ERROR | message.is_remote_frame * REMOTE | message.is_extended_id * EXTENDED
-        return message.arbitration_id | flags, message.is_fd, bytes(message.data)
+        except TypeError:
+            return _NO_FRAME
 
     def shutdown(self) -> None:
         """Leave the bus."""

@@ -192,6 +192,25 @@ def test_a_fault_of_the_bus_is_counted_and_survived(fault: Exception) -> None:
         assert link.counters.sent == link.counters.received == 1
 
 
+def test_a_datagram_that_is_no_frame_is_malformed_and_no_fault_of_the_bus() -> None:
+    """Over udp_multicast any process may send it: a text in the place of a flag ended the rig, or took a gigabyte.
+
+    For a fault of the bus a link pauses for 10 ms: a hundred datagrams a second would leave it no time.
+    """
+    said = {"arbitration_id": 0x140, "is_fd": True, "is_extended_id": False, "data": control(1)}
+    odd = [{"is_remote_frame": "x"}, {"is_error_frame": None, "arbitration_id": 320.0}, {"is_extended_id": {}, "is_fd": 3}]
+    unreadable = can.CanOperationError("could not unpack received message")
+    unreadable.__cause__ = KeyError("dlc")
+    bus = FailingBus([unreadable] * 20)
+    bus.sent = [can.Message(**{**said, **each}) for each in odd]  # type: ignore[arg-type]
+    for each in bus.sent:
+        each.arbitration_id = each.arbitration_id if isinstance(each.arbitration_id, float) else each.arbitration_id ^ 0x40
+    with CanLink("can:failing", "rig", lambda: MessageFrames(bus, fd=True)) as link:
+        while bus.faults or bus.sent:
+            link.receive(0.1)
+        assert (link.counters.malformed, link.counters.errors, link.counters.received) == (22, 0, 1)
+
+
 def test_a_loop_that_polls_a_failing_bus_does_not_spin() -> None:
     bus = FailingBus([can.CanOperationError("down", ENETDOWN)] * 1000)
     with CanLink("can:failing", "rig", lambda: MessageFrames(bus, fd=True)) as link:
