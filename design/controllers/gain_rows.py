@@ -6,15 +6,16 @@ Each of many runs has bit for bit what one alone computes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import cycle
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numpy.typing import NDArray
 
 from design.controllers.contract import Gains, Known, KnownInBatch, LoopModel, Rows, RunningController, Selection
 from design.controllers.exact_products import dot, of_size_one, pseudo_inverse, rank_of
+from design.errors import DesignError
 
 Matrix = NDArray[np.float64]
 
@@ -28,28 +29,44 @@ def _tuples(values: Any) -> Any:
     return tuple(map(_tuples, values)) if isinstance(values, list) else values
 
 
-def feedforward(model: LoopModel) -> NDArray[np.float64]:
-    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
+class SteadyState(NamedTuple):
+    """x* = state @ r and u* = input @ r: Omega_12 (n, p) and Omega_22 (m, p) of (7.7)."""
 
-    With p < m the minimum-norm solution :math:`N^T(NN^T)^{-1}` is taken, as printed. With p > m the outputs cannot all be chosen:
-    it holds for the references that some input holds, see `held_exactly`.
+    state: Matrix
+    input: Matrix
+
+
+def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> SteadyState:
+    """Omega_12 and Omega_22; with more inputs than outputs the solution of least norm, as printed.
+
+    More outputs than inputs cannot follow any reference: there the two hold for the references that `held_exactly` lets pass.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
 
     Raises:
-        ValueError: if p <= m and N is rank deficient: no steady state tracks every reference.
+        DesignError: p <= m, and N = [[A - I, B], [C, 0]] has not full row rank, which is `value`.
+
+    >>> steady_state([[0.5]], [[1.0]], [[1.0]]).input.round(9).tolist()
+    [[0.5]]
     """
-    matrices = (model.A, model.B, model.C)
-    return np.array(_feedforward(*(tuple(map(tuple, M.tolist())) for M in matrices)))
-
-
-@lru_cache(maxsize=16)
-def _feedforward(*matrices: tuple[tuple[float, ...], ...]) -> list[list[float]]:
-    A, B, C = map(np.array, matrices)
+    A, B, C = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
     (n, m), p = B.shape, len(C)
     N = np.block([[A - np.eye(n), B], [C, np.zeros((p, m))]])
-    if p <= m and rank_of(N) < n + p:
-        raise ValueError(f"no steady state tracks every reference: [[A - I, B], [C, 0]] has rank < {n + p}")
-    found: list[list[float]] = pseudo_inverse(N)[n:, n:].tolist()
-    return found
+    if p <= m and (rank := rank_of(N)) < n + p:
+        said = f"[[A - I, B], [C, 0]] has rank {rank}, expected {n + p}"
+        raise DesignError(f"no steady state tracks every reference: {said}", value=rank)
+    right = pseudo_inverse(N)[:, n:]
+    return SteadyState(right[:n], right[n:])
+
+
+def feedforward(model: LoopModel) -> Matrix:
+    r"""Return :math:`\Omega_{22}` (m x p), so that :math:`\tilde u^* = \Omega_{22} \bar r` (thesis (7.6)-(7.7)).
+
+    Raises:
+        DesignError: as of `steady_state`.
+    """
+    return steady_state(model.A, model.B, model.C).input
 
 
 def held_exactly(A: Matrix, B: Matrix, C: Matrix, r: Sequence[float]) -> bool:

@@ -7,13 +7,12 @@ parts, in deviations from the ideal plant response: state and input at which the
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers import held_exactly
-from design.controllers.exact_products import pseudo_inverse, rank_of
+from design.controllers.gain_rows import held_exactly
 from design.errors import DesignError, FieldError, TooLarge
 from design.jump_linear.certificate import too_large
 from design.processes.delay_chain import DelayChain
@@ -204,37 +203,6 @@ def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> dict
             found[label] = (start, delay)
             start += delay * m
     return found or {0: (start, 1)}
-
-
-class SteadyState(NamedTuple):
-    """x* = state @ r and u* = input @ r: Omega_12 (n, p) and Omega_22 (m, p) of (7.7)."""
-
-    state: Array
-    input: Array
-
-
-def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> SteadyState:
-    """Omega_12 and Omega_22; with more inputs than outputs the solution of least norm, as printed.
-
-    More outputs than inputs cannot follow any reference: there the two hold for the references that `check_held` lets pass.
-
-    Args:
-        A, B, C: (n, n), (n, m), (p, n) discrete plant.
-
-    Raises:
-        DesignError: p <= m, and N = [[A - I, B], [C, 0]] has not full row rank, which is `value`.
-
-    >>> steady_state([[0.5]], [[1.0]], [[1.0]]).input.round(9).tolist()
-    [[0.5]]
-    """
-    A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
-    n, m, p = A_.shape[0], B_.shape[1], C_.shape[0]
-    N = np.block([[A_ - np.eye(n), B_], [C_, np.zeros((p, m))]])
-    if p <= m and (rank := rank_of(N)) < n + p:
-        said = f"[[A - I, B], [C, 0]] has rank {rank}, expected {n + p}"
-        raise DesignError(f"steady state: no input holds every reference, {said}", value=rank)
-    right = pseudo_inverse(N)[:, n:]
-    return SteadyState(right[:n], right[n:])
 
 
 def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, reference: npt.ArrayLike) -> None:

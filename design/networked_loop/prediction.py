@@ -25,8 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import Selection
+from design.controllers.gain_rows import steady_state
 from design.errors import FieldError
-from design.networked_loop import check_gains, check_held, steady_state
+from design.networked_loop import check_gains, check_held
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.moment_recursion import MomentRecursion

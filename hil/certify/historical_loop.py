@@ -18,16 +18,7 @@ from design.verdict import Kind, Verdict
 from hil.certify import CertificationProblem, limited_to_model, undecided, why_no_history
 from hil.errors import HilError
 from hil.rig.loop import Loop
-from plants.parts.protocols import (
-    BeyondModel,
-    HasCost,
-    HasOwnInputs,
-    HasSensorNoise,
-    HasStateDelays,
-    HasStateHistory,
-    JumpPlant,
-    Plant,
-)
+from plants.parts.protocols import BeyondModel, HasCost, HasSensorNoise, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
 if TYPE_CHECKING:
     from design.historical_data import DelayedPlant
@@ -124,12 +115,11 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     verdict = certify_cost(plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed)
     lossy = nodes.turns is not None and nodes.turns.loss
     lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
-    pushed = loop.pulses or (isinstance(loop.plant, HasOwnInputs) and loop.plant.own_inputs())
     known = msgspec.structs.replace(
         verdict,
         digest=loop.digest,
         details={**verdict.details, **least},
-        assumptions=(*verdict.assumptions, *(["the cost is without disturbances"] * bool(pushed)), lost, "no limit trips"),
+        assumptions=(*verdict.assumptions, *(["the cost is without disturbances"] * bool(loop.pulses)), lost, "no limit trips"),
     )
     return limited_to_model(loop.plant, known, knows_state_delays=True)
 

@@ -195,8 +195,9 @@ def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array,
 
     No slots, with the reason, where the start of the experiment is not judged.
     """
+    from design.controllers.gain_rows import steady_state
     from design.jump_linear.leaving import SLOTS
-    from design.networked_loop import check_held, steady_state
+    from design.networked_loop import check_held
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     m, first = B.shape[1], first_state(loop)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from design.controllers.gain_rows import steady_state
 from design.errors import DesignError
 from design.jump_linear.second_moment import congruence_matrices, forward, to_vector
-from design.networked_loop import moment_recursion, steady_state
+from design.networked_loop import moment_recursion
 from design.networked_loop.prediction import predict_tracking
 from design.processes.delay_chain import DelayChain
 from design.tracking.synthesis import TrackingProblem, solve
