@@ -34,6 +34,10 @@ RISKS = (RISK, 0.1)
 """Probabilities whose regions are stated."""
 
 
+NO_COMMAND = 1e-9
+"""Share of a limit up to which a steady command is rounding."""
+
+
 class ClosedLoop(NamedTuple):
     """The closed loop of a plant, with the plant's state first.
 
@@ -79,7 +83,7 @@ def judge_region(
     if unknown:
         return _outside(verdict, named, f"not decided {unknown} ({verdict.reason})", {})
     try:
-        starts, steady, why = _begins(loop)
+        starts, steady, why = _begins(loop, limits)
         which = np.flatnonzero(np.isfinite(limits))
         room = limits[which] - steady[which]
         if (room <= adds[which]).any():
@@ -190,39 +194,32 @@ def first_state(loop: CertificationProblem) -> Array | None:
     return one if len(one) == len(loop.motion.A) and np.array_equal(one, two) else None
 
 
-def _begins(loop: CertificationProblem) -> tuple[list[tuple[int, Array]], Array, str]:
+def _begins(loop: CertificationProblem, limits: Array) -> tuple[list[tuple[int, Array]], Array, str]:
     """Return the slots in which the state is moved, each with its shift; the largest steady command, (m,); and a reason.
 
     No slots, with the reason, where the start of the experiment is not judged.
     """
-    from design.controllers.gain_rows import steady_state
+    from design.controllers.gain_rows import SteadyState, steady_state
     from design.jump_linear.leaving import SLOTS
     from design.networked_loop import check_held
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
-    m, first = B.shape[1], first_state(loop)
-    references = [np.array(value) for _, value in sorted(loop.steps)]
-    points, steady = [np.zeros(len(A))], np.zeros(m)
-    if any(r.any() for r in references):
-        star = steady_state(A, B, C)
-        for r in references:
-            check_held(A, B, C, r[None])
-            points.append(star.state @ r)
-            steady = np.maximum(steady, np.abs(star.input @ r))
-    else:
-        points += [np.zeros(len(A))] * len(references)
+    (n, m), p, first = B.shape, len(C), first_state(loop)
+    slots, references = [slot for slot, _ in sorted(loop.steps)], np.array([r for _, r in sorted(loop.steps)]).reshape(-1, p)
+    star = steady_state(A, B, C) if references.any() else SteadyState(np.zeros((n, p)), np.zeros((m, p)))
+    check_held(A, B, C, references)
+    points, steady = [np.zeros(n), *(references @ star.state.T)], np.abs(references @ star.input.T).max(axis=0, initial=0.0)
     pushes = [(slot + i + 1, B @ np.array(w)) for slot, length, w in loop.pulses for i in range(length)]
     if first is None:
         return [], steady, "its first state is not known"
-    if steady.max(initial=0.0) > 1e-9:
+    if (steady > NO_COMMAND * np.where(np.isfinite(limits), limits, 1.0)).any():
         return [], steady, "its reference needs a steady command"
-    if max(*(slot for slot, _ in loop.steps), *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
+    if max(*slots, *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
         return [], steady, f"its reference steps, or a disturbance comes, after slot {SLOTS}"
-    slots = [0, *(slot for slot, _ in sorted(loop.steps))]
     jumps = [first - points[0], *(before - after for before, after in pairwise(points))]
     begun: dict[int, Array] = {}
-    for slot, jump in zip(slots, jumps):
-        begun[slot] = begun.get(slot, np.zeros(len(A))) + jump
+    for slot, jump in zip([0, *slots], jumps):
+        begun[slot] = begun.get(slot, np.zeros(n)) + jump
     starts, unlike = [*begun.items(), *pushes], _first_rows(loop)  # pushes on their own: of a disturbance a share may act
     if unlike and any(slot <= _first_slots(loop) and shift.any() for slot, shift in starts):
         return [], steady, unlike

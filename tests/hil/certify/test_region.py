@@ -181,6 +181,15 @@ def test_a_step_that_the_first_rows_answer_is_not_judged_by_later_ones(rule: str
         assert bool(np.abs(commands).max() < SUPPLY) == within
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-10])
+def test_a_steady_command_is_one_in_any_unit_of_the_input(unit: float) -> None:
+    plant = LinearPlant(A=((-1.0,),), B=((1.0 / unit,),), C=((1.0,),), saturation=(unit,))
+    changes: Any = {"reference": [{"at": 0.5, "value": [0.5]}], "disturbance": [], "limits.state": {}, "allow_uncertified": True}
+    changes["controller"] = {"kind": "local", "gain": [[-0.1 * unit]]}
+    verdict = verdict_of(compose(load_experiment("dc-motor-h2", plant=plant, **changes)))
+    assert verdict.state == "undecided" and "its reference needs a steady command" in verdict.reason
+
+
 @pytest.mark.parametrize("instants", [(1.0, 1.0), (1.01, 0.99)])
 def test_of_two_steps_in_one_slot_the_last_is_judged(instants: tuple[float, float]) -> None:
     gain = {"controller": {"kind": "local", "gain": [[-0.02]]}}
