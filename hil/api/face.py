@@ -121,7 +121,7 @@ def report(
 
     Args:
         source: a session, or the file of a log; a comparison or a sweep, whose page needs ``output``; a folder of logs, whose
-            page lists them all, and each has a page of its own.
+            page lists them all, or those of the folders below it where it has none, and each has a page of its own.
         output: the page, a file; beside the log by default, with the ending ``.html``, and ``index.html`` for a folder.
         force: replace a file that is there already and is no page; a page always is replaced.
         figures: a folder in which every plot is written as SVG and PDF too.

@@ -33,8 +33,9 @@ if TYPE_CHECKING:
 def report(file: str, output: Path | None, figures: Path | None, folder: Path | None, show: bool, force: bool) -> None:
     """Make one self-contained HTML page from the log FILE: it needs no network and no other file.
 
-    Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs; each gets its own page,
-    unless -o puts that of the folder elsewhere.
+    Where FILE is a folder, its page (index.html) lists all its logs, with a filter and their outputs, or those of the folders
+    below it where it has none, as `pytest --hil-logs` keeps them; each gets its own page, unless -o puts that of the folder
+    elsewhere.
 
     A page that is there is replaced; the log is never changed.
     """

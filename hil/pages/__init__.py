@@ -181,14 +181,14 @@ class Badge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Link:
-    """A cell that leads to another page: the words, and a file name beside this page (no other address is taken)."""
+    """A cell that leads to another page: the words, and a file beside this page or in a folder below (no other address)."""
 
     label: str
     href: str
 
     def __post_init__(self) -> None:
-        if not self.href or any(sign in self.href for sign in ":/\\"):
-            raise ValueError(f"href: {self.href!r}, expected a file name beside the page")
+        if {"", "..", "."} & {*self.href.split("/")} or any(sign in self.href for sign in ":\\"):
+            raise ValueError(f"href: {self.href!r}, expected a file beside the page or below it")
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -26,6 +27,7 @@ from hil.pages.sections import sections_of
 from hil.pages.sections.time_panels import output_panels
 
 MOST_LOGS = 2000
+MOST_FOLDERS = 10_000
 MOST_DRAWN = 60
 """Runs whose outputs are drawn; the table names all."""
 
@@ -231,7 +233,7 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     """Write the page of a folder of logs, and the page of each log that has none or an older one.
 
     Args:
-        folder: its ``*.mcap`` are listed by name; folders below it are not read.
+        folder: its ``*.mcap`` are listed by name; where it has none, those below it, as ``pytest --hil-logs`` keeps them.
         output: the page, ``index.html`` in the folder by default; elsewhere it links to no page of a run.
         force: replace a file that is there already and is no page; a page always is replaced.
 
@@ -243,7 +245,7 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     """
     from hil.log.read import read_run  # of a run in memory there is nothing to read
 
-    logs = sorted(path for path in folder.glob("*.mcap") if path.is_file())
+    logs = sorted(filter(Path.is_file, folder.glob("*.mcap"))) or sorted(filter(Path.is_file, _logs_below(folder)))
     if not logs:
         raise HilError(f"{folder}: holds no .mcap file; hil run EXPERIMENT -o {folder}/a.mcap writes one")
     if len(logs) > MOST_LOGS:
@@ -254,26 +256,33 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     found: list[LoggedRun] = []
     written: list[Path] = []
     for i, log in enumerate(logs):
+        name = log.relative_to(folder).as_posix()
         try:
             view = view_of(read_run(log))
-            page = _page_of(log, view, target, written) if beside else ""
-            found.append(logged_run(log.name, page, view, drawn=i < MOST_DRAWN))
+            page = name.removesuffix("mcap") + "html"
+            if not beside or ":" in page or "\\" in page or not _has_page(log, view, target, written):
+                page = ""
+            found.append(logged_run(name, page, view, drawn=i < MOST_DRAWN))
         except HilError as error:
-            found.append(LoggedRun(name=log.name, failure=str(error).removeprefix(f"{log}: "), numbers={}))
+            found.append(LoggedRun(name=name, failure=str(error).removeprefix(f"{log}: "), numbers={}))
     write_output(target, runs_page(folder.resolve().name, found))
     return (target, *written)
 
 
-def _page_of(log: Path, view: RunView, index: Path, written: list[Path]) -> str:
+def _logs_below(folder: Path) -> Iterator[Path]:
+    for where, _, names in islice(os.walk(folder), MOST_FOLDERS):
+        yield from (Path(where, name) for name in names if name.endswith(".mcap"))
+
+
+def _has_page(log: Path, view: RunView, index: Path, written: list[Path]) -> bool:
     page = log.with_suffix(".html")
-    if page == index or ":" in page.name or "\\" in page.name:
-        return ""
+    if page == index:
+        return False
     try:
         check_page(page)
     except HilError:  # another file stands in its place
-        return ""
-    if page.exists() and page.stat().st_mtime_ns >= log.stat().st_mtime_ns:
-        return page.name
-    write_output(page, render_report(view))
-    written.append(page)
-    return page.name
+        return False
+    if not page.exists() or page.stat().st_mtime_ns < log.stat().st_mtime_ns:
+        write_output(page, render_report(view))
+        written.append(page)
+    return True

@@ -39,7 +39,7 @@ COMMANDS = {"github": of_github(GITHUB["jobs"]["test"]["steps"]), "gitlab": GITL
 def test_each_job_installs_this_package_and_what_its_tests_take() -> None:
     known = {PROJECT["name"], *(line.partition(">")[0] for line in PROJECT["optional-dependencies"]["test"])}
     for name in ("github", "gitlab"):
-        install, run = map(shlex.split, COMMANDS[name])
+        install, run, *_ = map(shlex.split, COMMANDS[name])
         assert install[:2] == ["pip", "install"] and {word for word in install[2:] if word != "--no-compile"} <= known
         assert {"hilrig", "pytest"} <= set(install) and ("pytest-xdist" in install) == ("-n" in run)
 
@@ -58,6 +58,9 @@ def test_the_tests_run_as_written_and_leave_what_the_job_keeps(name: str, tmp_pa
     folders = kept["paths"] if name == "gitlab" else [kept["path"]]
     assert all(list((tmp_path / folder).rglob("*.mcap")) for folder in folders)
     assert 'name="hil_verdict" value="certified"' in (tmp_path / "junit.xml").read_text()
+    report = COMMANDS["github"][2] if name == "github" else GITLAB["test"]["after_script"][0]
+    assert hil_command(*shlex.split(report)[1:], cwd=tmp_path).returncode == 0
+    assert "test_step_is_tracked/dc-motor-hinf-0.mcap" in (tmp_path / folders[0] / "index.html").read_text()
     if name == "gitlab":
         assert (tmp_path / kept["reports"]["junit"]).is_file()
 

@@ -112,7 +112,9 @@ def test_an_amount_stays_on_one_line_on_a_telephone(tmp_path: Path, browser: chr
     heads = ("period", "plant.gain", "runs", "mean", "95 % interval", "difference to the best point", "its 95 % interval")
     file = tmp_path / "page.html"
     table, badge = Table(columns=heads, rows=rows, highlight=(1,)), Badge(label=" ".join(["a label"] * 9), state="good")
-    file.write_text(Page("Points", [Section(title="x", blocks=(table,))], badges=[badge]).html())
+    curve = Series(label="test_a.py/test_of_a_long_name" * 3, x=np.arange(3.0), y=np.zeros(3))  # as of a log of pytest
+    figure = Figure(title=curve.label, series=(curve,), y_label="y")
+    file.write_text(Page("Points", [Section(title="x", blocks=(table, figure))], badges=[badge]).html())
     browser.size(390, 800)
     browser.open(file)
     lines = "[...document.querySelectorAll('td')].map(d => { const r = document.createRange(); r.selectNodeContents(d); "

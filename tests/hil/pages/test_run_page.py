@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import warnings
 from pathlib import Path
 
@@ -254,6 +255,20 @@ def test_pages_are_made_again_only_where_the_log_is_newer_and_never_over_other_f
     (folder / "omni.html").unlink()
     (elsewhere,) = hil.report(folder, output=folder.parent / "all.html", force=True)
     assert "href=" not in elsewhere.read_text().split("<main>")[1].split("<footer>")[0]
+
+
+def test_logs_in_folders_below_are_listed_where_a_folder_has_none_itself(folder: Path, tmp_path: Path) -> None:
+    """``pytest --hil-logs`` keeps them in folders named after the tests."""
+    below = tmp_path / "logs" / "test_a.py" / "test_step[3]"
+    below.mkdir(parents=True)
+    shutil.copy(folder / "omni.mcap", below / "omni-0.mcap")
+    (tmp_path / "logs" / "not.mcap").mkdir()
+    written = hil.report(tmp_path / "logs")
+    assert written == (tmp_path / "logs" / "index.html", below / "omni-0.html")
+    link = '<a href="test_a.py/test_step%5B3%5D/omni-0.html">test_a.py/test_step[3]/omni-0.mcap</a>'
+    assert link in written[0].read_text()
+    shutil.copy(folder / "omni.mcap", tmp_path / "logs" / "top.mcap")
+    assert len(hil.report(tmp_path / "logs")) == 2 and "test_a.py" not in written[0].read_text()
 
 
 def test_a_folder_without_logs_and_options_of_one_run_are_refused(tmp_path: Path) -> None:
