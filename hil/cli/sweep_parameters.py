@@ -101,18 +101,13 @@ def end_interrupted(status: int, resume: Path | None, kept: str) -> None:
 def _show(out: dict[str, Any], sweep: ParameterSweep, page: Path | None, table: Path | None) -> None:
     from hil.measure.signals import with_unit
     from hil.pages import Table
+    from hil.sweeps.shown import measured
 
     print(f"{visible(out['experiment'])}: {out['runs']} runs at each of {len(out['points'])} points in {out['wall_s']} s")
-    for quantity in sweep.quantities:
-        rows = []
-        for point in out["points"]:
-            seen = point["metrics"][quantity.name]
-            mean, low = seen["mean"], seen["low"]
-            numbers = ("-" if mean is None else f"{mean:.5g}", "-" if low is None else f"{low:.4g} to {seen['high']:.4g}")
-            rows.append((*point["changes"].values(), seen["n"], *numbers))
-        if any(row[-2] != "-" for row in rows):
-            heads = (*sweep.points.keys, "n", "mean", "95 % interval")
-            print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
+    for quantity in measured(sweep.quantities, sweep.columns)[0]:
+        heads = (*sweep.points.keys, "runs", "mean", "95 % interval")
+        rows = [row[: len(heads)] for row in sweep.table(quantity)[1]]
+        print_table(Table(title=with_unit(quantity.title, quantity.unit), columns=heads, rows=rows))
     for said in (*(sweep.answer(q.name) for q in sweep.judged()[:1]), *sweep.said()):
         print_folded(said)
     print_written(page, table)

@@ -131,7 +131,7 @@ def parameter_page(sweep: ParameterSweep) -> str:
     for quantity in sweep.quantities:
         found = sweep.intervals(quantity.name)
         if any(np.isfinite(i.value) for i in found):
-            blocks = (*_pictures(sweep, quantity, found), _table(sweep, quantity, found))
+            blocks = (*_pictures(sweep, quantity, found), _table(sweep, quantity))
             sections.append(Section(title=quantity.title, blocks=blocks))
     stopped = sum(int(columns["stopped"].sum()) for columns in sweep.columns)
     facts = (
@@ -202,21 +202,12 @@ def _lines(
     )  # fmt: skip
 
 
-def _table(sweep: ParameterSweep, quantity: Quantity, found: list[Interval]) -> Block:
-    best = sweep.best(quantity.name)
-    against = 0 if best is None else best
-    rows: list[list[Any]] = []
-    for number, i in enumerate(found):
-        gap = sweep.difference(number, against, quantity.name)
-        gap_cells = (None, None) if number == against or gap.n < 2 else (gap.value, _in_one_line(within(gap)))
-        mean = i.value if np.isfinite(i.value) else None
-        rows.append([*sweep.points.values[number], i.n, mean, _in_one_line(within(i)), *gap_cells])
-    which = "best" if best is not None else "first"
-    columns = (
-        *sweep.points.keys, "runs", with_unit("mean", quantity.unit), "95 % interval",
-        with_unit(f"difference to the {which} point", quantity.unit), "its 95 % interval",
-    )  # fmt: skip
+def _table(sweep: ParameterSweep, quantity: Quantity) -> Block:
+    best, (columns, rows) = sweep.best(quantity.name), sweep.table(quantity)
     note = "Differences are run by run, on the same seeds."
     if best is not None:
         note += " Each interval is of two points that were named before; the answer allows for the choice of the best."
-    return Table(columns=columns, rows=rows, highlight=frozenset() if best is None else frozenset({best}), note=note)
+    return Table(
+        columns=columns, rows=[[*row[:-3], _in_one_line(row[-3]), row[-2], _in_one_line(row[-1])] for row in rows],
+        highlight=frozenset() if best is None else frozenset({best}), note=note,
+    )  # fmt: skip

@@ -117,16 +117,26 @@ class ParameterSweep(ShownResult):
         return {key: [row[i] for row in done] for i, key in enumerate(self.points.keys)}, self.columns
 
     def _result(self, quantity: str | None = None) -> Result:
-        of, keys = asked(self.quantities, quantity, self.columns), self.points.keys
-        found, best = self.intervals(of.name), self.best(of.name)
-        rows: list[list[Any]] = []
-        for point, interval in enumerate(found):
-            gap = None if best is None or point == best else self.difference(point, best, of.name)
-            cell = "best" if point == best else within(gap) if gap is not None and gap.n > 1 else None
-            rows.append([*self.points.values[point], interval.n, interval.value, within(interval), cell])
-        heads = (*keys, "runs", with_unit(f"{of.title}, mean", of.unit), "95 % interval", "difference to the best, paired")
-        paint = self._paint(of, found)
+        of = asked(self.quantities, quantity, self.columns)
+        heads, rows = self.table(of)
+        paint = self._paint(of, self.intervals(of.name))
         return Result(line=repr(self)[1:-1], answer=[self.answer(of.name)], columns=heads, rows=rows, paint=paint)
+
+    def table(self, of: Quantity) -> tuple[list[str], list[list[Any]]]:
+        """Return what the columns of a quantity's table are, and a row per point that was done.
+
+        Each has the point's fields, its runs, mean and interval, the paired difference to the best point, to the first where none
+        is best, and its interval.
+        """
+        best = self.best(of.name)
+        against, rows = best or 0, []
+        for point, own in enumerate(self.intervals(of.name)):
+            gap = self.difference(point, against, of.name)
+            cells = (None, None) if point == against or gap.n < 2 else (gap.value, within(gap))
+            rows.append([*self.points.values[point], own.n, own.value if own.n else None, within(own), *cells])
+        which = "first" if best is None else "best"
+        mean, gaps = (with_unit(head, of.unit) for head in ("mean", f"difference to the {which} point"))
+        return [*self.points.keys, "runs", mean, "95 % interval", gaps, "its 95 % interval"], rows
 
     def _paint(self, of: Quantity, found: list[Interval]) -> Callable[[Figure], None]:
         points, done = self.points, self.points.values[: len(found)]
