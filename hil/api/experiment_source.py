@@ -60,7 +60,7 @@ def checked_arguments(function: Callable[P, R]) -> Callable[P, R]:
     def called(*args: P.args, **kwargs: P.kwargs) -> R:
         __tracebackhide__ = True  # pytest shows the line of the test, not this function
         if not hints:
-            hints.update(get_type_hints(SimpleNamespace(__annotations__=own), globalns=vars(_module(function))))
+            hints.update(get_type_hints(SimpleNamespace(__annotations__=own), globalns=vars(sys.modules[function.__module__])))
         _refuse_unknown(function.__name__, named, kwargs)
         for name, value in named.bind(*args, **kwargs).arguments.items():
             kind = named.parameters[name].kind
@@ -84,12 +84,6 @@ def _refuse_unknown(name: str, named: Signature, kwargs: Mapping[str, Any]) -> N
         hint = "" if key in named.parameters or key in keys else nearest(key, own)
         if hint and hint == nearest(key, [*own, *keys]) != nearest(key, keys):
             raise HilError(f"hil.{name}: no argument is called {key!r}{hint}")
-
-
-def _module(function: Callable[..., Any]) -> Any:
-    import sys
-
-    return sys.modules[function.__module__]
 
 
 def check_kind(what: str, value: Any, hint: Any, *, several: bool = False) -> None:

@@ -94,7 +94,9 @@ class Checker:
         rest = {k: v for k, v in raw.items() if k not in given}
         experiment = self._tables.table(Experiment, rest, "", given)
         if isinstance(experiment, Experiment):
-            self._own_measures(experiment, folder)
+            for i, name in enumerate(experiment.report.measures):
+                with self._kept(f"report.measures[{i}]", HilError):
+                    registry.load("hil.measures", name, folder)
         infinite = {fault.partition(": ")[0] for fault in self.faults if fault.endswith(INFINITE)}
         self.faults[:] = [f for f in self.faults if f.endswith(INFINITE) or f.partition(": ")[0] not in infinite]  # say it once
         return experiment if not self.faults else None
@@ -193,8 +195,3 @@ class Checker:
         self.kinds[path] = kind
         why = f"{kind}, which the log does not hold"
         return UnavailablePlugin(field=path, kind=kind, why=why, said=table)
-
-    def _own_measures(self, experiment: Experiment, folder: str) -> None:
-        for i, name in enumerate(experiment.report.measures):
-            with self._kept(f"report.measures[{i}]", HilError):
-                registry.load("hil.measures", name, folder)

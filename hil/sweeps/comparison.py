@@ -131,16 +131,12 @@ class Comparison(ShownResult):
             return None
         from scipy.stats import binomtest  # half a second of CPU: only where a run was stopped
 
-        counts = f"{_loop(own)} of its {self.runs} runs, {_loop(other)} of {self.first}"
+        counts = f"{own.sum() or 'none'} of its {self.runs} runs, {other.sum() or 'none'} of {self.first}"
         only_own, only_other = int((own & ~other).sum()), int((other & ~own).sum())
         p = float(binomtest(only_own, only_own + only_other).pvalue) if only_own + only_other else 1.0
         if p >= 0.05:
             return f"{name} against {self.first}: undecided; safety stopped {counts} (as many by chance: p = {p:.2g})"
         return f"{name} is {'worse' if only_own > only_other else 'better'}: safety stopped {counts}"
-
-
-def _loop(stopped: NDArray[np.bool_]) -> str:
-    return str(int(stopped.sum())) if stopped.any() else "none"
 
 
 def _change(a: NDArray[np.float64], b: NDArray[np.float64], unit: str) -> str:
