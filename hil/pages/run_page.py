@@ -259,9 +259,8 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
         name = log.relative_to(folder).as_posix()
         try:
             view = view_of(read_run(log))
-            page = name.removesuffix("mcap") + "html"
-            if not beside or ":" in page or "\\" in page or not _has_page(log, view, target, written):
-                page = ""
+            linked = beside and not {*":\\"} & {*name} and _has_page(log, view, target, written)
+            page = name.removesuffix("mcap") + "html" if linked else ""
             found.append(logged_run(name, page, view, drawn=i < MOST_DRAWN))
         except HilError as error:
             found.append(LoggedRun(name=name, failure=str(error).removeprefix(f"{log}: "), numbers={}))

@@ -129,8 +129,6 @@ def refuse_unopened(link: SessionLink) -> None:
     """
     from transport.links.opening import open_link  # of real time
 
-    if link.traits.in_process:
-        return
     try:
         with catch_warnings(action="ignore"), open_link(link.uri, "rig"), open_link(link.uri, "controller"):
             pass

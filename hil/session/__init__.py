@@ -106,7 +106,7 @@ def run_session(
     quantities_of(measures_of(experiment), signals_of(experiment.plant))  # measures that disagree are reported now
     on = no_link(loop.rig) if clock == "virtual" else link_of(loop.rig, link)
     refuse_undisturbed(experiment, loop.rig, on)
-    if clock == "real" and not external:  # an external controller may be there already: it must not meet this end
+    if clock == "real" and not (external or on.traits.in_process):  # an external one, there already, must not meet this end
         refuse_unopened(on)
     loop = loop.assuming(CARRIED) if clock == "real" and on.unproved else loop
 
