@@ -50,9 +50,7 @@ def steady_state(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> Steady
     >>> steady_state([[0.5]], [[1.0]], [[1.0]]).input.round(9).tolist()
     [[0.5]]
     """
-    A, B, C = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
-    (n, m), p = B.shape, len(C)
-    N = np.block([[A - np.eye(n), B], [C, np.zeros((p, m))]])
+    N, (n, m), p = _stacked(A, B, C), np.shape(B), np.shape(C)[0]
     if p <= m and (rank := rank_of(N)) < n + p:
         said = f"[[A - I, B], [C, 0]] has rank {rank}, expected {n + p}"
         raise DesignError(f"no steady state tracks every reference: {said}", value=rank)
@@ -69,20 +67,25 @@ def feedforward(model: LoopModel) -> Matrix:
     return steady_state(model.A, model.B, model.C).input
 
 
-def held_exactly(A: Matrix, B: Matrix, C: Matrix, r: Sequence[float]) -> bool:
-    """Return whether some state and input hold the outputs at r, whatever the units are.
+def held_exactly(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, references: npt.ArrayLike) -> bool:
+    """Return whether some state and input hold the outputs at each of some references, whatever the units are.
 
     Args:
         A, B, C: (n, n), (n, m), (p, n) discrete plant.
-        r: reference, (p,).
+        references: (p,), or (K, p).
 
     Reference: thesis (7.6).
     """
-    n, m = B.shape
-    aim = np.concatenate([np.zeros(n), r])[:, None]
-    M = of_size_one(np.hstack([np.block([[A - np.eye(n), B], [C, np.zeros((len(C), m))]]), aim]))
-    missed = M @ np.append(np.linalg.pinv(M[:, :-1]) @ M[:, -1], -1.0)
-    return bool(np.abs(missed).max() <= 1e-9)
+    N, aims = _stacked(A, B, C), np.atleast_2d(references).T
+    M = of_size_one(np.hstack([N, np.vstack([np.zeros((len(N) - len(aims), aims.shape[1])), aims])]))
+    moves, aims = np.hsplit(M, [N.shape[1]])
+    return bool(np.abs(moves @ (np.linalg.pinv(moves) @ aims) - aims).max(initial=0.0) <= 1e-9)
+
+
+def _stacked(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> Matrix:
+    """N = [[A - I, B], [C, 0]], which takes a state and an input that are held to 0 and the outputs."""
+    A, B, C = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
+    return np.block([[A - np.eye(len(A)), B], [C, np.zeros((len(C), B.shape[1]))]])
 
 
 def sojourn_ranges(sojourns: Sequence[int]) -> list[tuple[int, int]]:

@@ -12,8 +12,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from design.controllers.gain_rows import held_exactly
-from design.errors import DesignError, FieldError, TooLarge
+from design.errors import FieldError, TooLarge
 from design.jump_linear.certificate import too_large
 from design.processes.delay_chain import DelayChain
 
@@ -203,19 +202,3 @@ def packet_registers(selection: str, ca: DelayChain, start: int, m: int) -> dict
             found[label] = (start, delay)
             start += delay * m
     return found or {0: (start, 1)}
-
-
-def check_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, reference: npt.ArrayLike) -> None:
-    """Refuse a reference that no state and input hold.
-
-    Args:
-        A, B, C: (n, n), (n, m), (p, n) discrete plant.
-        reference: (K, p).
-
-    Raises:
-        DesignError: with the first such value.
-    """
-    A_, B_, C_ = (np.asarray(M, dtype=np.float64) for M in (A, B, C))
-    for r in dict.fromkeys(map(tuple, np.asarray(reference, dtype=np.float64).tolist())):
-        if not held_exactly(A_, B_, C_, r):
-            raise DesignError(f"reference: no input holds the outputs at {list(r)}")

@@ -25,9 +25,9 @@ import numpy as np
 import numpy.typing as npt
 
 from design.controllers import Selection
-from design.controllers.gain_rows import steady_state
-from design.errors import FieldError
-from design.networked_loop import check_gains, check_held
+from design.controllers.gain_rows import held_exactly, steady_state
+from design.errors import DesignError, FieldError
+from design.networked_loop import check_gains
 from design.networked_loop.affine_loop import LoopStructure
 from design.networked_loop.closed_loop import loop_structure
 from design.networked_loop.moment_recursion import MomentRecursion
@@ -105,8 +105,8 @@ def predict_tracking(
     aim = r if target is None else _signal(target, p, "target", len(r))
     w = _signal(np.zeros((len(r), m)) if disturbance is None else disturbance, m, "disturbance", len(r))
     star = steady_state(A, B, C) if r.any() else None
-    if star is not None:
-        check_held(A, B, C, r)
+    if star is not None and not held_exactly(A, B, C, r):
+        raise DesignError("reference: no input holds it")
     f = _signal(np.zeros((len(r), n)) if drive is None else drive, n, "drive", len(r))
     output = np.asarray(C, dtype=np.float64)
     summed = np.zeros(p)

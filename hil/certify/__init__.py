@@ -179,10 +179,10 @@ def from_any_state(verdict: Verdict, *, damped: bool) -> Verdict | str:
         verdict: on the loop.
         damped: whether a passivity controller at the rig may add to the command.
     """
+    if verdict.kind == "stability in a region" and verdict.state != "undecided":
+        return "where its state is then is not known"
     if not verdict.certified:
         return verdict
-    if verdict.kind == "stability in a region":
-        return "where its state is then is not known"
     if verdict.kind == "passivity" and damped:
         return "the passivity controller at the rig adds a force to what comes back of what is stored then"
     if verdict.kind == "passivity":
@@ -206,7 +206,8 @@ def limited_to_sound(loop: CertificationProblem, verdict: Verdict) -> Verdict:
     if not loop.faults:
         return verdict
     faults = "1 fault" if loop.faults == 1 else f"{loop.faults} faults"
-    found = loop.whole if isinstance(loop.whole, str) else from_any_state(verdict, damped=loop.damped)
+    found = from_any_state(verdict, damped=loop.damped) if verdict.certified else verdict
+    found = loop.whole if isinstance(loop.whole, str) else found
     if isinstance(found, str):
         without = f"{verdict.state} without what happens on the time line ({faults})"
         return verdict.undecided(f"{without}; undecided with it, as {found}: {verdict.reason}")

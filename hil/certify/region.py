@@ -199,15 +199,15 @@ def _begins(loop: CertificationProblem, limits: Array) -> tuple[list[tuple[int, 
 
     No slots, with the reason, where the start of the experiment is not judged.
     """
-    from design.controllers.gain_rows import SteadyState, steady_state
+    from design.controllers.gain_rows import SteadyState, held_exactly, steady_state
     from design.jump_linear.leaving import SLOTS
-    from design.networked_loop import check_held
 
     A, B, C = loop.motion.A, loop.motion.B, loop.motion.C
     (n, m), p, first = B.shape, len(C), first_state(loop)
     slots, references = [slot for slot, _ in sorted(loop.steps)], np.array([r for _, r in sorted(loop.steps)]).reshape(-1, p)
     star = steady_state(A, B, C) if references.any() else SteadyState(np.zeros((n, p)), np.zeros((m, p)))
-    check_held(A, B, C, references)
+    if not held_exactly(A, B, C, references):
+        return [], np.zeros(m), "no input holds its reference"
     points, steady = [np.zeros(n), *(references @ star.state.T)], np.abs(references @ star.input.T).max(axis=0, initial=0.0)
     pushes = [(slot + i + 1, B @ np.array(w)) for slot, length, w in loop.pulses for i in range(length)]
     if first is None:

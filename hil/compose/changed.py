@@ -173,9 +173,7 @@ def _in_the_run(verdict: Verdict, *, damped: bool = False, anywhere: bool = Fals
         anywhere: whether a plant that jumps may be in a mode to which it does not come by itself.
     """
     found = from_any_state(verdict, damped=damped)
-    if verdict.kind == "stability in a region":  # a refusal is of where it begins, too
-        why = "where its state is then is not known"
-    elif isinstance(found, str):
+    if isinstance(found, str):
         why = found
     elif verdict.state == "refused" and any(said.endswith(ANY_PHASE) for said in verdict.assumptions):
         why = "which phases of both directions meet then is not known"
