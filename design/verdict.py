@@ -17,7 +17,9 @@ from msgspec.structs import replace
 
 from design.errors import FieldError
 
-Kind = Literal["mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"]
+Kind = Literal[
+    "mean-square stability", "practical stability", "stability in a region", "L2 gain", "guaranteed cost", "passivity"
+]
 State = Literal["certified", "refused", "undecided"]
 
 

@@ -35,15 +35,8 @@ MODULES = (
 
 
 def hil_command(
-    *words: str,
-    cwd: Path,
-    env: Mapping[str, str] | None = None,
-    timeout: float = LIMIT_S,
-    program: str = "hil",
-    terminal: str = "",
-    errors_too: bool = False,
-    absent: Iterable[str] = (),
-    reader_left: bool = False,
+    *words: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = LIMIT_S, program: str = "hil",
+    terminal: str = "", errors_too: bool = False, absent: Iterable[str] = (), reader_left: bool = False,
 ) -> subprocess.CompletedProcess[str]:
     """Run ``hil WORDS`` as `subprocess.run` would, with both outputs captured and no standard input.
 

@@ -66,8 +66,7 @@ class VirtualWall:
             steep = each.stiffness_n_per_m + each.damping_n_s_per_m / model.period_s
             if each.spared_m_per_n and 1.0 + (direct - each.spared_m_per_n) * steep <= 0.0:
                 raise FieldError(
-                    f"wall.materials[{i}].spared_m_per_n",
-                    f"{each.spared_m_per_n!r}; behind a first tap of {direct:.6g} m/N the "
+                    f"wall.materials[{i}].spared_m_per_n", f"{each.spared_m_per_n!r}; behind a first tap of {direct:.6g} m/N the "
                     f"force has no one value from {direct + 1.0 / steep:.6g} m/N on",
                 )
         return VirtualWallRun(self, model)

@@ -224,14 +224,8 @@ def grows(A: Array, transition: Array, radius: float) -> bool:
 
 
 def _judge(
-    system: MJLS,
-    radius: float,
-    bound: str,
-    tail_radius: float | None,
-    growth: float | None,
-    stable: bool,
-    between: tuple[Array, Array] | None,
-    large: str,
+    system: MJLS, radius: float, bound: str, tail_radius: float | None, growth: float | None, stable: bool,
+    between: tuple[Array, Array] | None, large: str,
 ) -> tuple[State, str]:
     """What follows from the radii and the margins, in words."""
     if large:

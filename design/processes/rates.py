@@ -220,7 +220,6 @@ class WeibullRate(Rate):
     def integral(self, h: npt.ArrayLike) -> FloatArray:
         return elementary.power(np.asarray(h, dtype=float) / self.scale_s, self.shape)
 
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ScaledRate:
     """A fraction of another rate: lambda_ij(h) = q_ij lambda_i(h), the form (2.7) with a constant q_ij."""

@@ -111,10 +111,8 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
 
     def no_chain(self) -> str:
         """Return why nothing is known of a loop without chains of ages, as a reason."""
-        return (
-            f"no certificate covers this kind of network: {self.chainless}"
-            if self.chainless
-            else ("no certificate covers this kind of network law")
+        return f"no certificate covers this kind of network: {self.chainless}" if self.chainless else (
+            "no certificate covers this kind of network law"
         )
 
 

@@ -167,8 +167,7 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     said = ", ".join(f"{name} within {bound:.4g} {unit}" for name, (bound, unit) in ends.items())
     ending = f"ends, in the root mean square, with {said}" if pushed.pushes else "goes to rest"
     found = replace(
-        verdict,
-        kind="practical stability",
+        verdict, kind="practical stability",
         reason=f"with {', '.join(pushed.names)} it {ending}; without, {verdict.reason}",
         details={**verdict.details, "ends_within": {name: bound for name, (bound, _) in ends.items()}},
         assumptions=(*verdict.assumptions, "the bound is of the motion around the reference, without loads and noise"),

@@ -57,10 +57,8 @@ def certify(loop: CertificationProblem, asked: Iterable[Certifier] | None = None
 
 def _too_large(loop: CertificationProblem, error: MemoryError) -> str:
     sizes = [f"{chain.modes} modes of {name}" for name, chain in (("sc", loop.sc), ("ca", loop.ca)) if chain is not None]
-    return (
-        f"its proof takes more memory than there is, over {' times '.join(sizes)}: {str(error) or 'no memory'}; shorten a "
+    return f"its proof takes more memory than there is, over {' times '.join(sizes)}: {str(error) or 'no memory'}; shorten a " \
         "sojourn law's tail (a larger p or beta, a smaller q, or a table)"
-    )
 
 
 def of_external(verdict: Verdict, named: str) -> Verdict:

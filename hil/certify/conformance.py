@@ -64,10 +64,8 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
     beyond = isinstance(loop.plant, BeyondModel) and bool(loop.plant.beyond_model())
     if verdict.state == "undecided" and beyond and not regional:
         return verdict
-    departs = (
-        (regional or verdict.kind == "practical stability")
-        and isinstance(loop.plant, HasDepartures)
-        and bool(loop.plant.departures())
+    departs = (regional or verdict.kind == "practical stability") and isinstance(loop.plant, HasDepartures) and bool(
+        loop.plant.departures()
     )
     assumptions: list[str] = []
     of_plant = energy_check if beyond and verdict.kind == "passivity" else departure_check if departs else plant_check

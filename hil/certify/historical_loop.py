@@ -103,10 +103,8 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
         return undecided(loop, KIND, loop.no_chain(), least)
     late = sorted(set(loop.ca.delay.tolist()))
     if len(late) > 1:
-        said = (
-            f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are "
+        said = f"network.ca: commands are {', '.join(map(str, late))} slots old when they act; gains over historical data are " \
             'judged where each is as old as the last (law = { kind = "constant", age = ... })'
-        )
         return undecided(loop, KIND, said, least)
     plant = replace(plant, input_delay=loop.ca.max_delay)
     each = phase_gains(K, nodes, controller.uses)

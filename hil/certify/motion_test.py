@@ -247,3 +247,5 @@ def _unexplained(model: LoopModel, outputs: Array) -> Array:
     table = table / np.where(width > 0.0, width, 1.0)
     flat = outputs.reshape(-1)
     return np.asarray((flat - table @ np.linalg.lstsq(table, flat, rcond=None)[0]).reshape(outputs.shape))
+
+

@@ -55,14 +55,7 @@ class ClosedLoop(NamedTuple):
 
 
 def judge_region(
-    loop: CertificationProblem,
-    verdict: Verdict,
-    closed: ClosedLoop,
-    *,
-    limits: Array,
-    pushes: Array,
-    adds: Array,
-    clips: bool,
+    loop: CertificationProblem, verdict: Verdict, closed: ClosedLoop, *, limits: Array, pushes: Array, adds: Array, clips: bool,
     named: str,
 ) -> Verdict:
     """Extend the verdict on a loop that stays within its limits to the loop that may leave them.
@@ -124,7 +117,8 @@ def judge_region(
     place = ", ".join(f"|{name}| < {r:.4g} {unit}" for (name, unit), r in zip(names, radii))
     together = " (one alone, or shares of them that add up to 1)" if len(names) > 1 else ""
     region = (
-        f"from inside {place}{together} no command leaves its limits {lasts} with probability {1.0 - RISK:g}; {verdict.reason}"
+        f"from inside {place}{together} no command leaves its limits {lasts} with probability {1.0 - RISK:g}; "
+        f"{verdict.reason}"
     )
     if own is None or own > RISK:
         why = why or f"leaving it has a probability of up to {own:.3g}"

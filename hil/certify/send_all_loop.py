@@ -144,10 +144,8 @@ def second_moment_verdict(certificate: Certificate, digest: str) -> Verdict:
     if certificate.state == "certified":
         reason = f"the loop is mean-square stable over this network ({stable})"
     elif certificate.state == "refused":
-        reason = (
-            certificate.reason
-            if radius != certificate.mean_square_radius
-            else (f"the loop is not mean-square stable over this network ({stable})")
+        reason = certificate.reason if radius != certificate.mean_square_radius else (
+            f"the loop is not mean-square stable over this network ({stable})"
         )
     else:
         reason = certificate.reason

@@ -114,18 +114,14 @@ def _modelled(experiment: Experiment, known: RigSpec | None = None) -> tuple[Exp
         discrete = experiment.plant.model().discretise(float(experiment.period))
     except PlantError as e:
         raise ExperimentError(experiment.name, [f"period: {e}"]) from e
-    return (
-        experiment,
-        rig,
-        LoopModel(
-            A=np.asarray(discrete.A),
-            B=np.asarray(discrete.B),
-            C=np.asarray(discrete.C),
-            period_s=float(experiment.period),
-            tau_max=rig.at_controller.max_age,
-            d_max=rig.at_actuator.max_age,
-            sensors=rig.nodes,
-        ),
+    return experiment, rig, LoopModel(
+        A=np.asarray(discrete.A),
+        B=np.asarray(discrete.B),
+        C=np.asarray(discrete.C),
+        period_s=float(experiment.period),
+        tau_max=rig.at_controller.max_age,
+        d_max=rig.at_actuator.max_age,
+        sensors=rig.nodes,
     )
 
 

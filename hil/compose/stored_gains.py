@@ -84,7 +84,7 @@ def fitted(request: GainsOnFile, controller: NamedController, task: DesignTask) 
     why = request.unfit(task)
     if not why:
         return controller, Gains(origin="stored")
-    note = f'{request.file} is of another problem ({why}); `hil design -o` writes one of this; kind = "send-all" runs any gains'
+    note = f"{request.file} is of another problem ({why}); `hil design -o` writes one of this; kind = \"send-all\" runs any gains"
     return request.solve_again(task), Gains(origin="solved here", note=note)
 
 

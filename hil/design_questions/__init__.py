@@ -61,7 +61,9 @@ class TrackingTarget(NamedTuple):
     of: Plant
 
 
-def tracking_target(name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1) -> TrackingTarget:
+def tracking_target(
+    name: str, period_s: float | None = None, sojourns: int = 1, row_sojourns: int = 1
+) -> TrackingTarget:
     """Plant and network of a plant plug-in or a class of one's own, as "my_module:Cart" (network (7.34)), or of an experiment.
 
     The name "vtol" without a period means the discrete model that Section 7.4.1 prints; an experiment always means the

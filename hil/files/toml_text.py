@@ -16,7 +16,9 @@ DEEPEST: Final = 32
 _MOST_DIGITS: Final = 400
 _LONG_NUMBER: Final = re.compile(rf"(?<![\d_])\d[\d_]{{{_MOST_DIGITS},}}")
 _OPENING: Final = re.compile(r"[\"'#]")
-_STRING: Final = re.compile(r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL)
+_STRING: Final = re.compile(
+    r'"""(?:\\.|[^\\])*?"""|\'\'\'.*?\'\'\'|"(?:\\.|[^"\\\n])*"|\'[^\'\n]*\'|#[^\n]*', re.DOTALL
+)
 
 
 def parse_toml(text: str) -> dict[str, Any]:

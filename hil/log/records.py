@@ -40,7 +40,7 @@ EVENT_SCHEMA: Final = f"""\
 float64 t_s  # s, nominal session time
 int64 slot  # 1, slot in which it happened, -1 outside of slots
 string kind  # 1, short name to filter by
-string severity  # 1, one of {", ".join(SEVERITIES)}
+string severity  # 1, one of {', '.join(SEVERITIES)}
 string message  # 1, one sentence for people
 string data  # 1, values that belong to it, as a JSON object; numbers that are not finite as text
 """
@@ -201,7 +201,6 @@ def field_name(name: str) -> str:
     if clean == TIME_FIELD:
         raise HilError(f"signal {name!r}: {TIME_FIELD!r} is the log's own name for the time of a record")
     if not _FIELD_NAME.fullmatch(clean):
-        raise HilError(
-            f"signal {name!r}: cannot be the name of a log field, expected letters first, then letters, digits and underscores"
-        )
+        raise HilError(f"signal {name!r}: cannot be the name of a log field, expected letters first, then letters,"
+                       " digits and underscores")
     return clean

@@ -53,11 +53,7 @@ def run_dtype(schema: Schema) -> np.dtype[np.void]:
 
 
 def assemble(
-    schema: Schema,
-    records: Sequence[bytes],
-    *,
-    payload_at: int = 0,
-    time_at: int | None = None,
+    schema: Schema, records: Sequence[bytes], *, payload_at: int = 0, time_at: int | None = None,
     times: Sequence[int] = (),
 ) -> StructuredArray:
     """One array of equal records.

@@ -180,7 +180,8 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
         curves.append(Series(label=f"ceiling, hand {hand:g} N s/m", x=x, y=ceiling, colour=i, style="dashed"))
     number, first = len(hands), f"hand {hands[0]:g} N s/m"
     gil_hulin, colgate, exact = (
-        at(hands[0], value) for value in (lambda c: c.gil_hulin_n_per_m, lambda c: c.colgate_n_per_m, lambda c: c.exact_n_per_m)
+        at(hands[0], value)
+        for value in (lambda c: c.gil_hulin_n_per_m, lambda c: c.colgate_n_per_m, lambda c: c.exact_n_per_m)
     )
     curves += [
         Series(label=f"Gil-Hulin, {first}", x=x, y=gil_hulin, colour=number, style="circles"),

@@ -23,7 +23,9 @@ GREY = 7
 """The colour number of what is no curve of its own: the reference."""
 
 
-def write_figures(sections: Sequence[Section], folder: Path, *, width_mm: float = 85.0, height_mm: float = 55.0) -> list[Path]:
+def write_figures(
+    sections: Sequence[Section], folder: Path, *, width_mm: float = 85.0, height_mm: float = 55.0
+) -> list[Path]:
     """Write every plot of a report as SVG and PDF, and return the files.
 
     Args:
@@ -199,3 +201,5 @@ def _marks(axis: Any, markers: Sequence[Any]) -> None:
 def _colour(number: int | None, otherwise: int) -> str:
     chosen = otherwise if number is None else number
     return "0.45" if chosen == GREY else f"C{chosen}"
+
+

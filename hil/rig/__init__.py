@@ -215,7 +215,7 @@ def _rig_of(e: Experiment) -> RigSpec:
         links=links, framing=framing, row_sojourns=row_sojourns_distinguished(e.controller),
     )  # fmt: skip
     bus = can_bus_of(rig)
-    faults += [] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)]
+    faults += ([] if absent else [*can_faults(rig, traits), *can_bus_faults(rig)])
     faults += fault_schedule_faults(e, () if bus is None else bus_nodes(rig, bus), timed_link=traits.timed)
     if faults:
         raise ExperimentError(e.name, faults)

@@ -166,12 +166,14 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: Response
         for way, packets, apart in ((0, sensor, every), (1, control, 1)):
             if worst[way] > apart * BitRates.ns(slot) and packets:
                 raise _replaced(bus, ("sensor", "control")[way])
-    return BusDelays(sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1]))
+    return BusDelays(
+        sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1])
+    )
 
 
 def _replaced(bus: SharedMedium, sender: str) -> NotKnown:
     return NotKnown(
-        f'network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; buffer = "fifo", or '
+        f"network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
         "less traffic above it"
     )
 

@@ -122,13 +122,8 @@ def run_session(
         codes={"reason": REASONS, "selection": SELECTIONS},
         channels=on.channel_metadata(loop.rig),
         origins=experiment.origins(),
-        session={}
-        if clock == "virtual"
-        else {
-            "started": wall_clock(),
-            "external_controller": str(external),
-            "accepted_from": on.traits.commanders,
-            **machine(),
+        session={} if clock == "virtual" else {
+            "started": wall_clock(), "external_controller": str(external), "accepted_from": on.traits.commanders, **machine(),
         },
     )
 
@@ -257,13 +252,8 @@ def _interrupted(number: int, sink: Sink, t_ns: int) -> dict[str, Any]:
 
 
 def run_in_real_time(
-    loop: Loop,
-    link: SessionLink,
-    sink: McapSink,
-    external: bool,
-    wait_s: float | None,
-    taps: Mapping[str, PayloadWriter] | None,
-    changes: Changes | None,
+    loop: Loop, link: SessionLink, sink: McapSink, external: bool, wait_s: float | None,
+    taps: Mapping[str, PayloadWriter] | None, changes: Changes | None,
 ) -> dict[str, Any]:
     from hil.runtime.real.supervisor import run_real
 

@@ -32,22 +32,8 @@ from hil.thesis.judgement import Approximately, Between, Check, Drawn, Equals, N
 CLASSES: dict[str, Any] = {
     kind.__name__: kind
     for kind in (
-        Part,
-        Plot,
-        Row,
-        Check,
-        Approximately,
-        Between,
-        Drawn,
-        Equals,
-        NotJudged,
-        Figure,
-        Series,
-        Band,
-        Marker,
-        Bars,
-        BarGroup,
-        Histogram,
+        Part, Plot, Row, Check, Approximately, Between, Drawn, Equals, NotJudged,
+        Figure, Series, Band, Marker, Bars, BarGroup, Histogram,
     )
 }
 KINDS = {"f": np.float64, "i": np.int64, "b": np.bool_}

@@ -1,6 +1,6 @@
 """All figures of `python -m tests.bench all`, and the process in which some of them are measured together.
 
-python -m tests.bench.catalogue PART 0,1 [--quick]     one JSON object a line, as soon as it is measured
+    python -m tests.bench.catalogue PART 0,1 [--quick]     one JSON object a line, as soon as it is measured
 """
 
 from __future__ import annotations

@@ -91,7 +91,9 @@ def bench_log(progress: Callable[[str], None] = lambda text: None, *, slots: int
     ]
 
 
-def bench_memory(progress: Callable[[str], None] = lambda text: None, *, slots: tuple[int, int] = (4_000, 12_000)) -> list[Row]:
+def bench_memory(
+    progress: Callable[[str], None] = lambda text: None, *, slots: tuple[int, int] = (4_000, 12_000)
+) -> list[Row]:
     """Return how many bytes every further slot holds in memory while its log is open, ours and mcap's own writer.
 
     Args:

@@ -1,7 +1,7 @@
 """Designs and certificates over many modes: CPU time, each beside the plain way or a peer, in the same run.
 
-designs        H2 and H-infinity over tau_max = d_max = 1, 2, ..; a plant of 20 states; an evaluation beside one alone
-certificates   484 modes, beside scipy's ARPACK on plain products; one mode, beside python-control
+    designs        H2 and H-infinity over tau_max = d_max = 1, 2, ..; a plant of 20 states; an evaluation beside one alone
+    certificates   484 modes, beside scipy's ARPACK on plain products; one mode, beside python-control
 """
 
 from __future__ import annotations

@@ -29,7 +29,9 @@ HELD = Figure(name="held per further slot while a log is written", unit="bytes",
 
 SOME, MANY = 100_000, 1_000_000
 RUN_SOME = Figure(name="hil run of 10^5 slots, peak memory", unit="MB", peer="1 slot")
-RUN_MANY = Figure(name="hil run of 10^6 slots, peak memory", unit="MB", peer="10^5 slots", condition=FLAT)
+RUN_MANY = Figure(
+    name="hil run of 10^6 slots, peak memory", unit="MB", peer="10^5 slots", condition=FLAT
+)
 SLOPE = Figure(name="hil run, memory per slot from 10^5 to 10^6", unit="bytes", peer="from 1 to 10^5")
 RUN_TIME = Figure(name="hil run, CPU time per slot of 10^6", unit="us", peer="of 10^5")
 READERS = {
@@ -44,7 +46,9 @@ RECOVER_TIME = Figure(
 
 
 AS_BEFORE = Figure(name="virtual slot with its log, CPU time, beside 3aeb887", unit="us", peer=THEN, goal=AtMost(ratio=0.55))
-BARE_AS_BEFORE = Figure(name="virtual slot without a log, CPU time, beside 3aeb887", unit="us", peer=THEN, goal=AtMost(ratio=0.5))
+BARE_AS_BEFORE = Figure(
+    name="virtual slot without a log, CPU time, beside 3aeb887", unit="us", peer=THEN, goal=AtMost(ratio=0.5)
+)
 
 
 def _of_reader(name: str) -> str:

@@ -20,7 +20,9 @@ class PlainSink:
 
     def __init__(self, path: Path, channels: Mapping[str, Channel], about: Provenance) -> None:
         self._file = open(path, "wb")  # noqa: SIM115
-        self._writer = writer = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer = writer = Writer(
+            self._file, chunk_size=1 << 62, compression=CompressionType.ZSTD, enable_data_crcs=True
+        )
         self._ids: dict[str, int] = {}
         self._open_bytes = self._messages = 0
         writer.start(profile="ros2", library=LIBRARY)
@@ -50,7 +52,9 @@ class PlainSink:
 
         return put
 
-    def event(self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object) -> None:
+    def event(
+        self, t_ns: int, kind: str, message: str, *, slot: int = -1, severity: str = "info", **data: object
+    ) -> None:
         """See `Sink`."""
         put = self.channel(EVENTS_TOPIC)
         assert put is not None
@@ -65,7 +69,9 @@ class PlainSink:
     def __enter__(self) -> PlainSink:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._writer.flush()  # type: ignore[no-untyped-call]
         summary = {"log": {"messages": self._messages, "dropped": 0}}
         self._writer.add_metadata("summary", {"json": to_json(summary).decode()})

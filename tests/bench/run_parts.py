@@ -106,7 +106,9 @@ def _run(command: Sequence[str], rows: dict[str, Row], sets: Mapping[str, str]) 
         own = Path(folder) / "can"  # what a process leaves that is killed goes with the folder
         own.mkdir(mode=0o700)
         about = {"TMPDIR": folder, "HIL_CAN_DIR": str(own), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", **sets}
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=os.environ | about, start_new_session=True)
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, text=True, env=os.environ | about, start_new_session=True
+        )
         assert process.stdout is not None
         try:
             for line in process.stdout:

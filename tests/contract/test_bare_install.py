@@ -21,7 +21,6 @@ from transport import TransportError, open_link
 ROOT = Path(__file__).parents[2]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
-
 @cache
 def modules_of(*extras: str) -> set[str]:
     """Return what is imported of the packages that only these extras bring, directly or not."""

@@ -28,6 +28,7 @@ from tests.hil.log.recording import TABLE, provenance, record
 EVENT = {"slot": 0, "t_s": 0.0, "kind": "safety", "severity": "error", "message": "limit", "data": {"scheduler": "x"}}
 
 
+
 def write_log(path: Path, words: dict[str, Any]) -> None:
     """Write five slots, and what a log says in words."""
     about = provenance(resolved=words["resolved"], certificate=words["certificate"])

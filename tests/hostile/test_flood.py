@@ -28,12 +28,16 @@ from tests.waiting import LIMIT_S, until
 
 pytestmark = pytest.mark.realtime
 
-
 @contextmanager
-def flooders(channel: str, count: int, seconds: float, kind: str = "garbage", aim: str = "rig") -> Iterator[Callable[[], None]]:
+def flooders(
+    channel: str, count: int, seconds: float, kind: str = "garbage", aim: str = "rig"
+) -> Iterator[Callable[[], None]]:
     """So many senders of frames that answer nothing, joined and silent until the function that is given here is called."""
     program = [sys.executable, str(Path(__file__).with_name("flooder.py")), channel, str(seconds), kind, aim]
-    started = [subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(count)]
+    started = [
+        subprocess.Popen(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for _ in range(count)
+    ]
     try:
         for process in started:
             assert process.stdout is not None and process.stdout.readline() == b"up\n"

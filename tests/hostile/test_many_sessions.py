@@ -55,7 +55,9 @@ def run_many(folder: Path) -> dict[str, int]:
 
 
 @pytest.mark.timeout(1800)
-def test_two_hundred_sessions_in_one_process_leave_neither_memory_nor_descriptors(tmp_path: Path, record_property: Note) -> None:
+def test_two_hundred_sessions_in_one_process_leave_neither_memory_nor_descriptors(
+    tmp_path: Path, record_property: Note
+) -> None:
     """A process of their own: what other tests left in this one would come and go among them."""
     program = "import json, pathlib, sys; from tests.hostile.test_many_sessions import run_many\n"
     program += "print(json.dumps(run_many(pathlib.Path(sys.argv[1]))))"

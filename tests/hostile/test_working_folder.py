@@ -61,13 +61,7 @@ COMMANDS = {
     "sweep": [HIL, "sweep", "dc-motor-hinf", "--runs", "4", "--jobs", "2"],
     "benchmark": [sys.executable, "-P", "-c", "from tests.bench.loop_log import loop_log_us; loop_log_us(5)"],
     "plug-in of pytest": [
-        HIL.replace("/hil", "/pytest"),
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        "-p",
-        "no:hypothesispytest",
-        "inside/test_mine.py",
+        HIL.replace("/hil", "/pytest"), "-q", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", "inside/test_mine.py"
     ],
 }
 

@@ -102,7 +102,9 @@ def test_all_listeners_get_the_same_time_stamp_which_is_the_senders() -> None:
 
 
 @pytest.mark.parametrize("option", [35, 9999], ids=["stamps", "a kernel without"])
-def test_a_frame_of_a_link_is_logged_with_the_time_of_its_arrival(option: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_of_a_link_is_logged_with_the_time_of_its_arrival(
+    option: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("transport.links.mesh_members._SO_TIMESTAMPNS", option)
     with open_link("can:hil:t", "rig") as link, bus() as listener:
         times = []

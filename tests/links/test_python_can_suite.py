@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-OURS = """
+OURS = '''
 import can
 from .back2back_test import Back2BackTestCase
 
@@ -33,7 +33,7 @@ class TestHil(Back2BackTestCase):
 
 
 del Back2BackTestCase
-"""
+'''
 
 
 SOURCE = os.environ.get("PYTHON_CAN_SOURCE", "")

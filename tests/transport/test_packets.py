@@ -135,7 +135,9 @@ def test_arbitrary_bytes_never_raise(data: bytes) -> None:
 
 
 @given(st.binary(max_size=120), st.sampled_from((0x11, 0x22, 0x31, 0x32)))
-def test_arbitrary_bytes_with_a_true_header_and_crc_never_raise_and_are_never_read_beyond(body: bytes, kind: int) -> None:
+def test_arbitrary_bytes_with_a_true_header_and_crc_never_raise_and_are_never_read_beyond(
+    body: bytes, kind: int
+) -> None:
     body = bytes((kind,)) + body
     data = crc_hqx(body, 0xFFFF).to_bytes(2, "little") + body
     packet = decode(data)
@@ -146,7 +148,9 @@ def test_arbitrary_bytes_with_a_true_header_and_crc_never_raise_and_are_never_re
 
 
 @given(packets, st.data())
-def test_every_proper_beginning_of_a_packet_is_refused(packet: SensorPacket | ControlPacket, data: st.DataObject) -> None:
+def test_every_proper_beginning_of_a_packet_is_refused(
+    packet: SensorPacket | ControlPacket, data: st.DataObject
+) -> None:
     whole = encode(packet)
     assert decode(whole[: data.draw(st.integers(0, len(whole) - 1))]) is None
 
@@ -193,7 +197,9 @@ def test_a_sensor_packet_that_contradicts_itself_is_refused(flags: int, y: tuple
         encode_sensor(SensorPacket(0, flags, 0, y))
 
 
-@pytest.mark.parametrize("rows", [((1.0,), (1.0, 2.0)), ((1.0, 2.0), (1.0,), (1.0, 2.0, 3.0)), ((), ()), ((0.0,),) * 256])
+@pytest.mark.parametrize(
+    "rows", [((1.0,), (1.0, 2.0)), ((1.0, 2.0), (1.0,), (1.0, 2.0, 3.0)), ((), ()), ((0.0,),) * 256]
+)
 def test_ragged_or_empty_rows_are_refused(rows: tuple[tuple[float, ...], ...]) -> None:
     with pytest.raises(ValueError, match=r"^rows: "):
         encode_control(ControlPacket(0, 0, 0, 0, 0, rows))
@@ -207,7 +213,8 @@ def test_an_unknown_selection_is_refused() -> None:
 def hostile_inputs(number: int, rng: random.Random) -> None:
     """Feed ``number`` inputs: noise, noise behind a true header, mutated packets with and without a mended CRC."""
     valid = [
-        encode_sensor(SensorPacket(3, 0, 10**9, tuple(rng.uniform(-9, 9) for _ in range(count)))) for count in range(1, 14)
+        encode_sensor(SensorPacket(3, 0, 10**9, tuple(rng.uniform(-9, 9) for _ in range(count))))
+        for count in range(1, 14)
     ] + [
         encode_control(ControlPacket(3, 1, 2, 1, 1, tuple((rng.uniform(-9, 9),) * inputs for _ in range(rows))))
         for rows in range(1, 7)

@@ -54,9 +54,8 @@ class Recovery:
         """For people, one line each."""
         until = f", up to {(self.last_ns - self.start_ns) / 1e9:.3f} s of session time" if self.messages else ""
         chunks = "1 chunk" if self.chunks == 1 else f"{self.chunks} chunks"
-        lines = [
-            f"kept: {self.messages} messages in {chunks}{until}; {self.metadata} metadata records, {self.attachments} attachments"
-        ]
+        lines = [f"kept: {self.messages} messages in {chunks}{until}; {self.metadata} metadata records,"
+                 f" {self.attachments} attachments"]
         lines += [f"lost: {loss}" for loss in self.losses]
         if not self.closed:
             lines.append("lost: the summary and whatever was not on the disk yet (100 ms at most in real time)")

@@ -104,18 +104,8 @@ class Provenance(Struct, frozen=True, kw_only=True):
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Metadata records by name, in the order of the file."""
-        head = (
-            {
-                "format": FORMAT,
-                "experiment": self.experiment,
-                "seed": str(self.seed),
-                "clock": self.clock,
-                "link": self.link,
-                "loop": self.loop,
-            }
-            | dict(self.origins)
-            | ({"commit": self.commit} if self.commit else {})
-        )
+        head = {"format": FORMAT, "experiment": self.experiment, "seed": str(self.seed), "clock": self.clock,
+                "link": self.link, "loop": self.loop} | dict(self.origins) | ({"commit": self.commit} if self.commit else {})
         records = {
             "hilrig": head,
             "versions": dict(self.versions),

@@ -189,9 +189,8 @@ def _take(data: bytes, takers: _Takers, sink: Sink, report: PumpReport) -> bytes
         elif number == pipe.DROPPED_ID and size == pipe.COUNT.size:
             lost = pipe.COUNT.unpack(payload)[0]
             report.dropped += lost
-            sink.event(
-                t_ns, "log-dropped", f"{lost} records were dropped: the log's pipe was full", severity="warning", records=lost
-            )
+            sink.event(t_ns, "log-dropped", f"{lost} records were dropped: the log's pipe was full",
+                       severity="warning", records=lost)
         elif number == pipe.END_ID and not size:
             report.complete = True
         elif number == pipe.BEGIN_ID and size == pipe.COUNT.size:

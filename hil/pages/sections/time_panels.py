@@ -49,7 +49,6 @@ def curve(
         x: where they are drawn; at their session time by default.
         look: `colour`, `halo`, `faint` of the curve.
     """
-
     def blocks() -> Iterator[tuple[Float, Float]]:
         for piece in pieces(records):
             own = piece if where is None else piece[where(piece)]

@@ -59,10 +59,8 @@ def section(view: RunView) -> Section | None:
         shown = _shown(path, loop.controller.wall)
         blocks += [_map(path, loop.controller.wall, shown), _space(path, shown)]
     part = "" if path is None or len(path.t_s) < MOST_ANSWERS else f" It is followed over the first {path.t_s[-1]:.6g} s."
-    said = (
-        "computed again from the log"
-        if path is None or path.same
-        else ("computed again from the log, but its forces are not those that were logged: another program answered")
+    said = "computed again from the log" if path is None or path.same else (
+        "computed again from the log, but its forces are not those that were logged: another program answered"
     )
     return Section(
         title="At the wall", place=PLACE, blocks=tuple(blocks), columns=2,
@@ -147,7 +145,9 @@ def _margin(loop: Loop, controller: WallController) -> Figure | None:
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
     own = loop.model.tau_max + loop.model.d_max
     delays = list(range(own + FURTHER + 1))
-    felt = HapticLoop(device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0)
+    felt = HapticLoop(
+        device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0
+    )
     wall = controller.wall
     curves = [
         Series(

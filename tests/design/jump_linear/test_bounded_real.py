@@ -218,7 +218,9 @@ def test_fold_derivative_is_the_difference_quotient():
     fold = locate_norm(structure.system(PRINTED_VTOL_HINF).matrices)
     slope = structure.gain_gradient(fold.gradient_A(structure.transition))
     step = 1e-5 * np.random.default_rng(0).standard_normal(slope.shape)
-    quotient = (hinf_norm(structure.system(PRINTED_VTOL_HINF + step)) - hinf_norm(structure.system(PRINTED_VTOL_HINF - step))) / 2
+    quotient = (
+        hinf_norm(structure.system(PRINTED_VTOL_HINF + step)) - hinf_norm(structure.system(PRINTED_VTOL_HINF - step))
+    ) / 2
     assert np.isclose(quotient, np.sum(slope * step), rtol=1e-4)
 
 

@@ -60,7 +60,9 @@ def alone() -> np.ndarray:
 
 def test_any_split_into_batches_gives_the_same_bits(alone: np.ndarray) -> None:
     cuts = [0, 1, 40, CHUNK, CHUNK + 1, 2 * CHUNK + 17, RUNS]
-    parts = [settling_times(LOOP, b - a, duration_s=3.0, seed=4, first=a) for a, b in pairwise(cuts)]
+    parts = [
+        settling_times(LOOP, b - a, duration_s=3.0, seed=4, first=a) for a, b in pairwise(cuts)
+    ]
     np.testing.assert_array_equal(np.concatenate(parts), alone)
     assert np.unique(alone).size > 100  # the runs are not one run
 

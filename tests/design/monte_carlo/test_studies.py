@@ -42,7 +42,8 @@ def loop(gain: ScheduledGain | None = None, **changes: object) -> JumpLoop:
 def integrate(loop: JumpLoop, run: int, duration_s: float, grid: np.ndarray) -> np.ndarray:
     """One run by solve_ivp with its own bookkeeping of visits, sections and uncertainty; only the draws are shared."""
     visits = [
-        (int(v.mode[0]), float(v.start_s[0]), float(v.stop_s[0])) for v in loop.visits(duration_s, seed=3, first=run, runs=1)
+        (int(v.mode[0]), float(v.start_s[0]), float(v.stop_s[0]))
+        for v in loop.visits(duration_s, seed=3, first=run, runs=1)
     ]
     uncertainty = loop.system.uncertainty
     delta = np.diag(loop._weights(2, seed=3, first=run, runs=1)[:, 0])
@@ -85,7 +86,9 @@ def test_settling_time_is_the_last_exit_of_the_trajectory() -> None:
 @pytest.mark.parametrize(
     ("gain", "duration_s", "mean", "sd"), [(chapter2_gain(), 20.0, 3.13, 0.98), (chapter2_reference_gain(), 40.0, 9.91, 2.23)]
 )
-def test_settling_times_of_the_example_are_the_known_ones(gain: ScheduledGain, duration_s: float, mean: float, sd: float) -> None:
+def test_settling_times_of_the_example_are_the_known_ones(
+    gain: ScheduledGain, duration_s: float, mean: float, sd: float
+) -> None:
     # Two independent samples of 10,000: z tests at 1e-4 each, widened by the rounding of the known numbers. The text prints 3.57
     # and 9.91 s (ERRATA 5 and 8).
     runs = 10_000
@@ -145,7 +148,9 @@ def test_linear_gain_held_in_small_steps_converges() -> None:
     linear = ScheduledGain(gain=chapter2_gain().gain, starts_s=nodes, schedule="linear")
     with pytest.raises(ValueError, match=r"^gain: a gain that moves"):
         loop(linear)
-    ends = [trajectories(loop(held(linear, step, 0.8326)), 20, duration_s=2.0, dt_s=0.5)[:, 2] for step in (0.04, 0.02, 0.005)]
+    ends = [
+        trajectories(loop(held(linear, step, 0.8326)), 20, duration_s=2.0, dt_s=0.5)[:, 2] for step in (0.04, 0.02, 0.005)
+    ]
     first, second = (np.abs(end - ends[2]).max() for end in ends[:2])
     assert second < 0.35 * first  # second order: a fifth
 

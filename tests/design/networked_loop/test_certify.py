@@ -1,5 +1,6 @@
 """Certificates of networked loops: delays that are never 0, tails that are cut, margins, and the mode of the impulse."""
 
+
 import msgspec
 import numpy as np
 import pytest
@@ -82,7 +83,9 @@ HEAVY = DiscreteWeibull(q=0.6, beta=0.8)  # its hazard falls to 0
 def between_ages(stay, ages=(0, 1)):
     """Two ages in turn, the second for a stay of that law."""
     gaps = ages[1] > 1
-    return delay_chain(SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.3), stay), ages=ages, allow_gaps=gaps))
+    return delay_chain(
+        SemiMarkovAge(matrix=((0, 1), (1, 0)), sojourn=(Geometric(p=0.3), stay), ages=ages, allow_gaps=gaps)
+    )
 
 
 def test_a_tail_is_refused_where_its_growth_outruns_the_limit_of_its_hazard():

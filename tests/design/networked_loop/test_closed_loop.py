@@ -36,7 +36,8 @@ def run_packets(plant, gains, taus, ds, selection, rows, d_before, x0, w, sample
 
 def mode_path(structure, taus, ds, d_before):
     modes = {
-        (s, c, b): i for i, (s, c, b) in enumerate(zip(structure.sc_mode, structure.ca_mode, structure.ca_before, strict=True))
+        (s, c, b): i
+        for i, (s, c, b) in enumerate(zip(structure.sc_mode, structure.ca_mode, structure.ca_before, strict=True))
     }
     before = [d_before, *ds[:-1]]
     known = structure.selection == "previous"
@@ -51,7 +52,9 @@ def test_augmented_recursion_is_the_packet_loop(plant, selection, Pi, store, sam
     rng = np.random.default_rng(7)
     A, B, C = PLANTS[plant]
     A = A * 0.9  # random gains: keep the numbers of order one
-    loop = loop_structure(A, B / np.abs(B).max(), C, LAMBDA, Pi, selection, store=store, samples=samples, integral=integral)
+    loop = loop_structure(
+        A, B / np.abs(B).max(), C, LAMBDA, Pi, selection, store=store, samples=samples, integral=integral
+    )
     B = B / np.abs(B).max()
     gains = 0.1 * rng.standard_normal(loop.gain_shape)
     steps = 120

@@ -175,7 +175,9 @@ def test_first_packets_and_a_reference_from_the_start_are_in_the_prediction():
 def test_integral_action_is_in_the_prediction():
     design = solve(TrackingProblem(A=MOTOR[0], B=MOTOR[1], C=MOTOR[2], sc=LAMBDA, ca=PI, integral=0.01, starts=1))
     r, w = schedule(200)
-    predicted = predict_tracking(*MOTOR, LAMBDA, PI, design.gains, "applied", r, period_s=PERIOD_S, disturbance=w, integral=True)
+    predicted = predict_tracking(
+        *MOTOR, LAMBDA, PI, design.gains, "applied", r, period_s=PERIOD_S, disturbance=w, integral=True
+    )
     errors = simulate(MOTOR, design.gains, "applied", r, w, 4000, seed=6, integral=True)
     z = norm.isf(0.001 / 2 / 200)
     assert np.all(np.abs((errors**2).mean(axis=1) - predicted.square_mean) <= z * predicted.square_sd / 63.2 + 1e-12)

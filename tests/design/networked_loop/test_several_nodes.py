@@ -110,7 +110,7 @@ def test_a_bound_counts_the_youngest_sample_of_any_node() -> None:
     youngest = DelayChain(transition=BOTH.matrix, delays=BOTH.ages.min(axis=1))
     ca = DelayChain(transition=PI)
     for mode in range(8):
-        assert informed_probability(BOTH, ca, mode)[:2] == informed_probability(youngest, ca, mode)[:2]
+        assert informed_probability(BOTH, ca, mode) [: 2] == informed_probability(youngest, ca, mode)[: 2]
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,6 @@ def minimum(coefficients: list[float]) -> tuple[float, float]:
         t = np.linspace(low, high, 65)
     return found
 
-
 ONE = Fraction(1)
 
 

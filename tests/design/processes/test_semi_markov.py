@@ -77,7 +77,9 @@ def test_fixed_steps_would_be_biased_where_inversion_is_not() -> None:
     error = h.std() / math.sqrt(h.size)
     assert abs(h.mean() - exact) < stats.norm.isf(LEVEL / 2) * error
     step = 0.1
-    stay = np.concatenate([[1.0], np.cumprod(1 - np.minimum(PROCESS.rate(0, np.arange(0, 15, step)).sum(-1) * step, 1))])
+    stay = np.concatenate(
+        [[1.0], np.cumprod(1 - np.minimum(PROCESS.rate(0, np.arange(0, 15, step)).sum(-1) * step, 1))]
+    )
     assert abs(step * stay.sum() - exact) > 10 * error
 
 
@@ -121,7 +123,9 @@ def test_detection_under_both_reset_rules_has_the_right_hazard() -> None:
     detection = SemiMarkov(rates=((None, late), (late, None)))
     jumps = []
     for restarts in (False, True):
-        process = FaultDetection(failure=failure, detection=(detection, detection), failure_restarts_detection_clock=restarts)
+        process = FaultDetection(
+            failure=failure, detection=(detection, detection), failure_restarts_detection_clock=restarts
+        )
         _, r = sample_fault_detection(process, 0, 0, 600.0, np.random.default_rng(4))
         jumps.append(int(np.count_nonzero(np.diff(r.modes))))
     # own clock: mean sojourn 1 + 1/5 s; restarted: waits for a gap > 1 s of a Poisson process, (e^2 - 1)/2 s

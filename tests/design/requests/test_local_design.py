@@ -77,7 +77,8 @@ def test_the_law_that_runs_is_the_law_that_is_certified() -> None:
 def test_delays_that_the_design_does_not_know_can_undo_it() -> None:
     law = local_design(A, B, C, "lqr")
     (now, gains), (over, late) = (
-        dynamic_loop(A, B, C, *chains, law) for chains in ((NOW, NOW), (DelayChain(transition=LAMBDA), DelayChain(transition=PI)))
+        dynamic_loop(A, B, C, *chains, law)
+        for chains in ((NOW, NOW), (DelayChain(transition=LAMBDA), DelayChain(transition=PI)))
     )
     assert certify_system(now.system(gains)).state == "certified"
     assert certify_system(over.system(late)).state == "refused"

@@ -133,7 +133,9 @@ def test_printed_sections_miss_the_pair_of_clocks_that_diverges() -> None:
         return FaultDetection(failure=eta, detection=(normal, faulty), failure_restarts_detection_clock=False)
 
     # matched a = -1, mismatched a = +1.3: a_i + b_i k_r with a = 0.15, b_0 = 1.15, b_1 = -1.15, k = -1, +1
-    system = JumpSystem(a=np.full((2, 1, 1), 0.15), b=np.array([[[1.15]], [[-1.15]]]), c=np.ones((2, 1, 1)), e=np.ones((2, 1, 1)))
+    system = JumpSystem(
+        a=np.full((2, 1, 1), 0.15), b=np.array([[[1.15]], [[-1.15]]]), c=np.ones((2, 1, 1)), e=np.ones((2, 1, 1))
+    )
     gains = np.array([-1.0, 1.0]).reshape(2, 1, 1)
     known = np.stack([gains, gains])
     sections = ((0.0, 1.0),) * 2

@@ -215,7 +215,9 @@ def test_certificate_is_judged_by_its_own_matrices() -> None:
         ),
         (lambda: analyse(chapter2_system(), None, PROCESS, method="exact"), "uncertainty: the exact test"),
         (
-            lambda: analyse(STEP_SYSTEM, None, SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=2.0)), (STEP, None)))),
+            lambda: analyse(
+                STEP_SYSTEM, None, SemiMarkov(rates=((None, WeibullRate(scale_s=1.0, shape=2.0)), (STEP, None)))
+            ),
             r"rates\[0\]\[1\]: no finite bound on \[0, inf\) s",
         ),
         (

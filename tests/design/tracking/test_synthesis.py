@@ -65,7 +65,9 @@ def test_published_hinf_gains_are_close_to_the_optimum_on_the_correct_model():
 
 @pytest.mark.slow
 def test_mixed_design_keeps_its_bound():
-    design = solve(problem("motor", objective="mixed", information="generated", output="sum", hinf_bound=17.5, starts=1))
+    design = solve(
+        problem("motor", objective="mixed", information="generated", output="sum", hinf_bound=17.5, starts=1)
+    )
     assert design.certificate.hinf_norm <= 17.5
     assert design.certificate.h2_norm <= 3.805
 
@@ -93,7 +95,9 @@ def test_more_information_is_never_worse():
 @pytest.mark.slow
 def test_deadbeat_optimum_is_reached_although_its_norm_has_no_fold():
     # x+ = 0.9 x + u + w: with K = -0.9 the loop has finite memory, and no other gain has a smaller H-infinity norm
-    scalar = TrackingProblem(A=[[0.9]], B=[[1.0]], C=[[1.0]], sc=[[1.0]], ca=[[1.0]], R=0.1, objective="hinf", starts=1)
+    scalar = TrackingProblem(
+        A=[[0.9]], B=[[1.0]], C=[[1.0]], sc=[[1.0]], ca=[[1.0]], R=0.1, objective="hinf", starts=1
+    )
     design = solve(scalar)
     assert np.isclose(design.gains.item(), -0.9, atol=1e-6)
     assert np.isclose(design.certificate.hinf_norm, np.sqrt(1 + 0.09**2), rtol=1e-6)

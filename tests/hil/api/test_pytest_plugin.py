@@ -272,6 +272,7 @@ def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None
     result.assert_outcomes(passed=2)
 
 
+
 def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = session.run_session
 
@@ -286,7 +287,7 @@ def test_timing_that_is_not_valid_fails_where_it_is_required(tmp_path: Path, mon
         Runner(tmp_path / "b", "real", "local:", None, True).run("dc-motor-hinf", duration="1s")
 
 
-SLOW = """
+SLOW = '''
 import time
 from dataclasses import dataclass
 from typing import ClassVar
@@ -302,7 +303,7 @@ class Slow:
         if k % 10 == 9:
             time.sleep(0.1)  # two periods
         return ((0.0,),)
-"""
+'''
 
 
 @pytest.mark.realtime

@@ -53,17 +53,11 @@ INTEGRAL = "{kind='send-all',selection='constant',integral=true,gains=[[[[-0.1,-
     ("name", "sets", "why"),
     [
         ("dc-motor-packets", ("network.ca.law={kind='packet',latency={trace=['10 ms']}}",), "its latencies are a recorded trace"),
-        (
-            "dc-motor-h2",
-            ('network.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"),
-            "ends after 3 slots",
-        ),
+        ("dc-motor-h2", ('network.ca.law={kind="trace", ages=[0, 1, 0], past_end="refuse"}', "duration=0.1"),
+         "ends after 3 slots"),
         ("dc-motor-smith", ("controller={kind='constant'}",), "[controller] Constant states no gains or matrices"),
-        (
-            "dc-motor-h2-friction",
-            (f"controller={INTEGRAL}",),
-            "a driver that saturates, rounds or has a dead zone, dry friction, an encoder",
-        ),
+        ("dc-motor-h2-friction", (f"controller={INTEGRAL}",),
+         "a driver that saturates, rounds or has a dead zone, dry friction, an encoder"),
     ],
 )
 def test_what_no_theory_knows_is_undecided_and_needs_leave(name: str, sets: tuple[str, ...], why: str) -> None:
@@ -91,8 +85,7 @@ def test_dry_friction_is_no_linear_claim_saturation_has_a_region_and_a_load_leav
         ("plant.friction.viscous_v_s_per_rad=0.001", "certified", linear),
         ("plant.friction.coulomb_v=0.001", "certified", practical),
         ("plant.encoder.step_rad=1e-6", "certified", practical),
-        ("plant.driver.saturation_v=12.0", "certified", regional),
-        ("plant.driver.saturation_v=0.1", "certified", practical),
+        ("plant.driver.saturation_v=12.0", "certified", regional), ("plant.driver.saturation_v=0.1", "certified", practical),
         ("plant.load.torque_v=0.1", "certified", linear),
     ):
         verdict = composed("dc-motor-h2", change).verdict

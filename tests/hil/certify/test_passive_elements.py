@@ -18,7 +18,7 @@ from plants import LinearRun, Signal, StateSpace
 from plants.parts.protocols import PassiveElement
 
 WAVE = 'controller.coupler={method="wave"}'
-RISING = 'controller.coupler={method="taps",taps_m_per_n=[0.2,0.02,0.03]}'
+RISING = "controller.coupler={method=\"taps\",taps_m_per_n=[0.2,0.02,0.03]}"
 
 
 def verdict(*sets, name="omni-push"):

@@ -36,7 +36,9 @@ PROCESS = chapter4_process(failure_restarts_detection_clock=False)
 
 def lossy(lost: tuple[float, ...] = LOST) -> JumpSystem:
     system = chapter4_system()
-    return JumpSystem(a=system.a, b=system.b[[0, 0]], c=system.c, e=system.e, sensors=np.stack([np.eye(4), np.diag(lost)]))
+    return JumpSystem(
+        a=system.a, b=system.b[[0, 0]], c=system.c, e=system.e, sensors=np.stack([np.eye(4), np.diag(lost)])
+    )
 
 
 def test_a_lost_sensor_shows_zero_in_the_failed_mode_and_the_state_goes_on() -> None:

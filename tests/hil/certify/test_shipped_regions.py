@@ -33,10 +33,7 @@ def _verdict_on(name: str, changes: str) -> Verdict:
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        ("dc-motor-h2", CALM),
-        ("dc-motor-hinf", CALM),
-        ("dc-motor-h2", CALM | ENCODER),
-        ("dc-motor-hinf-friction", {}),
+        ("dc-motor-h2", CALM), ("dc-motor-hinf", CALM), ("dc-motor-h2", CALM | ENCODER), ("dc-motor-hinf-friction", {}),
         ("dc-motor-hinf-supply", {}),
     ],
 )

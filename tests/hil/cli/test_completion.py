@@ -72,7 +72,7 @@ def test_the_script_is_for_the_running_shell_and_for_bash_where_it_is_another(
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
 def test_bash_takes_the_script(tmp_path: Path) -> None:
-    (tmp_path / "hil").write_text(f'#!/bin/sh\nexec {sys.executable} -m hil "$@"\n')
+    (tmp_path / "hil").write_text(f"#!/bin/sh\nexec {sys.executable} -m hil \"$@\"\n")
     (tmp_path / "hil").chmod(0o755)
     (tmp_path / "script").write_text(script("bash"))
     ask = (

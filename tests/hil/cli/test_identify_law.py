@@ -133,6 +133,7 @@ def test_too_few_packets_are_refused_with_the_number_that_would_do(cli: Hil, tmp
     assert not (tmp_path / "law.toml").exists()
 
 
+
 def test_packets_sent_in_bursts_ask_for_the_length_of_a_slot(cli: Hil, tmp_path: Path) -> None:
     bursts = (f"{0.05 * (k // 20)!r},{0.001 * (1 + k % 7)!r}" for k in range(400))
     (tmp_path / "bursts.csv").write_text("\n".join(["sent_s,latency_s", *bursts]))

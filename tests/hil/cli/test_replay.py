@@ -67,7 +67,9 @@ def test_every_frame_that_is_put_on_a_bus_is_counted(hil_log: Path) -> None:
         (["--controller", "h2", "-o", "."], "is a folder"),
     ],
 )
-def test_bad_input_is_one_message_and_status_2(cli: Hil, hil_log: Path, tmp_path: Path, arguments: list[str], says: str) -> None:
+def test_bad_input_is_one_message_and_status_2(
+    cli: Hil, hil_log: Path, tmp_path: Path, arguments: list[str], says: str
+) -> None:
     status, out, err = cli("replay", hil_log, *arguments)
     assert (status, out) == (2, "") and says in err
     assert [*tmp_path.iterdir()] == []

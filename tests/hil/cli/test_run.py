@@ -82,7 +82,9 @@ def test_safety_ends_the_local_gain_with_status_3(cli: Hil) -> None:
         (["dc-motor-hinf", "-o", ".", "--force"], "Is a directory"),
     ],
 )
-def test_bad_input_is_one_message_status_2_and_nothing_written(cli: Hil, tmp_path: Path, arguments: list[str], says: str) -> None:
+def test_bad_input_is_one_message_status_2_and_nothing_written(
+    cli: Hil, tmp_path: Path, arguments: list[str], says: str
+) -> None:
     status, out, err = cli("run", *arguments)
     assert (status, out) == (2, "")
     assert says in err and "Traceback" not in err
@@ -97,21 +99,15 @@ GAINS = "controller={kind='historical', uses='current-packet', gains=%s}"
     ("sets", "says"),
     [
         (["network.nodes.second.buffer=2"], "controller.gains[0][5][0][1]: -0.0201, expected 0: in this phase"),
-        (
-            ["network.nodes.second.buffer=7"],
-            "network.nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5",
-        ),
+        (["network.nodes.second.buffer=7"],
+         "network.nodes.second.buffer: 7 samples that are 0 slots late, but the gains reach back 5"),
         (["network.nodes.second.id=0"], "network.nodes.second.id: 0 is the number of node 'first' already"),
-        (
-            ["network.nodes.second.can_id=0x110", "network.nodes.third.can_id=0x110"],
-            "network.nodes.third.can_id: 0x110 is the identifier of node 'second' already",
-        ),
+        (["network.nodes.second.can_id=0x110", "network.nodes.third.can_id=0x110"],
+         "network.nodes.third.can_id: 0x110 is the identifier of node 'second' already"),
         ([GAINS % [[[[1.0] * 3]]]], "controller.gains: 1 x 3 matrices, expected 1 x 4: inputs and outputs"),
         ([GAINS % LARGE, *(f"network.nodes.{n}.buffer=1" for n in ("first", "second", "third", "fourth"))], "refused: E|X|^2 of"),
-        (
-            ["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"],
-            "network.media.bus.matrix: 1 rows",
-        ),
+        (["network.media.bus={kind='random', nodes=['first', 'second', 'third', 'fourth'], matrix=[[1.0]]}"],
+         "network.media.bus.matrix: 1 rows"),
     ],
 )
 def test_bad_gains_and_nodes_are_refused_by_their_entry_and_nothing_is_written(

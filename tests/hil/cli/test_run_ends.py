@@ -21,7 +21,7 @@ from tests.onlooker import Looks
 from tests.waiting import gone, until
 from tests.warm_hil import hil_command
 
-PLANT = """
+PLANT = '''
 import os
 import sys
 from dataclasses import dataclass
@@ -53,7 +53,7 @@ class Cart:
         return StateSpace(A=[[-1.0]], B=[[1.0]], C=[[1.0]])
     def start(self, rng):
         return Run(LinearRun(self.model(), (0.0,)))
-"""
+'''
 WORDS = ("--set", 'plant={kind="cart:Cart"}', "--set", "limits.state={}", "--set", "allow_uncertified=true", "--json")
 
 

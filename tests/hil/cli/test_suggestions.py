@@ -49,10 +49,8 @@ def test_a_word_that_is_near_nothing_is_not_guessed(cli: Hil, words: tuple[str, 
         (("keys",), "Usage: hil keys [OPTIONS] COMMAND [ARGS]...\n\n  Make keys"),
         (("report", ""), "FILE: the name is empty; is a variable of the shell not set?"),
         (("identify", "law", "x.csv", "--deadline", "1"), "1.0 is not a number above 0 below 1.\n"),
-        *(
-            (("identify", "law", "x.log", "--can-id", number), "expected a CAN identifier such as 0x101")
-            for number in ("-1", "0x20000000", "first")
-        ),
+        *((("identify", "law", "x.log", "--can-id", number), "expected a CAN identifier such as 0x101")
+          for number in ("-1", "0x20000000", "first")),
         *((("identify", "law", "x.log", "--can-id", number), "x.log: a CAN log has no") for number in ("0", "0x1fffffff")),
         (("live", "dc-motor-hinf", "--port", "99999"), "99999 is not a whole number from 0 to 65535.\n"),
         (("run", "dc-motor-hinf", "--seed", "x"), "'x' is not a whole number.\n"),

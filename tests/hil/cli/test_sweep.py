@@ -80,7 +80,9 @@ def test_a_grid_that_is_interrupted_says_how_it_goes_on(cli: Hil, tmp_path: Path
     assert status == 0 and len(json.loads(out)["points"]) == 2
 
 
-def test_a_sweep_that_is_interrupted_before_its_first_run_shows_no_empty_table(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sweep_that_is_interrupted_before_its_first_run_shows_no_empty_table(
+    cli: Hil, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(seeds, "run_seeds", lambda *_: ended())
     status, out, err = cli("sweep", "dc-motor-hinf", "--runs", "2", *SHORT)
     assert status == 130 and err == "hil: interrupted; --resume FILE would keep what is finished\n"

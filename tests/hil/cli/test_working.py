@@ -44,7 +44,7 @@ sojourn = [{{ law = "geometric", p = 0.5 }}, {{ law = "discrete-weibull", q = 0.
 """A network of many modes: with `tail = 1.1` its certificate takes more than half a minute."""
 AGES = 28
 CLIMBING = str([[0.9 * (j == min(i + 1, AGES - 1)) + 0.1 * (j == 0) for j in range(AGES)] for i in range(AGES)])
-CROWDED = f"""
+CROWDED = f'''
 name = "crowded"
 period = "50 ms"
 duration = "5 s"
@@ -57,7 +57,7 @@ gain = [[-0.005]]
 [network]
 sc.law = {{ kind = "markov", matrix = {CLIMBING} }}
 ca.law = {{ kind = "markov", matrix = {CLIMBING} }}
-"""
+'''
 """784 modes of 56 states: no eigenvalue is looked for, and sums of powers take some twenty seconds."""
 
 

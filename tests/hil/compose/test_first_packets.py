@@ -64,10 +64,7 @@ def test_a_node_without_a_packet_yet_counts_as_the_oldest() -> None:
 def test_nothing_is_predicted_of_a_loop_that_waits_for_its_second_node() -> None:
     """The prediction has the gains act from slot 0 on; of this loop it was wrong by 26 standard errors of 300 runs."""
     plant = {
-        "kind": "state-space",
-        "A": [[0.0, 1.0], [0.0, -1.0]],
-        "B": [[0.0], [1.0]],
-        "C": [[1.0, 0.0], [0.0, 1.0]],
+        "kind": "state-space", "A": [[0.0, 1.0], [0.0, -1.0]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0], [0.0, 1.0]],
         "initial_state": [1.0, 0.0],
     }
     waits = made(0.9) | {"plant": plant, "controller": {"kind": "local", "gain": [[-2.0, -2.0]]}}

@@ -77,24 +77,18 @@ SHORT = {"kind": "trace", "ages": [0, 1, 0], "past_end": "refuse"}
         ({"network.nodes.n0": ONE | {"clock": {"every": 3, "jitter": 1}}}, "network.nodes.n0.clock draws when it sends"),
         ({"network.nodes.n0": ONE | {"trigger": {"kind": "error", "threshold": 0.1}}}, "lets a node keep silent"),
         (
-            {
-                "network.nodes.n0": ONE | {"trigger": {"kind": "relative", "threshold": 0.1}},
-                "network.media": {"bus": {"kind": "random", "nodes": ["n0"], "loss": 0.1}},
-            },
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "relative", "threshold": 0.1}},
+             "network.media": {"bus": {"kind": "random", "nodes": ["n0"], "loss": 0.1}}},
             "network: network.media.bus.loss loses what a node sent last: network.nodes.n0.trigger (relative) lets",
         ),
         (
-            {
-                "network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
-                "controller": {"kind": "send-all", "selection": "constant", "gains": [[[[-0.5]]], [[[-0.4]]], [[[-0.4]]]]},
-            },
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
+             "controller": {"kind": "send-all", "selection": "constant", "gains": [[[[-0.5]]], [[[-0.4]]], [[[-0.4]]]]}},
             "[controller] has gains that know how old a sample is: network.nodes.n0.trigger (dead-band) lets",
         ),
         (
-            {
-                "network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
-                "controller": {"kind": "smith", "gain": [[-0.5]]},
-            },
+            {"network.nodes.n0": ONE | {"trigger": {"kind": "dead-band", "threshold": 0.1}},
+             "controller": {"kind": "smith", "gain": [[-0.5]]}},
             "[controller] is judged over nodes that send in every slot: network.nodes.n0.trigger (dead-band) lets",
         ),
         (

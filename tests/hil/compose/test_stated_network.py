@@ -48,14 +48,10 @@ def test_modes_that_the_law_never_comes_to_decide_nothing(matrix: list[list[floa
 @pytest.mark.parametrize(
     ("change", "cause"),
     [
-        (
-            {"network.nodes.sensor": {"outputs": ["angle"], "clock": {"every": 2}}},
-            "network.nodes.sensor.clock: a node sends in one of 2 slots",
-        ),
-        (
-            {"network.nodes.sensor": {"outputs": ["angle"], "trigger": {"kind": "error", "threshold": 0.1}}},
-            ".sensor.trigger (error)",
-        ),
+        ({"network.nodes.sensor": {"outputs": ["angle"], "clock": {"every": 2}}},
+         "network.nodes.sensor.clock: a node sends in one of 2 slots"),
+        ({"network.nodes.sensor": {"outputs": ["angle"], "trigger": {"kind": "error", "threshold": 0.1}}},
+         ".sensor.trigger (error)"),
         ({"network.sc.law": {"kind": "trace", "ages": [0, 1]}}, "the law of network.sc states no chain"),
     ],
 )

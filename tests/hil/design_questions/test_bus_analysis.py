@@ -114,7 +114,7 @@ def test_as_many_messages_as_are_allowed_take_no_minutes(tmp_path: Path) -> None
     assert len(found["messages"]) == 1000 and all(each["in_time"] for each in found["messages"])
 
 
-@pytest.mark.parametrize("line", ["BO_ 1 M: 99999999 A", 'BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|0] "" A'])
+@pytest.mark.parametrize("line", ["BO_ 1 M: 99999999 A", "BO_ 1 M: 8 A\n SG_ S : 0|99999999@1+ (1,0) [0|0] \"\" A"])
 def test_a_dbc_with_a_message_of_a_hundred_million_bits_is_refused_at_once(line: str, tmp_path: Path) -> None:
     (tmp_path / "t.dbc").write_text(f'VERSION ""\nBU_: A\n{line}\n')
     with within(), pytest.raises(HilError, match=r"is no DBC: .*no message has so many bits"):

@@ -117,10 +117,8 @@ def test_what_means_nothing_is_refused(args: list[str], says: str) -> None:
 
 def test_gains_keep_to_the_published_largest_input_and_cost_less() -> None:
     """(5.17), I(0) = 1: largest input 15.93 and J = 149.5; the newest sample alone."""
-    sets = [
-        "network.media.bus.phase=0",
-        "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}",
-    ]
+    sets = ["network.media.bus.phase=0",
+            "controller={kind='historical-designed', uses='newest', start='given', peak_input=15.93}"]
     loop = compose(load_experiment("multisensor-ours", sets))
     found = Cost().of(view_of(simulate(loop, 0), loop.experiment))
     assert found["peak_input"] is not None and 0.97 * 15.93 < found["peak_input"] <= 15.93 * (1 + 1e-6)

@@ -32,12 +32,8 @@ def test_text_that_costs_too_much_is_refused(text: str, says: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    [
-        'a = "' + "." * 1000 + "[[[[" * 100 + '"',
-        "# " + "." * 1000,
-        'a = """\n' + "{." * 500 + '"""',
-        "a = '''" + "9" * 1000 + "'''",
-    ],
+    ['a = "' + "." * 1000 + "[[[[" * 100 + '"', "# " + "." * 1000, 'a = """\n' + "{." * 500 + '"""',
+     "a = '''" + "9" * 1000 + "'''"],
 )
 def test_what_stands_in_strings_and_comments_is_no_nesting(text: str) -> None:
     assert parse_toml(text) == tomllib.loads(text)

@@ -25,14 +25,12 @@ class Signal(NamedTuple):
     unit: str
 
 
-TABLE: dict[str, Channel] = channels(
-    Logged(
-        states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
-        inputs=(Signal("voltage", "V"),),
-        outputs=(Signal("angle", "rad"),),
-        n_rows=3,
-    )
-)
+TABLE: dict[str, Channel] = channels(Logged(
+    states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
+    inputs=(Signal("voltage", "V"),),
+    outputs=(Signal("angle", "rad"),),
+    n_rows=3,
+))
 
 
 def provenance(**changes: Any) -> Provenance:

@@ -21,14 +21,12 @@ from hil.log.run import assemble
 from hil.log.topics import channels
 from tests.hil.log.recording import Signal
 
-TABLE = channels(
-    Logged(
-        states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
-        inputs=(Signal("voltage", "V"), Signal("Brake torque", "N m")),
-        outputs=(Signal("angle", "rad"),),
-        n_rows=3,
-    )
-)
+TABLE = channels(Logged(
+    states=(Signal("angle", "rad"), Signal("speed", "rad/s")),
+    inputs=(Signal("voltage", "V"), Signal("Brake torque", "N m")),
+    outputs=(Signal("angle", "rad"),),
+    n_rows=3,
+))
 
 _VALUES = {
     "float64": st.floats(),

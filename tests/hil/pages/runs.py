@@ -156,13 +156,8 @@ def live() -> dict[str, list[str]]:
     acts.begin(loop, {})
     drawn = np.frombuffer(picture(side.records(), side.traces, Window.over(*side.span(), 9)), "<f4").reshape(len(side.traces), -1)
     taken = [_taken(desk, wish) for desk in map(Desk, ([side], [acts, acts], [Side(acts=True)])) for wish in WISHES]
-    said = {
-        "wishes": taken,
-        "about": about([side, acts], "here"),
-        "now": side.now(1, True),
-        "acts": acts.now(0, True),
-        "span": side.span(),
-    }
+    said = {"wishes": taken, "about": about([side, acts], "here"), "now": side.now(1, True),
+            "acts": acts.now(0, True), "span": side.span()}
     layouts = {"foxglove": foxglove(shown.run.schemas).splitlines(), "plotjuggler": plotjuggler(shown.run.schemas).splitlines()}
     drawn_lines = [f"{trace}: {rounded(values.astype(float))}" for trace, values in zip(side.traces, drawn)]
     offers = {name: _json(_offered(name)) for name in ("dc-motor-smith", "dc-motor-packets", "dc-motor-busy-can", "omni-push")}

@@ -298,7 +298,7 @@ def test_what_is_no_plant_and_no_controller_says_what_it_lacks() -> None:
     simulate(compose(hil.load_experiment("dc-motor-hinf", duration=1, controller=Law(), allow_uncertified=True)), 0)
 
 
-WRONG = """
+WRONG = '''
 from dataclasses import dataclass
 from cart import Cart, Proportional
 from plants import StateSpace
@@ -337,7 +337,7 @@ class Mute(AssertionError):
 @dataclass(frozen=True, kw_only=True)
 class Silent(Proportional):
     def table(self, model): raise Mute
-"""
+'''
 
 
 @pytest.mark.parametrize(

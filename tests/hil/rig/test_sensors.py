@@ -106,9 +106,8 @@ def test_the_lowest_can_identifier_wins_in_the_rig_and_in_the_theory() -> None:
 
 
 def test_the_log_of_a_run_over_a_bus_is_made_again_bit_for_bit(tmp_path: Path) -> None:
-    loop = on_a_bus(
-        "2+0 3+1 4+0 4+0", ONE, "allow_uncertified=true", "network.nodes.first.clock.jitter=1", "duration=1", loss=0.2
-    )
+    loop = on_a_bus("2+0 3+1 4+0 4+0", ONE, "allow_uncertified=true",
+                    "network.nodes.first.clock.jitter=1", "duration=1", loss=0.2)
     result = run_session(loop.experiment, path=tmp_path / "a.mcap")
     assert result.status == 0 and verify(result.run).difference is None
 
@@ -145,32 +144,18 @@ def test_a_bus_that_cannot_be_foreseen_is_undecided_and_its_runs_differ_by_their
     [
         (["network.nodes.first.clock.every=0"], "network.nodes.first.clock.every: 0 slots, expected 1 to 1000000"),
         (["network.nodes.first.clock={every=4, phase=4}"], "network.nodes.first.clock.phase: 4, expected 0 to every - 1 = 3"),
-        (
-            ["network.nodes.first.clock={every=4, jitter=4}"],
-            "network.nodes.first.clock.jitter: 4 slots, expected 0 to every - 1 = 3",
-        ),
-        (
-            ["network.nodes.first.clock={every=4, phase=1, random_phase=true}"],
-            "network.nodes.first.clock.phase: random_phase draws it",
-        ),
+        (["network.nodes.first.clock={every=4, jitter=4}"],
+         "network.nodes.first.clock.jitter: 4 slots, expected 0 to every - 1 = 3"),
+        (["network.nodes.first.clock={every=4, phase=1, random_phase=true}"],
+         "network.nodes.first.clock.phase: random_phase draws it"),
         (["network.media.bus.frames=2"], "network.media.bus.frames: for a can-arbitration medium only"),
-        (
-            ["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "network.media.bus.frames=0"],
-            "network.media.bus.frames: 0 in a slot",
-        ),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "network.media.bus.frames=0"],
+         "network.media.bus.frames: 0 in a slot"),
         (["network.media.bus.kind='can-arbitration'"], "network.media.bus.phase: for a round-robin medium only"),
-        (
-            [
-                "network.media.bus.kind='can-arbitration'",
-                "network.media.bus.phase=0",
-                "network.media.bus.nodes=['first', 'first']",
-            ],
-            "is named twice",
-        ),
-        (
-            ["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "controller.uses='newest'"],
-            "controller.uses: where several",
-        ),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0",
+         "network.media.bus.nodes=['first', 'first']"], "is named twice"),
+        (["network.media.bus.kind='can-arbitration'", "network.media.bus.phase=0", "controller.uses='newest'"],
+         "controller.uses: where several"),
     ],
 )
 def test_a_fault_of_a_bus_or_a_clock_is_refused_with_its_place(sets: list[str], says: str) -> None:

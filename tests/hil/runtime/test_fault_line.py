@@ -278,7 +278,7 @@ def test_a_controller_of_another_process_is_not_restarted() -> None:
 
 
 def test_a_fault_that_the_run_never_reaches_is_reported(tmp_path: Path) -> None:
-    late = faulty("cut", 'link = "sc"') + '\n[[fault]]\nat = "3 s"\nkind = "controller-restart"\n'
+    late = faulty("cut", 'link = "sc"') + "\n[[fault]]\nat = \"3 s\"\nkind = \"controller-restart\"\n"
     said = "fault[1].at: 3 s lies beyond the end of the run (3 s): the restart of the controller for 0 s never happens"
     session = run_session(parse_experiment(late), path=tmp_path / "run.mcap")
     assert session.summary["problems"] == {"faults": said} == read_run(tmp_path / "run.mcap").summary["problems"]

@@ -107,16 +107,10 @@ def test_shipped_design_is_for_the_law_that_it_runs_over() -> None:
     [
         ("dc-motor-ours-h2", ["controller.sojourns=3"], "controller.sojourns: only a semi-Markov law takes it"),
         ("dc-motor-ours-h2", ["controller.sojourns=0"], "sojourns: 0, expected at least 1"),
-        (
-            "dc-motor-ours-bursty",
-            ["network.sc.law.ages=[0, 1, 1]", "network.sc.max_age=2"],
-            "sojourns: several modes have one delay",
-        ),
-        (
-            "dc-motor-ours-bursty",
-            ["network.sc.law.ages=[0, 1, 3]", "network.sc.law.allow_gaps=true"],
-            "controller.sojourns: this delay may grow by more than one per slot",
-        ),
+        ("dc-motor-ours-bursty", ["network.sc.law.ages=[0, 1, 1]", "network.sc.max_age=2"],
+         "sojourns: several modes have one delay"),
+        ("dc-motor-ours-bursty", ["network.sc.law.ages=[0, 1, 3]", "network.sc.law.allow_gaps=true"],
+         "controller.sojourns: this delay may grow by more than one per slot"),
     ],
 )
 def test_what_no_controller_can_count_is_refused(name: str, sets: list[str], message: str) -> None:

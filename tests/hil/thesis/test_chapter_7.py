@@ -48,7 +48,9 @@ from hil.thesis.statements import judge
 from plants.dc_motor import DCMotor
 from tests.hil.thesis.judging import assert_every_number_decides
 
-LABORATORY = Imperfections(saturation_v=0.0576, coulomb_v=0.0017, static_ratio=2.5, dead_zone_v=0.0021, encoder_rad=0.0019)
+LABORATORY = Imperfections(
+    saturation_v=0.0576, coulomb_v=0.0017, static_ratio=2.5, dead_zone_v=0.0021, encoder_rad=0.0019
+)
 
 
 def quietly(text, done=0, total=0):

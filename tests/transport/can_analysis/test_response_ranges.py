@@ -28,11 +28,7 @@ def measured(messages: list[PeriodicMessage], seconds: float, seed: int) -> dict
         frame = CanFrame(identifier=own.identifier, data=bytes(own.length))
         sources.append(
             Periodic(
-                node=i,
-                frame=frame,
-                period_ns=own.period_ns,
-                offset_ns=own.offset_ns,
-                jitter_ns=own.jitter_ns,
+                node=i, frame=frame, period_ns=own.period_ns, offset_ns=own.offset_ns, jitter_ns=own.jitter_ns,
                 random=own.length > 0,
             ).frames(np.random.default_rng([seed, i]))
         )

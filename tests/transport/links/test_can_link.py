@@ -272,6 +272,7 @@ def test_a_second_one_in_its_role_is_refused_until_the_first_has_gone(
     open_link(uri, role).close()
 
 
+
 def test_a_back_end_without_its_driver_is_refused_in_one_line(channel: str) -> None:
     program = f"""
 import logging, can

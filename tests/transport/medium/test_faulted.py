@@ -73,9 +73,8 @@ def test_fates_say_which_fault_it_was_and_modes_stay_the_laws_own() -> None:
     law = MarkovAge(matrix=((0.6, 0.4), (0.7, 0.3)))
     for kind, code in (("cut", CUT), ("corrupt", CORRUPTED), ("bus-off", OFF_BUS)):
         path = FaultyPath([FaultInterval(*INTERVAL, kind)])
-        links = (
-            impair(law, np.random.default_rng(1), 0.05, 0.03),
-            faulted(impair(law, np.random.default_rng(1), 0.05, 0.03), path),
+        links = impair(law, np.random.default_rng(1), 0.05, 0.03), faulted(
+            impair(law, np.random.default_rng(1), 0.05, 0.03), path
         )
         drawn: list[list[int]] = [[], []]
         for k in range(12):

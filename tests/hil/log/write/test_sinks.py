@@ -17,13 +17,7 @@ from hil.log.write import MemorySink, TeeSink, harmless
 from tests.hil.log.recording import TABLE, assert_same_arrays, record
 
 _leaves = st.one_of(
-    st.none(),
-    st.booleans(),
-    st.integers(),
-    st.floats(),
-    st.text(),
-    st.binary(),
-    st.complex_numbers(),
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(), st.binary(), st.complex_numbers(),
     st.just(object()),
 )
 _values = st.recursive(

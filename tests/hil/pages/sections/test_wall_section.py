@@ -59,7 +59,7 @@ def test_a_slide_shows_depth_force_energy_margin_and_both_ways():
 
 def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
     page = render_report(view_of(run_of("omni-push", "duration=2")))
-    assert page.index(">At the wall</h2>") < page.index(">Outputs</h2>") and ">Tracking</h2>" not in page
+    assert page.index('>At the wall</h2>') < page.index('>Outputs</h2>') and ">Tracking</h2>" not in page
     assert '"label":"reference"' not in page and "largest depth" in page and " mm, behind a delay of 6 samples of 50 ms" in page
 
 

@@ -157,7 +157,6 @@ def test_a_rig_that_refuses_every_answer_says_why(
     loop: Loop, ends: Callable[[str], str], rig: str, controller: str, why: str
 ) -> None:
     with beside(partial(answer, loop, ends(controller))), open_link(ends(rig), "rig") as link:
-
         def came() -> bool:
             return bool(link.counters.refused or handshake._foreign)
 

@@ -21,10 +21,8 @@ STEP_S = 0.02
 
 
 def given_up_at(
-    silence: HeartbeatTimeout,
-    *,
-    records: Callable[[float], int] = lambda t: 100,
-    stopped: Callable[[float], bool] = lambda t: False,
+    silence: HeartbeatTimeout, *,
+    records: Callable[[float], int] = lambda t: 100, stopped: Callable[[float], bool] = lambda t: False,
 ) -> float:
     """Time at which the rig is given up, inf if it is not within an hour."""
     for look in range(round(3600 / STEP_S)):
