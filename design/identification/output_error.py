@@ -144,11 +144,12 @@ def residual_test(residuals: Array, size: float, jacobian: Array) -> ResidualTes
     power = float(residuals @ residuals)
     if power <= n * (EXACT * size) ** 2:
         return ResidualTest(verdict="exact", statistic=0.0, lags=lags, p_value=1.0)
-    taken, fitted = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))[0], jacobian.shape[1]
-    shares = [
-        float(residuals[lag:] @ residuals[:-lag]) / power + float((taken[lag:] * taken[:-lag]).sum()) / (n - fitted)
-        for lag in range(1, lags + 1)
-    ]
+    taken = np.linalg.qr(jacobian / np.linalg.norm(jacobian, axis=0))[0]
+
+    def lagged(signals: Array, lag: int) -> float:
+        return float((signals[lag:] * signals[:-lag]).sum())
+
+    shares = [lagged(residuals, l) / power + lagged(taken, l) / (n - taken.shape[1]) for l in range(1, lags + 1)]
     statistic = n * (n + 2) * sum(r * r / (n - lag) for lag, r in enumerate(shares, 1))
     p_value = float(chi2.sf(statistic, lags))
     return ResidualTest(
