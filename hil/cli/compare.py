@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +14,7 @@ import click
 from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option, print_folded, print_written
-from hil.errors import HilError, nearest
+from hil.errors import HilError, unknown_name
 
 if TYPE_CHECKING:
     from hil.sweeps.comparison import Comparison
@@ -111,15 +112,14 @@ def problems(controller: str | None, names: tuple[str, ...], runs: int) -> None:
     from hil.sweeps.problems import best_known, problems, reached
 
     chosen = [problem for problem in problems() if not names or problem.name in names]
-    names_of = [problem.name for problem in problems()]
-    unknown = set(names) - set(names_of)
-    if unknown:
-        hint = nearest(min(unknown), names_of) or "."
-        raise HilError(f"--only: no problem is called {min(unknown)!r}{hint} There are: {', '.join(names_of)}")
+    for name in {*names} - {problem.name for problem in chosen}:
+        raise unknown_name("problem", name, [problem.name for problem in problems()])
     known = best_known()
     found: dict[str, Reached] = {}
     if controller is not None:
         table = _table(controller)
+        with suppress(HilError):  # what does not fit is said below; own modules are watched from a fork, which has one thread
+            chosen[0].load(table)
         with Working("problems", len(chosen)) as watch:
             for i, problem in enumerate(chosen):
                 watch.counted(i, what=problem.name)

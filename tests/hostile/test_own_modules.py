@@ -89,6 +89,14 @@ def test_a_module_that_leaves_or_changes_its_process_is_one_message(what: str, t
     assert "Traceback" not in done.stderr and not (status == 2 and (tmp_path / "a.mcap").exists())
 
 
+def test_a_module_that_ends_a_command_which_says_how_far_it_is_is_one_message(tmp_path: Path) -> None:
+    """What says so is a thread, and a process of two threads is not watched: the command ended with status 0."""
+    (tmp_path / "mine.py").write_text(f"{MODULE}{LEAVE}\n")
+    asked = ("problems", "--controller", "kind='mine:Mine'", "--only", "motor-5g", "--runs", "2")
+    done = hil_command(*asked, cwd=tmp_path, timeout=120)
+    assert done.returncode == 1 and ENDS["C's exit"][2] in done.stderr, done.stderr
+
+
 HANGS = {
     "a loop": "pathlib.Path('there').touch()\nwhile True: pass",
     "a loop that heeds nothing": "pathlib.Path('there').touch()\nwhile True:\n try: time.sleep(1)\n except BaseException: pass",
