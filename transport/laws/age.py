@@ -29,6 +29,8 @@ from transport.laws.stochastic_matrix import (
 
 Initial = Literal["stationary", "uniform"] | tuple[float, ...]
 LARGEST_AGE = 100_000
+ROUNDING = 1e-12
+"""A probability up to this of what no link does is rounding of the row that was computed: it becomes 0 in the law itself."""
 
 
 def checked_age(path: str, age: object) -> int:
@@ -54,27 +56,32 @@ def checked_ages(ages: object, modes: int) -> tuple[int, ...] | None:
     return tuple(checked_age(f"ages[{i}]", age) for i, age in enumerate(ages))
 
 
-def refuse_gaps(matrix: Sequence[Row], ages: Sequence[int]) -> None:
-    """Refuse a chain in which an age can grow by more than one per slot.
+def without_gaps(path: str, row: Row, ages: Sequence[int], age: int) -> Row:
+    """Return a probability row in which no age grows by more than one per slot; an entry of rounding that lets it grow is 0.
 
-    A receiver that keeps the newest packet ages by exactly one per slot when nothing newer comes, so `age[j] > age[i]
-    + 1` with P_ij > 0 describes no packet link.
+    A receiver that keeps the newest packet ages by exactly one per slot when nothing newer comes, so a larger `ages[j]` with
+    `row[j] > 0` describes no packet link.
+
+    Args:
+        path: field path that starts every message.
+        row: probabilities of the next modes.
+        ages: of every mode.
+        age: of the mode, or the least one, before.
 
     Raises:
         ValueError: names the offending entry.
 
-    >>> refuse_gaps([(0.6, 0.3, 0.1), (1, 0, 0), (1, 0, 0)], [0, 1, 2])  # doctest: +ELLIPSIS
+    >>> without_gaps("row", (0.7, 0.3, 1e-16), [0, 1, 2], 0)
+    (0.7, 0.3, 0.0)
+    >>> without_gaps("row", (0.6, 0.3, 0.1), [0, 1, 2], 0)
     Traceback (most recent call last):
-    transport.errors.FieldError: matrix[0][2]: 0.1 lets the age grow from 0 to 2, at most 1 per slot is possible ...
+    transport.errors.FieldError: row[2]: 0.1 lets the age grow from 0 to 2, at most 1 per slot is possible (allow_gaps permits it)
     """
-    for i, row in enumerate(matrix):
-        for j, p in enumerate(row):
-            if p > 0.0 and ages[j] > ages[i] + 1:
-                raise FieldError(
-                    f"matrix[{i}][{j}]",
-                    f"{p:g} lets the age grow from {ages[i]} to {ages[j]}, "
-                    "at most 1 per slot is possible (allow_gaps permits it)",
-                )
+    for j, p in enumerate(row):
+        if p > ROUNDING and ages[j] > age + 1:
+            said = f"{p:g} lets the age grow from {age} to {ages[j]}, at most 1 per slot is possible (allow_gaps permits it)"
+            raise FieldError(f"{path}[{j}]", said)
+    return tuple(0.0 if ages[j] > age + 1 else p for j, p in enumerate(row))
 
 
 def checked_initial(initial: object, modes: int) -> Initial:
@@ -151,7 +158,7 @@ class IidAge:
     """Independent ages: Pr(age_k = i) = probabilities[i].
 
     With more than two adjacent ages in its support this describes no link that keeps the newest packet, see
-    `refuse_gaps`.
+    `without_gaps`.
 
     Args:
         probabilities: of ages 0, 1, ..., sum 1.
@@ -171,13 +178,8 @@ class IidAge:
 
     def __post_init__(self) -> None:
         row = checked_row("probabilities", self.probabilities)
-        support = [i for i, p in enumerate(row) if p > 0.0]
-        if support[-1] > support[0] + 1 and not self.allow_gaps:
-            i, j = support[0], next(j for j in support if j > support[0] + 1)
-            raise FieldError(
-                f"probabilities[{j}]",
-                f"{row[j]:g} lets the age grow from {i} to {j}, at most 1 per slot is possible (allow_gaps permits it)",
-            )
+        if not self.allow_gaps:
+            row = without_gaps("probabilities", row, range(len(row)), next(i for i, p in enumerate(row) if p > 0.0))
         checked_age("probabilities", len(row) - 1)
         object.__setattr__(self, "probabilities", row)
 
@@ -230,7 +232,9 @@ class ChainAge:
         object.__setattr__(self, "ages", checked_ages(self.ages, len(matrix)))
         object.__setattr__(self, "initial", checked_initial(self.initial, len(matrix)))
         if not self.allow_gaps:
-            refuse_gaps(matrix, self.mode_ages)
+            ages = self.mode_ages
+            matrix = tuple(without_gaps(f"matrix[{i}]", row, ages, ages[i]) for i, row in enumerate(matrix))
+            object.__setattr__(self, "matrix", matrix)
         if self.initial == "stationary":
             try:
                 stationary_row(matrix)

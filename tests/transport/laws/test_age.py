@@ -105,6 +105,25 @@ def test_a_row_sum_within_the_tolerance_is_accepted() -> None:
         MarkovAge(matrix=((0.5 + 2e-9, 0.5), (0.7, 0.3)))
 
 
+def test_an_entry_of_rounding_that_lets_an_age_grow_is_0_for_chain_and_draws_alike() -> None:
+    row, free = (0.7, 0.3 - 1e-12, 1e-12), ((0.7, 0.2, 0.1), (0.8, 0.1, 0.1))
+    law = MarkovAge(matrix=(row, *free), initial=(1.0, 0.0, 0.0))
+    assert law.matrix == (row[:2] + (0.0,), *free)
+    assert law.transition_matrix()[0, 2] == 0.0
+    assert IidAge(probabilities=row).max_age == 1
+
+    class AlwaysLast:  # the largest number that a stream gives
+        def random(self, count: int) -> np.ndarray:
+            return np.full(count, np.nextafter(1.0, 0.0))
+
+    assert [law.start(AlwaysLast()).draw()[1] for law in (law, IidAge(probabilities=row))] == [0, 1]  # type: ignore[arg-type]
+    path = law.start(AlwaysLast())  # type: ignore[arg-type]
+    assert [path.draw()[1] for _ in range(3)] == [0, 1, 2]
+    with pytest.raises(ValueError, match=r"matrix\[0\]\[2\]: 2e-12 lets the age grow from 0 to 2"):
+        MarkovAge(matrix=((0.7, 0.3, 2e-12), *free))
+    assert MarkovAge(matrix=(row, *free), allow_gaps=True).matrix[0] == row
+
+
 def test_gaps_are_accepted_when_asked_for() -> None:
     law = IidAge(probabilities=(0.5, 0.3, 0.2), allow_gaps=True)
     assert law.max_age == 2
