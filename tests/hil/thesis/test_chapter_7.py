@@ -99,8 +99,8 @@ def test_the_tables_have_the_numbers_of_each_controller_under_its_name(monkeypat
 
 
 def test_emulated_runs_have_the_predicted_mean_and_spread():
-    """4.5 standard errors, twice two numbers: error rate 3e-5; a row rule or a delay mistaken moves the mean by more than ten."""
-    runs = 4000
+    """4.5 standard errors, twice two numbers: error rate 3e-5; a row rule or a delay mistaken moves the mean by more than six."""
+    runs = 1600
     loop = ideal("h2")
     predicted = predict(loop, loop.experiment.slots)
     for found, said in zip(sums_of_squares(loop, range(runs)), predicted.sums, strict=True):
