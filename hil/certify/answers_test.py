@@ -13,6 +13,7 @@ from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows, Sample, SensorNodes
+from hil.certify.motion_test import so_far
 from hil.rig.loop import EQUAL, Running
 
 Array = NDArray[np.float64]
@@ -171,7 +172,7 @@ def mismatches(
         if moved.shape != expected.shape:
             found.append(Mismatch(size=size, share=np.inf))
             continue
-        scale = np.maximum.accumulate(np.abs(expected).max(axis=(1, 2), keepdims=True)) + 1e-9 * np.abs(expected).max() + 1e-300
+        scale = np.maximum.accumulate(np.abs(expected).max(axis=(1, 2), keepdims=True)) + 1e-9 * so_far(expected)
         lost = 1e-12 * sum(np.abs(rows).max(axis=(1, 2), keepdims=True) for rows in at_zero)
         apart = np.nan_to_num(np.abs(moved - expected) - lost, nan=np.inf) / scale
         if not (apart > EQUAL).any():

@@ -149,23 +149,26 @@ def _gap(
     before: list[Array], u: Array, i: int, A: Array, B: Array, delayed: Array | None, changes: list[tuple[Array, Array]],
     past: deque[Array], dt: float, rounding: float,
 ) -> float:  # fmt: skip
-    """Return by how much the measured derivative leaves what mode i allows, as a share of the motion's speed."""
+    """Return by how much the measured derivative leaves what mode i allows, state by state, as a share of its own speed.
+
+    The speed of a state is what its row of the matrices makes of the largest state: a slow one beside a fast one has its own.
+    """
     first, last = before
     speed, middle = (last - first) / dt, 0.5 * (first + last)
-    terms = [A[i] @ middle, B[i] @ u]
-    low = high = terms[0] + terms[1]
+    reach = float(np.abs(middle).max())
+    low = high = A[i] @ middle + B[i] @ u
+    scale = np.abs(A[i]).sum(axis=1) * reach + np.abs(B[i] @ u) + 1e-300
     if changes:
         free = np.array([dA[i] @ middle + dB[i] @ u for dA, dB in changes])
         low, high = low + free.min(axis=0), high + free.max(axis=0)
-        terms += list(free)
+        scale += sum(np.abs(dA[i]).sum(axis=1) for dA, _ in changes) * reach + np.abs(free).max(axis=0)
     if delayed is not None:
         late = np.array([delayed[i] @ x for x in (*past, first, last)])
         spread = 0.5 * np.abs(np.diff(late, axis=0)).max(axis=0)
         low, high = low + late.min(axis=0) - spread, high + late.max(axis=0) + spread
-        terms += [np.abs(late).max(axis=0)]
-    scale = float(max(np.abs(term).max() for term in terms)) + 1e-300
+        scale += np.abs(delayed[i]).sum(axis=1) * max(float(np.abs(x).max()) for x in (*past, first, last))
     outside = np.maximum(np.maximum(low - speed, speed - high) - rounding, 0.0)
-    return float(outside.max()) / scale
+    return float((outside / scale).max())
 
 
 def _counted(plant: JumpPlant, rates: JumpRates, period_s: float, *, costly: bool) -> str:

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 SLOTS = 200
 """Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""
 SEED = 20240301
+FIRST = 5
+"""Slots in which a motion has begun that is 0 at first."""
 ALIKE = 1e-2
 """A difference up to this share may come from a coarse integrator: the verdict is undecided, not refused."""
 
@@ -118,6 +120,16 @@ def foretold(model: LoopModel, delayed: Array, inputs: Array) -> Array:
     return x[first:]
 
 
+def so_far(signals: Array) -> Array:
+    """Return the largest signal up to every slot, of the first `FIRST` slots at least; signals (k, ...), (k, 1, ...).
+
+    What comes later is no scale: the motion of an unstable plant ends 1e30 times as large as it began.
+    """
+    largest = np.maximum.accumulate(np.abs(signals).max(axis=tuple(range(1, signals.ndim)), keepdims=True)) + 1e-290
+    largest[:FIRST] = largest[:FIRST].max(initial=0.0)
+    return np.asarray(largest)
+
+
 def departure(
     plant: Plant, model: LoopModel, of_unit: Array, free: Track, shape: Array, unit: Array, size: float, bounds: Sequence[float]
 ) -> Departure:
@@ -155,12 +167,12 @@ def departure(
             foretold=float(inputs[at, j]), slots=len(x) - 1,
         )  # fmt: skip
     worst = Departure(size=size, share=0.0, slot=0, signal=("", ""), found=0.0, foretold=0.0, slots=len(x) - 1)
-    largest = float(np.abs(x).max()) if x.size else 0.0
+    unseen = so_far(x) * float(np.abs(model.C).max())
     for moved, rest, expected, signals in pairs:
         count = min(len(moved), len(rest), len(expected))
         moved, rest, expected = moved[:count], rest[:count], expected[:count]
         reached = np.maximum.accumulate(np.abs(expected))
-        scale = reached + 1e-9 * max(largest * float(np.abs(model.C).max()), float(np.abs(expected).max()), 1e-300)
+        scale = reached + 1e-9 * np.maximum(unseen[:count], so_far(expected))
         lost = CANCELS * np.maximum.accumulate(np.maximum(np.abs(moved), np.abs(rest)))
         with np.errstate(invalid="ignore", over="ignore"):
             apart = np.nan_to_num(np.abs(moved - rest - expected) - lost, nan=np.inf) / scale

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from design.controllers import LoopModel, SendAll, SensorNodes, nested
+from design.controllers import LoopModel, OutputFeedback, SendAll, SensorNodes, nested
 from hil.certify.answers_test import FAR, SLOTS, drift_at_zero, growing_feedforward, mismatches, random_excitation, shares_memory
 
 TWO = SensorNodes(names=("a", "b"), outputs=((0,), (1,)), buffers=(1, 1), delays=(None, None))
@@ -62,6 +62,17 @@ def test_a_row_of_one_age_that_differs_is_named_with_both_numbers() -> None:
     other_shape = (np.zeros((SLOTS, 1, 1)), np.zeros((SLOTS, 2, 1)))
     (short,) = mismatches(lambda: one_row.start(model()), sends(K), other_shape, EXCITATION, NODES, [1.0])
     assert short.share == np.inf
+
+
+def test_a_wrong_answer_is_found_beside_a_state_that_grows_without_bound() -> None:
+    """Of 1.8^120 at the end the first answers are nothing; there it is seen that u = x - 4 y is not u = x + 4 y."""
+    said, other = (OutputFeedback(A=((1.8,),), B=((0.1,),), C=((1.0,),), D=((d,),)) for d in (-4.0, 4.0))
+    for own, least, most in ((said, 0.0, 1e-9), (other, 0.5, np.inf)):
+        zero = np.zeros((SLOTS, 1, 1))
+        (found,) = mismatches(
+            lambda own=own: own.start(model()), lambda: said.start(model()), (zero, zero), EXCITATION, NODES, [1.0]  # type: ignore[misc]
+        )
+        assert least <= found.share <= most
 
 
 def test_a_growing_feedforward_is_distinguished_from_a_bounded_one() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import runpy
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import hil
 from design.controllers import Constant, LoopModel, OutputFeedback, SendAll
 from design.requests.scheduled import RobustScheduled, Scheduled
 from hil.certify.certify import judge
+from hil.certify.conformance import plant_check, without_loop
 from hil.certify.jump_loop import jump_step, process_of, system_of
 from hil.compose import compose
 from hil.errors import ExperimentError
@@ -30,6 +32,7 @@ from plants import (
     JumpModel,
     JumpRates,
     PlantError,
+    Signal,
     SwitchedExample,
     TransitionRates,
     check_plant,
@@ -108,6 +111,40 @@ def test_a_users_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     level = simulate(loop, 1).arrays["/plant/state"]["level"]
     assert abs(level[-1]) < 0.1 * abs(level[0])
     assert any("is a ModeSchedule" in sentence for sentence in check_controller(loop.controller, loop.model))
+
+
+@pytest.mark.parametrize(("rises", "state"), [(-0.0005, None), (0.0005, "refused")])
+def test_a_slow_state_beside_a_fast_one_is_compared_by_its_own_speed(rises: float, state: str | None) -> None:
+    """x1' = -100 x1 + 100 u hides 1e-4 of its speed: all that decides whether x2' = -0.0005 x2 + u falls."""
+
+    class Beside(TwoSpeedTank):  # type: ignore[misc]
+        outputs = states = (Signal("fast", "m"), Signal("slow", "m"), Signal("mode", "1"))
+
+        def jump_system(self) -> JumpModel:
+            return JumpModel(A=(((-100.0, 0.0), (0.0, -0.0005)),) * 2, B=(((100.0,), (1.0,)),) * 2)
+
+        def start(self, rng: np.random.Generator) -> Any:
+            return Both(super().start(rng))
+
+    class Both:
+        def __init__(self, run: Any) -> None:
+            self.run, self.slow = run, 1.0
+
+        def advance(self, dt_ns: int, u: Any, w: Any = ()) -> None:
+            self.run.advance(dt_ns, u, w)
+            self.slow += (self.slow + u[0] / rises) * math.expm1(rises * dt_ns / 1e9)
+
+        def measure(self) -> tuple[float, ...]:
+            fast, mode = self.run.measure()
+            return (fast, self.slow, mode)
+
+        state = property(measure)
+
+    plant = Beside(growth=(-100.0, -100.0), effect=(100.0, 100.0))
+    model = LoopModel(A=np.eye(2), B=np.ones((2, 1)), C=np.eye(2), period_s=0.05, tau_max=0, d_max=0)
+    found, said = plant_check(without_loop(plant, model))
+    assert found == state, said
+    assert state is None or "its speed in slot" in said
 
 
 def test_gains_that_a_users_plant_outgrew_are_not_certified() -> None:

@@ -65,6 +65,38 @@ def test_a_wrong_model_is_reported_with_signal_slot_and_numbers() -> None:
     assert near.slots == int((np.abs(model[:, 1]) >= bound).argmax()) - 1
 
 
+def test_a_wrong_model_is_found_beside_a_motion_that_grows_without_bound() -> None:
+    """Of e^60 at the end the first slots are nothing; there it is seen that a state rises by 1 % and does not fall by 1 %."""
+    A, B, C = np.diag([1.35, 1.01]), np.ones((2, 2)), np.eye(2)
+    model = structs.replace(MODEL, A=np.diag([1.35, 0.99]), B=B, C=C)
+    shape = random_inputs(SLOTS, 2)
+
+    class Moves:
+        inputs = outputs = states = (("a", "1"), ("b", "1"))
+
+        def __init__(self, A: np.ndarray) -> None:
+            self.A, self.x, self.applied = A, np.zeros(2), (0.0, 0.0)
+
+        def start(self, rng: np.random.Generator) -> Moves:
+            return Moves(self.A)
+
+        def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float]) -> None:
+            self.x, self.applied = self.A @ self.x + B @ u, (u[0], u[1])
+
+        def measure(self) -> tuple[float, ...]:
+            return tuple(self.x)
+
+        state = property(measure)
+
+    shares = []
+    for moves in (model.A, A):
+        plant: Any = Moves(moves)
+        free = drive(plant, PERIOD_NS, np.zeros((SLOTS, 2)))
+        found = departure(plant, model, foretold(model, UNDELAYED, shape), free, shape, np.ones(2), 1.0, (np.inf, np.inf))
+        shares.append(found.share)
+    assert shares[0] < 1e-9 and shares[1] > 0.005
+
+
 def test_an_actuator_that_applies_less_is_reported_before_the_motion() -> None:
     found, inputs = departed(replace(PLANT, saturation=(100.0, 1.5)), MODEL, 1.0)
     first = int((np.abs(inputs[:, 1]) > 1.5).argmax())
