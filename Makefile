@@ -145,7 +145,7 @@ docs: $(INSTALLED) ## the guide as a site with a gallery of all experiments, in 
 	    $(PIP) --require-hashes --no-deps -r .ci/docs.txt
 	@rm -rf runs/guide && mkdir -p runs && cp -r hil/guide runs/guide && $(BIN)/python -m tests.gallery runs/guide
 	@sed -i 's/^figures$$/figures\ngallery/' runs/guide/index.md
-	$(BIN)/python -m sphinx -q -W -b html -c runs/guide runs/guide runs/docs
+	$(BIN)/python -m sphinx -q -W -b html -c .ci/guide runs/guide runs/docs
 	@echo "guide  file://$(CURDIR)/runs/docs/index.html"
 
 clean: ## remove .venv, runs and caches (not ~/.cache/hilrig)

@@ -101,7 +101,7 @@ def paths_of(cls: Any, said: dict[str, Any], at: str = "") -> Iterator[str]:
 
 def _class_of(hint: Any, table: object) -> type | None:
     """Return what a table of a field fills: a class of ours, or the installed plug-in of its kind."""
-    from hil.experiment.plug_in import plug_in_of
+    from hil.experiment.table import plug_in_of
     from hil.experiment.table_check import choices
     from hil.plugins import registry
     from hil.plugins.fields import is_table

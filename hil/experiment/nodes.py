@@ -8,8 +8,7 @@ from __future__ import annotations
 import typing
 from typing import Any, Final, Literal
 
-from hil.experiment.plug_in import PlugIn
-from hil.experiment.table import Seconds, Table, named_twice, not_negative
+from hil.experiment.table import PlugIn, Seconds, Table, named_twice, not_negative
 from transport.can_bus_model import BASE_MOST, EXTENDED_MOST, BitRates
 from transport.errors import FieldError
 from transport.links.can_identifiers import LARGEST

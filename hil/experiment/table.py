@@ -1,19 +1,26 @@
-"""What every table of an experiment file is made of: checked fields, durations with a unit, and plain JSON values of both."""
+"""What every table of an experiment file is made of: checked fields, durations with a unit, plug-ins; and plain JSON values."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import typing
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, NoReturn, get_args
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from hil.errors import HilError
+from hil.plugins import registry
 from plants.parts import Signal
 from transport.durations import in_seconds
+
+if TYPE_CHECKING:
+    from design.controllers import Controller
+    from hil.plugins.user_plugins import Designer
+    from plants.parts.protocols import Plant
+    from transport.laws import NetworkLaw
 
 LONGEST_S = 6e9  # 1e8 slots of 60 s; in nanoseconds it still is a number of 64 bits
 
@@ -69,6 +76,31 @@ def named_twice(values: typing.Mapping[str, Any], field: str) -> typing.Iterator
     """Yield which names of a list stand in it before."""
     names = values.get(field, ())
     yield from (f"{field}[{i}]: {name!r} is named twice" for i, name in enumerate(names) if name in names[:i])
+
+
+class PlugIn(NamedTuple):
+    """Marks a field whose own table a plug-in fills, as its kind says: plant, controller, network law.
+
+    Args:
+        group: of the plug-in.
+    """
+
+    group: registry.Group
+
+
+def plug_in_of(hint: Any) -> PlugIn | None:
+    """Return the mark of a field's annotation, None where it has none."""
+    return next((each for each in get_args(hint) if isinstance(each, PlugIn)), None)
+
+
+if TYPE_CHECKING:
+    PlantTable = Plant
+    ControllerTable = Controller | Designer
+    LawTable = NetworkLaw
+else:  # what msgspec reads at run time
+    PlantTable, ControllerTable, LawTable = (
+        Annotated[Any, PlugIn(group)] for group in ("hil.plants", "hil.controllers", "hil.laws")
+    )
 
 
 def plain(value: Any) -> Any:

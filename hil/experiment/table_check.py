@@ -17,8 +17,7 @@ from typing import Any, Final
 import msgspec
 
 from hil.errors import HilError, nearest
-from hil.experiment.plug_in import plug_in_of
-from hil.experiment.table import Seconds, Table
+from hil.experiment.table import Seconds, Table, plug_in_of
 from hil.experiment.tables import HIDDEN, Experiment, Links, Network
 from hil.plugins import registry
 from hil.plugins.fields import is_table, keys_of

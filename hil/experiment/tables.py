@@ -9,9 +9,18 @@ from typing import Any, Literal, get_args
 import msgspec
 
 from hil.experiment.nodes import Medium, Node, identifier_faults
-from hil.experiment.plug_in import ControllerTable, LawTable, PlantTable
 from hil.experiment.rig_tables import Auth, Fault, Limits, Login, Tls, secured_uri
-from hil.experiment.table import Seconds, Table, UnavailablePlugin, named_twice, not_negative, plain
+from hil.experiment.table import (
+    ControllerTable,
+    LawTable,
+    PlantTable,
+    Seconds,
+    Table,
+    UnavailablePlugin,
+    named_twice,
+    not_negative,
+    plain,
+)
 from hil.plugins import registry, written_in
 from transport.laws import BoundedAge
 from transport.links import TransportError

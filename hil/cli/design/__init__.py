@@ -1,6 +1,6 @@
-"""``hil design``: gains for a plant over a network, and questions about them; each file of this folder is a question.
+"""``hil design``: gains for a plant over a network, and questions about them, which the files of this folder hold.
 
-It has the options that it alone takes, and an answer. A new question is one file here.
+A question has the options that it alone takes, and an answer. A new one is a `Question` among the QUESTIONS of a file here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from hil.cli.design_question import SHAPING, Question, names_of
 from hil.cli.terminal import json_option
 from hil.errors import HilError
 
-QUESTIONS: list[Question] = [import_module(f"{__name__}.{file.name}").QUESTION for file in iter_modules(__path__)]
+QUESTIONS: list[Question] = [
+    each for file in iter_modules(__path__) for each in import_module(f"{__name__}.{file.name}").QUESTIONS
+]
 
 
 class GainsOrWall(click.Command):

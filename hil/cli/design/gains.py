@@ -1,4 +1,4 @@
-"""Gains for a plant over a network: solved and certified, over a measured network and for an uncertain plant, too."""
+"""Gains for a plant: over a network, between two norms (``--trade-off``), and without a network (``--local``)."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.design_question import Question, gain_unit, shaped
+from hil.cli.design_question import Question, gain_unit, option_faults, shaped
 from hil.cli.option_types import Number
-from hil.cli.page_text import print_table
+from hil.cli.page_text import print_table, show_page
 from hil.cli.terminal import Working, print_facts, visible
 from hil.cli.terminal import answer as print_answer
 from hil.errors import HilError, exit_status, located
 
 if TYPE_CHECKING:
+    from design.requests.tracking import LocalDesigned
     from design.tracking.synthesis import Design
     from hil.design_questions import TrackingTarget
     from hil.design_questions.measured_network import Measured
@@ -171,20 +172,106 @@ def network_lines(said: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [*lines, ("over all it leaves", said["region"]["state"], said["region"]["reason"])]
 
 
-QUESTION = Question(
-    90, lambda options: True,
-    [click.Option(["--objective"], type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True,
-                  help="Norm to be small; mixed: the H2 norm, with the H-infinity norm below --hinf-bound."),
-     click.Option(["--hinf-bound"], type=Number(), help="Bound of a mixed design [1.05 times the smallest H-infinity norm]."),
-     click.Option(["--method"], type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
-                  help="ccl: the thesis's iterated linear matrix inequalities, for comparison."),
-     click.Option(["--uncertainty"], multiple=True, metavar="NAME=WIDTH",
-                  help="Guarantee the design for a parameter of the plant within gain=10%, pole=0.3 (to either side) or "
-                       "A.1.0=10%; repeatable."),
-     click.Option(["--robust"], is_flag=True,
-                  help="--uncertainty: gains of the smallest guaranteed H2 norm, instead of nominal ones."),
-     click.Option(["--network"], type=click.Path(path_type=Path),
-                  help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves "
-                       "possible.")],
-    answer, page=False,
+def answer_trade_off(subject: str, path: Path | None, **shape: Any) -> None:
+    """Solve the designs of a curve."""
+    from hil.design_questions import compromises
+    from hil.pages.designs import norm_trade_off_page
+
+    target, options = shaped(subject, **shape)
+    with Working(f"{target.plant} trade-off {options['information']}") as watch:
+        found = compromises(target, watch, **options)
+    document = {
+        "plant": target.plant, "period_s": target.period_s, "information": options["information"],
+        "designs": [each.to_json() for each in found],
+    }  # fmt: skip
+    show_page(norm_trade_off_page(target.plant, found), document, path)
+
+
+def answer_local(subject: str, period: float | None, input_weight: float | None, local: str, noise: float | None) -> None:
+    """Design for the plant alone; of the options that shape a networked design, none but the input's weight means anything."""
+    from design.requests.tracking import LocalDesigned
+    from hil.design_questions import tracking_target
+
+    target = tracking_target(subject, period)
+    given = {name: value for name, value in (("input_weight", input_weight), ("noise", noise)) if value is not None}
+    with Working(f"{target.plant}, {local} without a network"):
+        found = design_local(target, LocalDesigned(method=local, **given))  # type: ignore[arg-type]  # click knows the words
+    print_answer(found, show_local, found)
+
+
+def design_local(target: TrackingTarget, request: LocalDesigned) -> dict[str, Any]:
+    """Return a local design as plain data: its matrices, its norms without a network, the verdict over the network.
+
+    Raises:
+        HilError: no such design.
+    """
+    from design.processes.delay_chain import DelayChain
+    from hil.certify.send_all_loop import judge_linear_law
+    from hil.design_questions import digest_of_law, model_at, motion_at, on_plant
+
+    with option_faults():
+        law = request.law(model_at(target))
+    none = DelayChain(transition=((1.0,),))
+    rho = request.input_weight
+    alone = judge_linear_law(model_at(target), none, none, law, input_weight=rho).to_json()
+    over_network = judge_linear_law(
+        motion_at(target), target.sc, target.ca, law, input_weight=rho, digest=digest_of_law(target, law)
+    )  # fmt: skip
+    verdict = on_plant(target, over_network)
+    return {
+        "plant": target.plant,
+        "period_s": target.period_s,
+        "local": request.method,
+        "input_weight": rho,
+        "noise": request.noise,
+        "law": {"A": law.A.tolist(), "B": law.B.tolist(), "C": law.C.tolist(), "D": law.D.tolist()},
+        "without_network": {"h2": alone["h2_norm"], "hinf": alone["hinf_norm"], "radius": alone["number"]},
+        "verdict": verdict.to_json(),
+    }
+
+
+def show_local(document: dict[str, Any]) -> None:
+    """Print a local design."""
+    alone, verdict = document["without_network"], document["verdict"]
+    click.echo(f"{document['plant']}, {document['local']} by python-control, period {document['period_s']:g} s")
+    print_facts((
+        ("H2 norm", f"{alone['h2']:.6g}", "of z = [C x; rho u], without a network"),
+        ("H-infinity norm", f"{alone['hinf']:.6g}", "without a network"),
+        ("second-moment radius", f"{alone['radius']:.6f}", "without a network"),
+        ("over the network", verdict["state"], verdict["reason"]),
+        ("in an experiment", "", f'[controller] kind = "local-designed", method = "{document["local"]}"'),
+    ))  # fmt: skip
+
+
+QUESTIONS = (
+    Question(
+        90, lambda options: True,
+        [click.Option(["--objective"], type=click.Choice(["h2", "hinf", "mixed"]), default="h2", show_default=True,
+                      help="Norm to be small; mixed: the H2 norm, with the H-infinity norm below --hinf-bound."),
+         click.Option(["--hinf-bound"], type=Number(), help="Bound of a mixed design [1.05 times the smallest H-infinity norm]."),
+         click.Option(["--method"], type=click.Choice(["direct", "ccl"]), default="direct", show_default=True,
+                      help="ccl: the thesis's iterated linear matrix inequalities, for comparison."),
+         click.Option(["--uncertainty"], multiple=True, metavar="NAME=WIDTH",
+                      help="Guarantee the design for a parameter of the plant within gain=10%, pole=0.3 (to either side) or "
+                           "A.1.0=10%; repeatable."),
+         click.Option(["--robust"], is_flag=True,
+                      help="--uncertainty: gains of the smallest guaranteed H2 norm, instead of nominal ones."),
+         click.Option(["--network"], type=click.Path(path_type=Path),
+                      help="Design for the network of a log of `hil probe` or of a run, and certify over all that it leaves "
+                           "possible.")],
+        answer, page=False,
+    ),
+    Question(
+        40, lambda options: options["trade_off"],
+        [click.Option(["--trade-off"], is_flag=True,
+                      help="H2 against H-infinity norm, mixed designs between the pure ones; -o: a page.")],
+        answer_trade_off, "--trade-off, which solves designs of all three objectives",
+    ),
+    Question(
+        50, lambda options: options["local"],
+        [click.Option(["--local"], type=click.Choice(["lqr", "lqg", "hinf"]),
+                      help="Design for the plant without a network, by python-control, and judge it over the network."),
+         click.Option(["--noise"], type=Number(), help="--local: noise of a sample per unit of the input disturbance [0.01].")],
+        answer_local, "--local, which designs for the plant alone",
+    ),
 )  # fmt: skip

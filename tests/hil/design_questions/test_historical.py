@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from design.requests.historical import HistoricalDesigned
 from hil.certify.historical_loop import judge_historical
 from hil.cli import cli
-from hil.cli.design.historical import historical_lines, is_over_history
+from hil.cli.design.experiment import historical_lines, is_over_history
 from hil.compose import compose
 from hil.design_questions import tracking_target
 from hil.errors import HilError

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.design import command as design
-from hil.cli.design.can_id import _judge
+from hil.cli.design.experiment import _judge_place
 from hil.cli.laws import command as laws
 from hil.design_questions import loop_on_bus
 from hil.design_questions.loop_on_bus import Judged, Place, places_of, recommended
@@ -78,7 +78,7 @@ def test_places_keep_the_other_messages_where_there_is_room_and_move_them_up_els
 def test_where_errors_destroy_frames_no_place_is_in_time_for_certain() -> None:
     errors = ("network.media.bus.bit_error_rate=1e-6", "allow_uncertified=true", "duration=0.5")
     place = places_of(load_experiment("dc-motor-busy-can", (FEW, *errors)))[0]
-    found = _judge(place)
+    found = _judge_place(place)
     assert (found.bounds_ms, found.in_time) == ((None, None), False)
 
 
@@ -103,7 +103,7 @@ def test_the_place_that_leaves_the_others_theirs_is_said_apart_from_a_better_one
             place=place, cost=10.0 if place.moved else 14.0, state="certified", bounds_ms=(1.0, 1.0), in_time=True
         )  # fmt: skip
 
-    monkeypatch.setattr("hil.cli.design.can_id._judge", judged)
+    monkeypatch.setattr("hil.cli.design.experiment._judge_place", judged)
     monkeypatch.setattr(
         "hil.design_questions.loop_on_bus.places_of", lambda e, found=places_of: found(load_experiment(e.name, (FEW,)))
     )

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from design.requests.tracking import LocalDesigned, solve_tracking
 from hil.cli.design import command
-from hil.cli.design.local import design_local
+from hil.cli.design.gains import design_local
 from hil.compose import compose
 from hil.design_questions import problem_for, tracking_target, verdict_on
 from hil.design_questions.plant_uncertainty import interval, judge_uncertain, plants_between
