@@ -31,7 +31,8 @@ def test_a_constraint_of_an_experiment_is_designed_for_and_stands_in_the_certifi
     assert found.verdict.certified and found.verdict.reason.endswith("the constraint (4.6) holds")
     assert found.verdict.details["constraint"]["state"] == "certified"
     assert isinstance(found.controller, Scheduled) and found.controller.constraint is not None
-    assert found.controller.gain != loop().controller.gain
+    asked, plain = (np.array(each.controller.gain) for each in (found, loop()))
+    assert np.abs(asked - plain).max() > 0.05 * np.abs(plain).max()  # 10 %; solved anew without the constraint, up to 1 %
     assert "constraint" not in loop().verdict.details
 
 
