@@ -42,7 +42,7 @@ COMMANDS = {
     "identify": ("identify:command", "Estimate a plant from logs, or a network law from packets."),
     "problems": ("compare:problems", "Show a set of problems, and run a controller against it."),
     "probe": ("bench:probe", "Measure a real link with our own frames, and log every round trip."),
-    "stiffness-map": ("design_wall:stiffness_map", "Map how stiff a virtual wall may be, certified."),
+    "stiffness-map": ("design:stiffness_map", "Map how stiff a virtual wall may be, certified."),
     "reproduce": ("reproduce:command", "Put the thesis's numbers beside computed ones."),
     "discover": ("one_end:discover", "Say which rigs and controllers are there on zenoh links."),
     "keys": ("one_end:keys", "Make keys and certificates for a link that lets one controller command."),

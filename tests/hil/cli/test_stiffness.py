@@ -21,7 +21,7 @@ from design.passivity.stiffness_map import StiffnessCell
 from design.passivity.stiffness_map import stiffness_map as stiffness_cells
 from hil.cli import main
 from hil.cli.design import command as design
-from hil.cli.design_wall import stiffness_map
+from hil.cli.design import stiffness_map
 from hil.pages import Figure
 from hil.pages.analyses import stiffness_page, stiffness_section
 from tests.waiting import LIMIT_S
