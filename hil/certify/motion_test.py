@@ -126,8 +126,7 @@ def so_far(signals: Array) -> Array:
     What comes later is no scale: the motion of an unstable plant ends 1e30 times as large as it began.
     """
     largest = np.maximum.accumulate(np.abs(signals).max(axis=tuple(range(1, signals.ndim)), keepdims=True)) + 1e-290
-    largest[:FIRST] = largest[:FIRST].max(initial=0.0)
-    return np.asarray(largest)
+    return np.asarray(np.maximum(largest, largest[:FIRST].max()))
 
 
 def departure(
