@@ -12,6 +12,7 @@ from hil.api.experiment_source import Source, as_change, checked_arguments, chec
 from hil.compose import compose
 from hil.errors import HilError, located, nearest
 from hil.session import Session, simulated_session
+from hil.sweeps.seeds import refuse_seed
 
 SHOWN_SEEDS = 20
 """So many failed seeds a message names."""
@@ -72,6 +73,7 @@ def assert_probability(
     if most_runs < 1 or first_seed < 0:
         message = f"most_runs: {most_runs}, first_seed: {first_seed}; expected at least one run and no negative seed"
         raise HilError(f"assert_probability: {message}")
+    refuse_seed(changes)
     loop = compose(checked_experiment(source, None, None, changes))
     failed, decided, runs = list[int](), None, 0
     while decided is None and runs < most_runs:

@@ -31,7 +31,7 @@ from hil.sweeps.comparison import Comparison, check_named
 from hil.sweeps.comparison import compare as compare_experiments
 from hil.sweeps.parameters import ParameterSweep, load_points, sweep_parameters
 from hil.sweeps.points import Points, grid_of, latin_hypercube
-from hil.sweeps.seeds import here, run_sweep, seeds_of
+from hil.sweeps.seeds import here, refuse_seed, run_sweep, seeds_of
 
 
 @checked_arguments
@@ -237,6 +237,7 @@ def sweep(
         HilError: if the experiment cannot be run, or the points are none.
     """
     seeds = seeds_of(runs, first_seed)
+    refuse_seed([*changes, *(grid or ()), *(range or ())])
     if grid is None and range is None and points is None:
         return run_sweep(checked_experiment(source, None, None, changes), seeds, workers=here(jobs))
     where = _points(grid, range, points)
@@ -283,6 +284,7 @@ def compare(*sources: Source, runs: int = 200, jobs: int = -1, **changes: Any) -
     Raises:
         HilError: if an experiment cannot be run, two have one name, or there are fewer than two.
     """
+    refuse_seed(changes)
     checked = [checked_experiment(source, None, None, changes) for source in sources]
     check_named([each.name for each in checked], "hil.sweep", "hil.load_experiment(..., name=...) renames one")
     return compare_experiments({each.name: each for each in checked}, runs, jobs=jobs)

@@ -17,7 +17,6 @@ from plants.parts.protocols import HasOwnInputs
 ROUNDING = 1e-6
 
 
-
 def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, pushes: Array, named: str) -> Verdict | None:
     r"""Return the refusal of a run that begins where no command within its limits brings it back; None where none is known.
 

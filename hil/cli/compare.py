@@ -43,8 +43,10 @@ def compare(
     from hil.pages.many_runs import compare_page
     from hil.sweeps import statistics
     from hil.sweeps.comparison import check_named, compare
+    from hil.sweeps.seeds import refuse_seed
     from hil.sweeps.shown import as_plain
 
+    refuse_seed(sets)
     if duration is not None:
         sets = (*sets, f"duration={duration}")
     if output is not None:

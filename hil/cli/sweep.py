@@ -81,9 +81,10 @@ def command(
     from hil.experiment import load_experiment
     from hil.files import check_output, check_page, write_output
     from hil.sweeps import SweepStore, statistics
-    from hil.sweeps.seeds import columns_of, here, run_sweep, seeds_of
+    from hil.sweeps.seeds import columns_of, here, refuse_seed, run_sweep, seeds_of
 
     seeds = seeds_of(runs, first_seed)
+    refuse_seed((*sets, *grids, *ranges))
     if level is not None and until is None:
         raise HilError("--level: only with --until; it is the confidence of that interval")
     if duration is not None:

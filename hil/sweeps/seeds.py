@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from math import isnan
@@ -147,6 +147,19 @@ def _row(run: Run, loop: Loop, names: Sequence[str], seed: int) -> dict[str, flo
     found = in_one_row(run_metrics(run, loop.experiment, loop.rig))
     row = {name: float("nan") if found[name] is None else float(found[name]) for name in names}
     return row | {"seed": seed, "stopped": float(any(e["kind"] == "safety" for e in run.events))}
+
+
+def refuse_seed(changes: Iterable[str]) -> None:
+    """Refuse to change ``seed``: many runs have seeds of their own.
+
+    Args:
+        changes: paths, or ``path=value``.
+
+    Raises:
+        HilError: one of them is the seed.
+    """
+    if any(change.partition("=")[0].strip() == "seed" for change in changes):
+        raise HilError("seed: has no effect on many runs; those of a sweep have first_seed (--first-seed) and the next ones")
 
 
 def seeds_of(runs: int, first_seed: int = 0, *, least: int = 1) -> range:
