@@ -29,7 +29,7 @@ Importing this package costs nothing: each name brings its module when it is fir
 
 >>> import hil
 >>> hil.run("dc-motor-hinf", seed=3, duration=2)
-<Session dc-motor-hinf seed 3, virtual time, 40 slots, squared tracking error 11.407>
+<Session dc-motor-hinf seed 3, virtual time, 40 slots, squared tracking error 11.407 rad² s>
 """
 
 from __future__ import annotations
