@@ -115,7 +115,7 @@ def _stamp(said: Sequence[tuple[int, int, bytes]]) -> int:
     return -1
 
 
-MOST: Final = 64
+MOST = 64
 """Participants that one lets in: a datagram is sent to each by a call of its own."""
 
 _JOIN_TIMEOUT_S: Final = 2.0
