@@ -35,12 +35,12 @@ def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, push
     plant, A, B, first = loop.plant, loop.motion.A, loop.motion.B, first_state(loop)
     if first is None or (isinstance(plant, HasOwnInputs) and plant.own_inputs()):
         return None
-    rates, left = np.linalg.eig(A.T)
+    disturbed, (rates, left) = disturbance(loop), np.linalg.eig(A.T)
     for rate, mode in sorted(zip(np.abs(rates), left.T), key=lambda each: -each[0]):
         moved = np.abs(mode @ B)
         if rate <= 1.0 + ROUNDING or np.isinf(limits[moved > 0.0]).any():
             continue
-        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbance(loop)) + np.abs(mode @ pushes).sum())
+        most = float(moved @ (np.where(moved > 0.0, limits, 0.0) + disturbed) + np.abs(mode @ pushes).sum())
         begins = float(abs(mode @ first)) * (rate - 1.0)
         if begins > (1.0 + ROUNDING) * most > 0.0:
             return replace(

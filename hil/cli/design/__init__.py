@@ -65,7 +65,7 @@ def command(subject: str, path: Path | None, force: bool, **options: Any) -> Non
     from hil.files import check_output, check_page
 
     every = {"subject": subject, "path": path, "force": force, **options}
-    question = min((each for each in QUESTIONS if each.asked(every)), key=lambda each: each.place)
+    question = next(each for each in sorted(QUESTIONS, key=lambda each: each.place) if each.asked(every))
     takes = question.takes
     means = takes | names_of(question.options) | ({"force"} if "path" in takes else set())
     context = click.get_current_context()
