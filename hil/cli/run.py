@@ -249,8 +249,14 @@ def live(
 
     def opened(url: str) -> None:
         click.echo(f"open {url}", err=True)
-        if show:
-            click.launch(url)
+        if show:  # by a file of this user's alone: every user can read the arguments of a browser, and the token is in the URL
+            from tempfile import NamedTemporaryFile
+
+            page = NamedTemporaryFile("w", prefix="hil-live-", suffix=".html")  # noqa: SIM115 (there as long as the command)
+            click.get_current_context().with_resource(page)
+            page.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}">')
+            page.flush()
+            click.launch(page.name)
 
     if experiments[0].endswith(".mcap"):
         from hil.log.read import read_run

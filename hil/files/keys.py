@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import os
 import re
@@ -206,10 +207,15 @@ def revoke_names(folder: Path, names: Sequence[str]) -> Path:
             raise HilError(f"name {name!r:.80}: expected up to 64 letters, digits, '_', '-', '.'")
     if not os.path.isfile(folder / "ca.pem"):
         raise HilError(f"{folder / 'ca.pem'}: no such file; the list stands beside the certificate of the authority")
-    every = sorted(revoked_names(folder / "ca.pem") | set(names))
-    with written_whole(folder / REVOKED, replace=True) as part:
-        part.write_text("".join(f"{name}\n" for name in every))
-        part.chmod(0o644)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX)  # of two commands at once the second adds to what the first has written
+        every = sorted(revoked_names(folder / "ca.pem") | set(names))
+        with written_whole(folder / REVOKED, replace=True) as part:
+            part.write_text("".join(f"{name}\n" for name in every))
+            part.chmod(0o644)
+    finally:
+        os.close(descriptor)
     return folder / REVOKED
 
 

@@ -42,7 +42,7 @@ def require_zenoh(uri: str) -> None:
         if error.name != "zenoh":
             raise
         raise TransportError(f"link {uri!r}: zenoh is not installed: {INSTALL}") from None
-    os.environ.setdefault("ZENOH_RUNTIME", ONE_THREAD)  # read at zenoh's first use
+    os.environ["ZENOH_RUNTIME"] = ONE_THREAD  # read at zenoh's first use, which ends in Rust's words over what is no such value
 
 
 class CallbackThreads:

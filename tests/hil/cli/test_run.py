@@ -175,8 +175,12 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
         seen.append((what, about))
         return 0
 
-    launched: list[str] = []
-    monkeypatch.setattr("click.launch", launched.append)
+    launched: list[tuple[str, int, str]] = []
+
+    def launch(page: str) -> None:
+        launched.append((page, stat.S_IMODE(os.stat(page).st_mode), Path(page).read_text()))
+
+    monkeypatch.setattr("click.launch", launch)
     monkeypatch.setattr("hil.pages.live.watch.watch", shown)
     monkeypatch.setattr("hil.pages.live.watch.show_log", shown)
     words = ("--seed", "3", "--duration", "1", "--speed", "2", "--port", "9", "--paused")
@@ -188,7 +192,9 @@ def test_live_shows_what_it_is_asked_for(cli: Hil, tmp_path: Path, hil_log: Path
     assert [asked[0].load(again).seed for again in (None, 8)] == [3, 8] and about["port"] == 9
     assert not [*tmp_path.rglob("*.mcap")], "what was tried is let go"
     assert cli("live", hil_log)[2] == "open http://here\n" and len(seen[1][0].events) > 0 and not launched
-    assert cli("live", hil_log, "--open")[0] == 0 and launched == ["http://here"]
+    assert cli("live", hil_log, "--open")[0] == 0
+    ((page, mode, text),) = launched
+    assert "http://here" not in page and mode == 0o600 and "; url=http://here" in text and not Path(page).exists()
     for more in (("--foxglove", "0"), ("--script", "a.toml")):
         assert "a log is shown alone" in cli("live", hil_log, *more)[2]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
+import os
 import re
 import stat
 from datetime import UTC, datetime, timedelta
@@ -21,6 +23,7 @@ from tests.file_limit import files_up_to
 from tests.hil.cli.conftest import Hil
 from tests.hil.cli.conftest import cli as cli
 from transport.links import TransportError
+from transport.links.authentication import revoked_names
 
 LOCAL = [x509.DNSName("localhost"), *(x509.IPAddress(ipaddress.ip_address(each)) for each in ("127.0.0.1", "::1"))]
 BOTH = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
@@ -134,6 +137,25 @@ def test_revoked_names_are_a_sorted_list_beside_the_authority_that_grows(folder:
     with pytest.raises(TransportError, match=kept.name):
         revoke_names(folder, ["carol"])
     assert kept.read_bytes() == b"\xff\xfe"
+
+
+def test_who_revokes_reads_and_writes_the_list_while_no_other_does(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+
+    def names(ca: Path) -> frozenset[str]:
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            with pytest.raises(BlockingIOError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        finally:
+            os.close(descriptor)
+        read.append(ca)
+        return revoked_names(ca)
+
+    monkeypatch.setattr("hil.files.keys.revoked_names", names)
+    for name in ("bob", "alice"):
+        assert revoke_names(folder, [name]).is_file()
+    assert read == [folder / "ca.pem"] * 2 and revoked_names(folder / "ca.pem") == {"alice", "bob"}
 
 
 def test_renewed_certificates_are_the_same_but_for_their_time(folder: Path) -> None:
