@@ -175,8 +175,9 @@ def _counted(plant: JumpPlant, rates: JumpRates, period_s: float, *, costly: boo
     """Return which jump occurs too often or too seldom, a phrase; empty: none. `costly`: simulating the plant is slow."""
     table, N = rates.rates, rates.rates.modes
     counts, mean = np.zeros((N, N)), np.zeros((N, N))
-    fastest = max(sum(rate for rate in row if rate > 0.0) for matrix in table.rates for row in matrix)
-    step_s = min(AT_ONCE * period_s, MISSED / max(fastest, 1e-9))
+    largest = np.array(table.rates).max(axis=0)
+    np.fill_diagonal(largest, 0.0)
+    step_s = min(AT_ONCE * period_s, MISSED / max(float(largest.sum(axis=1).max()), 1e-9))
     step_ns, still = max(round(step_s * 1e9), 1), (0.0,) * len(plant.inputs)
     slots = COUNTED // 5 if costly else COUNTED
     steps, turns = min(round(slots * period_s / step_s), slots), 5
@@ -195,13 +196,15 @@ def _counted(plant: JumpPlant, rates: JumpRates, period_s: float, *, costly: boo
                 break
         if mean.sum() > ENOUGH:
             break
-    for of, c, m in [("", float(counts.sum()), float(mean.sum()))] + [
-        (f" from mode {i + 1} to {j + 1}", float(counts[i, j]), float(mean[i, j])) for i in range(N) for j in range(N) if i != j
-    ]:
-        low, high = m * (1.0 - MISSED), m  # an unseen return makes the count smaller
-        nearest = min(max(c, low), high)
-        if nearest and c * math.log(c / nearest) - c + nearest > -math.log(UNLIKELY) if c else nearest > -math.log(UNLIKELY):
-            return f"it jumped{of} {int(c)} times, where its rates have {m:.3g}"
-        if c and not m:
+    # a jump with others behind it in its step shows the last mode
+    seen = mean @ np.linalg.inv(np.eye(N) - 0.5 * step_s * largest)
+    judged = [("", counts.sum(), mean.sum(), mean.sum())] + [
+        (f" from mode {i + 1} to {j + 1}", counts[i, j], mean[i, j], seen[i, j]) for i in range(N) for j in range(N) if i != j
+    ]
+    for of, c, m, high in judged:
+        nearest = min(max(c, m * (1.0 - MISSED)), high)  # an unseen return makes the count smaller
+        if c and not nearest:
             return f"it jumped{of} {int(c)} times, where its rates have none"
+        if (c * math.log(c / nearest) if c else 0.0) - c + nearest > -math.log(UNLIKELY):
+            return f"it jumped{of} {int(c)} times, where its rates have {m:.3g}"
     return ""

@@ -113,6 +113,26 @@ def test_a_users_jump_plant_gets_gains_a_verdict_and_a_run() -> None:
     assert any("is a ModeSchedule" in sentence for sentence in check_controller(loop.controller, loop.model))
 
 
+@pytest.mark.parametrize(("shown", "state"), [((1, 2, 3), None), ((1, 3, 2), "refused")])
+def test_two_jumps_in_a_step_of_the_count_are_none_that_the_rates_lack(shown: tuple[int, ...], state: str | None) -> None:
+    """Three modes that follow each other: a right plant seems to skip one now and then, one that goes backwards always does."""
+
+    class Ring(TwoSpeedTank):  # type: ignore[misc]
+        def jump_process(self) -> JumpRates:
+            matrix = ((-1.0, 1.0, 0.0), (0.0, -1.0, 1.0), (1.0, 0.0, -1.0))
+            return JumpRates(rates=TransitionRates(nodes_s=(0.0,), rates=(matrix,)))
+
+        def start(self, rng: np.random.Generator) -> Any:
+            run = super().start(rng)
+            run.measure = lambda: (run._x, float(shown[run._mode]))
+            return run
+
+    tank = Ring(growth=(-0.5,) * 3, effect=(1.0,) * 3, rate=1.0)
+    model = LoopModel(A=np.eye(1), B=np.zeros((1, 1)), C=[[1.0], [0.0]], period_s=0.1, tau_max=0, d_max=0)
+    found, said = plant_check(without_loop(tank, model))
+    assert found == state, said
+
+
 @pytest.mark.parametrize(("rises", "state"), [(-0.0005, None), (0.0005, "refused")])
 def test_a_slow_state_beside_a_fast_one_is_compared_by_its_own_speed(rises: float, state: str | None) -> None:
     """x1' = -100 x1 + 100 u hides 1e-4 of its speed: all that decides whether x2' = -0.0005 x2 + u falls."""

@@ -63,7 +63,7 @@ class TankRun:
             self._x = self._x * math.exp(a * h) + b * v * math.expm1(a * h) / a
             dt_ns, self._left_ns = dt_ns - step_ns, self._left_ns - step_ns
             if self._left_ns == 0:
-                self._mode, self._left_ns = 1 - self._mode, self._stay()
+                self._mode, self._left_ns = (self._mode + 1) % len(self._tank.growth), self._stay()
 
     def measure(self) -> tuple[float, ...]:
         return (self._x, float(self._mode + 1))
