@@ -51,6 +51,8 @@ SMALLEST = 10
 """Values below which no interval of a deviation is given."""
 EQUAL = 6
 """Differences below which equal ones show nothing."""
+ROUNDING = 1e-12
+"""Share of its size by which rounding may change a value."""
 
 
 class Interval(NamedTuple):
@@ -104,9 +106,10 @@ def difference_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95)
     >>> difference_interval([1.0] * 6, [2.0] * 6)
     Interval(value=1.0, low=1.0, high=1.0, level=0.95, n=6)
     """
-    gap = _sample(b, level) - _sample(a, level)
+    first, second = _sample(a, level), _sample(b, level)
+    gap = second - first
     n, mean = gap.size, float(gap.mean()) if gap.size else math.nan
-    if n < 2 or (n < EQUAL and _equal(gap)):
+    if n < 2 or (n < EQUAL and _equal(gap, float(np.abs([first, second]).max()))):
         return Interval(mean, -math.inf, math.inf, level, n)
     half = _student(n, level) * float(gap.std(ddof=1)) / math.sqrt(n)
     return Interval(mean, mean - half, mean + half, level, n)
@@ -115,14 +118,14 @@ def difference_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95)
 def ratio_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95) -> Interval:
     """Fieller's interval for mean(b) / mean(a), pairs dependent: all q for which b - q a may have the mean 0.
 
-    Infinitely wide for fewer than two pairs, and where mean(a) may be 0.
+    Infinitely wide where that of the difference is, and where mean(a) may be 0.
 
     >>> ratio_interval([9.0, 10.0, 11.0], [18.0, 20.0, 22.0])
     Interval(value=2.0, low=2.0, high=2.0, level=0.95, n=3)
     """
     first, second = _sample(a, level), _sample(b, level)
     n = first.size
-    if n < 2 or first.mean() == 0.0:
+    if not difference_interval(a, b, level).bounded or first.mean() == 0.0:
         return Interval(math.nan, -math.inf, math.inf, level, n)
     q = float(second.mean() / first.mean())
     rest = second - q * first  # of mean 0: the set is that of x = q' - q with |x mean(a)| <= t sd(rest - x a) / sqrt(n)
@@ -137,8 +140,9 @@ def ratio_interval(a: npt.ArrayLike, b: npt.ArrayLike, level: float = 0.95) -> I
     return Interval(q, q + middle - half, q + middle + half, level, n)
 
 
-def _equal(sample: FloatArray) -> bool:
-    return bool((sample == sample[0]).all())
+def _equal(sample: FloatArray, size: float = 0.0) -> bool:
+    """Whether values are the same up to rounding, differences of values up to a size too."""
+    return bool(np.ptp(sample) <= ROUNDING * max(size, float(np.abs(sample).max())))
 
 
 def _student(n: int, level: float) -> float:

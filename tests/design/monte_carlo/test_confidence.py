@@ -183,6 +183,15 @@ def test_too_few_values_give_no_narrow_interval() -> None:
     assert difference_interval([1.0] * 6, [2.0] * 6) == Interval(1.0, 1.0, 1.0, 0.95, 6)
 
 
+def test_what_differs_by_rounding_alone_is_equal() -> None:
+    a, b = np.array([1.1, 2.2, 3.3]), np.array([1.2, 2.3, 3.4])
+    assert len(set((b - a).tolist())) > 1
+    for found in (difference_interval(a, b), ratio_interval(a, b), ratio_interval([1.0] * 3, [2.0] * 3)):
+        assert not found.bounded
+    assert not mean_interval([0.1 + 0.2, 0.3]).bounded and not deviation_interval([0.1 + 0.2, *[0.3] * 19]).bounded
+    assert mean_interval([1e9, 1e9 + 1.0]).bounded and difference_interval([1.0, 2.0], [1.0, 2.0 + 1e-9]).bounded
+
+
 @pytest.mark.parametrize("share", [0.5, 0.05])
 @pytest.mark.parametrize("n", [2, 5, 10, 20, 200])
 def test_a_number_that_is_nearly_always_the_same_is_covered(share: float, n: int) -> None:
