@@ -98,7 +98,7 @@ def run(
     if clock == "virtual" and (link is not None or external):
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
-        path = check_output(Path(log), force=force, remedy="choose another log=..., or add force=True")
+        path = check_output(Path(log), "a log", ".mcap", force=force, remedy="choose another log=..., or add force=True")
         return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals, replace=force)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         path = Path(folder) / "run.mcap"

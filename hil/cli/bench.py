@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import click
 
-from hil.cli.option_types import Duration, Questions, Within
+from hil.cli.option_types import OUTPUT, Duration, Questions, Within
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Working, answer, json_option
 from hil.errors import HilError
@@ -166,7 +166,7 @@ def _us(lateness: dict[str, float | None]) -> str:
 @click.argument("link", metavar="LINK")
 @click.option("--seconds", "--for", "seconds", type=Duration(0.1, 86_400), default="30s", show_default=True, help="For how long.")
 @click.option("--rate", type=Within(0.1, 10_000), default=100.0, show_default=True, help="Frames per second.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the log here [link.mcap].")
+@click.option("-o", "--output", type=OUTPUT, metavar="FILE.mcap", help="Write the log here [link.mcap].")
 @click.option("--answer", "answers", is_flag=True, help="Be the other end: answer until Ctrl-C, and log nothing.")
 @click.option("--both", is_flag=True, help="Be both ends, for a link within this machine.")
 @click.option("--force", is_flag=True, help="Replace a file that is there.")
@@ -198,7 +198,7 @@ def probe(
             answer(end)
     if rate * seconds > MOST_FRAMES:
         raise HilError(f"--seconds: {rate * seconds:.0f} frames, at most {MOST_FRAMES}; lower --rate")
-    path = check_output(output or Path("link.mcap"), force=force)
+    path = check_output(output or Path("link.mcap"), "a log", ".mcap", force=force)
     standard_output_is_free()
     with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
         trips, one_clock, again = probe(end, rate, seconds, watch.counted)

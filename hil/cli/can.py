@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.completion import CHANGE, EXPERIMENT
-from hil.cli.option_types import Duration, Questions
+from hil.cli.option_types import OUTPUT, Duration, Questions
 from hil.cli.page_text import show_page
 from hil.cli.terminal import json_option, visible
 from hil.errors import HilError, located
@@ -40,7 +40,7 @@ def can() -> None:
 @click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
 @click.option("--errors", type=click.IntRange(1), help="Errors that may come at once; the bounds allow for them.")
 @click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further errors.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page here.")
+@click.option("-o", "--output", type=OUTPUT, metavar="PAGE.html", help="Write a page here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def analyse(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.laws import files_of
-from hil.cli.option_types import Duration, Questions, Within
+from hil.cli.option_types import OUTPUT, Duration, Questions, Within
 from hil.cli.terminal import Working, answer, json_option, print_facts, print_folded, print_written
 from hil.errors import HilError, located
 
@@ -51,8 +51,8 @@ class Identifier(click.ParamType):  # type: ignore[type-arg]
 @click.option("--halve", is_flag=True, help="Take half of a round trip for each direction.")
 @click.option("--one-clock", is_flag=True, help="Both time stamps are of one clock: no offset, no drift.")
 @click.option("--can-id", type=Identifier(), help="CAN logs: only frames of this identifier.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write the law here, for experiments.")
-@click.option("--page", type=click.Path(path_type=Path, dir_okay=False), help="Write a page: measured and fitted side by side.")
+@click.option("-o", "--output", type=OUTPUT, metavar="FILE.toml", help="Write the law here, for experiments.")
+@click.option("--page", type=OUTPUT, metavar="PAGE.html", help="Write a page: measured and fitted side by side.")
 @click.option("--force", is_flag=True, help="Replace files that are there; a page always is.")
 @json_option()
 def law(
@@ -76,7 +76,7 @@ def law(
         records, notes = packet_records(recording, halve=halve)
     targets = {} if output is None else files_of(output, records)
     for path in targets.values():
-        check_output(path, force=force)
+        check_output(path, "a law", ".toml", force=force)
     if page is not None:
         check_page(page, force=force)
     fits = {}

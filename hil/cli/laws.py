@@ -12,6 +12,7 @@ import click
 import msgspec
 
 from hil.cli.completion import CHANGE, EXPERIMENT
+from hil.cli.option_types import OUTPUT
 from hil.cli.page_text import print_table
 from hil.cli.terminal import Line, Working, json_option, print_folded, print_json, print_lines, visible, wants_json
 from hil.errors import HilError
@@ -29,7 +30,7 @@ NEGLIGIBLE = 1e-6
 @click.argument("experiment", type=EXPERIMENT)
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field.")
 @click.option("--from-bus", is_flag=True, help="Show the laws that EXPERIMENT's CAN bus with time makes of the loop's packets.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False),
+@click.option("-o", "--output", type=OUTPUT, metavar="FILE.toml",
               help="--from-bus: write them here, for experiments: law.toml becomes law.sc.toml and law.ca.toml.")  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
@@ -91,7 +92,7 @@ def _from_bus(name: str, sets: tuple[str, ...], output: Path | None, force: bool
     bus = can_bus_of(loop.rig)
     files = {} if output is None or bus is None else files_of(output, ("sc", "ca") if bus.table.control else ("sc",))
     for path in files.values():
-        check_output(path, force=force)
+        check_output(path, "a law", ".toml", force=force)
     found = exact_laws(loop)
     if found is None:
         loop = compose(to_estimate_from(experiment), certify=False)

@@ -56,15 +56,17 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
 
 @click.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="File to write, FILE.recovered.mcap by default.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="LOG.mcap", help="File to write [FILE.recovered.mcap].")
 def recover(file: Path, output: Path | None) -> None:
     """Rebuild an indexed log from FILE, whose session was killed or whose disk was full.
 
     The command changes no existing file.
     """
+    from hil.files import check_ending
     from hil.log.read.recover import recover
 
     target = output or Path(f"{str(file).removesuffix('.mcap')}.recovered.mcap")
+    check_ending(target, "a log", ".mcap")
     with Working(f"records of {file}"):
         found = recover(file, target).text
     print_each_folded(found.splitlines())
@@ -114,7 +116,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.pages.viewers import foxglove, plotjuggler
 
     if output is not None:
-        check_output(output, force=force)
+        check_output(output, "a layout", ".xml" if viewer == "plotjuggler" else ".json", force=force)
     if Path(source).suffix == ".mcap":
         schemas = read_run(source).schemas
     else:
@@ -145,7 +147,7 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("--process", metavar="URI", help="Send its sensor packets to the controller's process there; compare the answers.")
 @click.option("--speed", type=float, default=1.0, show_default=True, help="With --onto: how many times faster.")
 @click.option("--folder", metavar="DIR", help="Where the files stand that the experiment names (own modules, an FMU).")
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="With --controller: write the series as CSV.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.csv", help="With --controller: write the series.")
 @json_option()
 def replay(
     file: Path,
@@ -187,7 +189,7 @@ def replay(
         if given and not ways[needed]:
             raise HilError(f"{name}: needs {needed}")
     if output is not None:
-        check_output(output, remedy="choose another -o")
+        check_output(output, "a table", ".csv", remedy="choose another -o")
     for name, given_key in (("--key", key), ("--auth", auth)):
         if given_key is not None and (controller is not None or onto is not None or process is not None):
             raise HilError(f"{name}: needs --verify")

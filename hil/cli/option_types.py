@@ -9,6 +9,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -18,6 +19,9 @@ from transport.durations import in_seconds
 
 if TYPE_CHECKING:
     from hil.session import Onlooker
+
+
+OUTPUT: Final = click.Path(path_type=Path, dir_okay=False)
 
 
 class Questions(click.Group):

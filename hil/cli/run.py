@@ -21,6 +21,7 @@ from hil.cli.completion import CHANGE, EXPERIMENT
 from hil.cli.option_types import Duration, Within, foxglove_beside, foxglove_option
 from hil.cli.terminal import Working, answer, json_option, visible, wants_json
 from hil.errors import HilError, collect_garbage_again
+from hil.files import check_ending
 
 if TYPE_CHECKING:
     from hil.experiment import Experiment
@@ -42,9 +43,10 @@ def reserve(output: Path | None, stem: str, force: bool, mode: int = PRIVATE) ->
         mode: who may read and write the file.
 
     Raises:
-        HilError: if it exists already (without ``force``) or cannot be created.
+        HilError: if its name ends otherwise, it exists already (without ``force``) or cannot be created.
     """
     path = output or Path("runs") / f"{stem}.mcap"
+    check_ending(path, "a log", ".mcap")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         number = 1

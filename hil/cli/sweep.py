@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--range", "ranges", type=CHANGE, multiple=True, metavar="KEY=LOW:HIGH", help="With --points: over these ranges.")
 @click.option("--points", type=int, metavar="N", help="Number of points of a Latin hypercube over the ranges.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="PAGE.html", help="Write a page with the distributions.")
-@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE", help="Write a row per run.")
+@click.option("--csv", "table", type=click.Path(path_type=Path), metavar="FILE.csv", help="Write a row per run.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @click.option(
     "--until", metavar="METRIC=HALFWIDTH", help="Stop when the interval of this metric's mean (sd:METRIC: deviation) is narrow."
@@ -105,7 +105,7 @@ def command(
     if output is not None:
         check_page(output, force=force)
     if table is not None:
-        check_output(table, force=force)  # now, and not after the work
+        check_output(table, "a table", ".csv", force=force)  # now, and not after the work
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]
@@ -173,7 +173,7 @@ def run_points(
     if page is not None:
         check_page(page, force=force)
     if table is not None:
-        check_output(table, force=force)
+        check_output(table, "a table", ".csv", force=force)
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
     with Working(f"{len(points.values)} points", len(seeds) * len(points.values)) as watch:

@@ -162,20 +162,40 @@ PAGE = b"<!doctype html"  # as our pages begin
 REMEDY = "choose another name or add --force"
 
 
-def check_output(path: Path, *, force: bool = False, page: bool = False, remedy: str = REMEDY) -> Path:
+def check_ending(path: Path, what: str, *endings: str) -> None:
+    """Refuse a name that says another kind of file; a folder and a device, which have no ending, are refused elsewhere.
+
+    Args:
+        path: file to be written.
+        what: what is written, with its article, for the message.
+        endings: those that the name may have; none: any.
+
+    Raises:
+        HilError: the name has another ending.
+    """
+    if endings and path.suffix.lower() not in endings and (os.path.isfile(path) or not os.path.lexists(path)):
+        raise HilError(f"{path}: {what} is written here; expected a name that ends in {' or '.join(endings)}")
+
+
+def check_output(
+    path: Path, what: str = "a file", *endings: str, force: bool = False, page: bool = False, remedy: str = REMEDY
+) -> Path:  # fmt: skip
     """Return ``path`` if a file can be written there.
 
     Args:
         path: file to be written.
+        what, endings: as in `check_ending`.
         force: whether a file that is already there may be replaced.
         page: whether a page may, and no other file.
         remedy: what the message about such a file advises.
 
     Raises:
-        HilError: if it is a folder or a device, exists already (see above), or its folder is missing or cannot be written.
+        HilError: if it has another ending, is a folder or a device, exists already (see above), or its folder is missing or
+            cannot be written.
     """
     import tempfile  # what only reads needs none
 
+    check_ending(path, what, *endings)
     try:
         path.lstat()
         found = True
@@ -202,9 +222,6 @@ def check_output(path: Path, *, force: bool = False, page: bool = False, remedy:
     return path
 
 
-PAGES = (".html", ".htm")
-
-
 def check_page(path: Path, *, force: bool = False, remedy: str = REMEDY) -> Path:
     """Return ``path`` if a page can be written there; one of ours that is there is replaced.
 
@@ -216,9 +233,7 @@ def check_page(path: Path, *, force: bool = False, remedy: str = REMEDY) -> Path
     Raises:
         HilError: if it is not named as a page is, and as `check_output`.
     """
-    if path.suffix.lower() not in PAGES and not os.path.isdir(path):
-        raise HilError(f"{path}: a page is written here; expected a name that ends in .html")
-    return check_output(path, force=force, page=not force, remedy=remedy)
+    return check_output(path, "a page", ".html", ".htm", force=force, page=not force, remedy=remedy)
 
 
 def made_folder(folder: Path) -> Path:

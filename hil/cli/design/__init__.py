@@ -21,7 +21,7 @@ import click
 from click.core import ParameterSource
 
 from hil.cli.design_question import SHAPING, Question, names_of
-from hil.cli.option_types import LARGEST, Duration, NumberList, Ratio, Within
+from hil.cli.option_types import LARGEST, OUTPUT, Duration, NumberList, Ratio, Within
 from hil.cli.page_text import show_page
 from hil.cli.terminal import Working, answer, json_option, print_facts, print_written
 from hil.errors import HilError, located
@@ -51,7 +51,7 @@ class GainsOrWall(click.Command):
 @click.command(cls=GainsOrWall, params=[
     click.Argument(["subject"], metavar="PLANT|EXPERIMENT|wall"), *SHAPING, *(each for one in QUESTIONS for each in one.options)
 ])  # fmt: skip
-@click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design here.")
+@click.option("-o", "--output", "path", type=OUTPUT, metavar="FILE.json", help="Write the design here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def command(subject: str, path: Path | None, force: bool, **options: Any) -> None:
@@ -75,7 +75,10 @@ def command(subject: str, path: Path | None, force: bool, **options: Any) -> Non
             owner = next((each.name for each in QUESTIONS if name in names_of(each.options)), "")
             raise HilError(f"{param.opts[-1]}: " + (f"not with {question.name}" if question.name else f"belongs to {owner}"))
     if path is not None:
-        (check_page if question.page else check_output)(path, force=force)  # now, and not after the work
+        if question.page:  # now, and not after the work
+            check_page(path, force=force)
+        else:
+            check_output(path, "a design", ".json", force=force)
     question.answer(**{name: every[name] for name in takes})
 
 
@@ -92,8 +95,8 @@ VARYING = "(z - 1)/(T z) C(z) - sum (1 - z^-(nd + 1))/(2 b) is positive real, ov
 @click.option("--taps", type=click.IntRange(1), help="Number of taps [as the delays call for].")
 @click.option("--varying", is_flag=True, help="Also safe while the delay of one direction varies from sample to sample.")
 @click.option("--weight", type=Ratio(), help="W(z) whose largest |W C| is minimised, such as 1,-0.97/1,-0.9, in powers of 1/z.")
-@click.option("-o", "--output", "path", type=click.Path(path_type=Path, dir_okay=False), help="Write the design as JSON here.")
-@click.option("--c", "header", type=click.Path(path_type=Path, dir_okay=False), help="Write a C99 header here.")
+@click.option("-o", "--output", "path", type=OUTPUT, metavar="FILE.json", help="Write the design here.")
+@click.option("--c", "header", type=OUTPUT, metavar="FILE.h", help="Write a C99 header here.")
 @click.option("--force", is_flag=True, help="Replace files that are there.")
 @json_option()
 def wall(
@@ -114,8 +117,10 @@ def wall(
     from hil.files import check_output, write_output
     from plants.omni import Omni
 
-    for target in filter(None, (path, header)):
-        check_output(target, force=force)
+    if path is not None:
+        check_output(path, "a design", ".json", force=force)
+    if header is not None:
+        check_output(header, "a C header", ".h", force=force)
     beta = (Omni().damping if damping is None else damping) + hand
     delays = [int(d) for d in delay]
     with located("--weight", FieldError), Working("coupler of a wall"):
@@ -199,8 +204,8 @@ def _header(design: CouplerDesign) -> str:
 @click.option("--delay", type=NumberList(whole=True), default="0,1,2,4,6,8", show_default=True, help="Largest delays in samples.")
 @click.option("--hand", type=NumberList(), default="0,5,10", show_default=True, help="Smallest damping of a hand in N s/m.")
 @click.option("--lever", type=float, default=1.0, show_default=True, help="Tip per angle, m/rad; 1: kg and N s/m at the tip.")
-@click.option("--csv", "table", type=click.Path(path_type=Path, dir_okay=False), help="Write the table with the taps here.")
-@click.option("-o", "--output", type=click.Path(path_type=Path, dir_okay=False), help="Write a page with the contours here.")
+@click.option("--csv", "table", type=OUTPUT, metavar="FILE.csv", help="Write the table with the taps here.")
+@click.option("-o", "--output", type=OUTPUT, metavar="PAGE.html", help="Write a page with the contours here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def stiffness_map(
@@ -224,7 +229,7 @@ def stiffness_map(
     if output is not None:
         check_page(output, force=force)
     if table is not None:
-        check_output(table, force=force)
+        check_output(table, "a table", ".csv", force=force)
     omni = Omni(hand=Hand(), lever_m=lever)
     device = {"mass_kg": omni.tip_mass_kg, "damping_n_s_per_m": omni.tip_damping_n_s_per_m}
     with Working("stiffness map"):

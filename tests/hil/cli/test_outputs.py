@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+import hil
 from hil.errors import HilError
 from hil.files import check_output, check_page, write_output
 from tests.file_limit import files_up_to
@@ -79,10 +80,45 @@ def test_a_page_is_no_gains_file(cli: Hil, tmp_path: Path) -> None:
     assert not os.listdir(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("words", "ending"),
+    [
+        (("run", "dc-motor-hinf", "-o", "x.html"), ".mcap"),
+        (("live", "dc-motor-hinf", "-o", "x.html"), ".mcap"),
+        (("recover", "LOG", "-o", "x.html"), ".mcap"),
+        (("probe", "can:hil:nobody", "-o", "x.html"), ".mcap"),
+        (("replay", "LOG", "--controller", "h2", "-o", "x.html"), ".csv"),
+        (("layout", "plotjuggler", "LOG", "-o", "x.html"), ".xml"),
+        (("layout", "foxglove", "LOG", "-o", "x.html"), ".json"),
+        (("design", "dc-motor", "-o", "x.html"), ".json"),
+        (("design", "wall", "-o", "x.html"), ".json"),
+        (("design", "wall", "--c", "x.html"), ".h"),
+        (("stiffness-map", "--csv", "x.html"), ".csv"),
+        (("stiffness-map", "-o", "x.json"), ".html"),
+        (("sweep", "dc-motor-hinf", "--csv", "x.html"), ".csv"),
+        (("sweep", "dc-motor-hinf", "--grid", "plant.gain=150", "--csv", "x.html"), ".csv"),
+        (("laws", "dc-motor-ours-busy-can", "--from-bus", "-o", "x.html"), ".toml"),
+        (("identify", "law", "vcan-busy", "-o", "x.html"), ".toml"),
+    ],
+    ids=lambda found: found if isinstance(found, str) else " ".join(found[:2]),
+)
+def test_a_name_that_says_another_kind_of_file_is_refused_before_the_work(
+    cli: Hil, hil_log: Path, tmp_path: Path, words: tuple[str, ...], ending: str
+) -> None:
+    status, out, err = cli(*(hil_log if word == "LOG" else word for word in words))
+    assert (status, out) == (2, "") and f"is written here; expected a name that ends in {ending}" in err
+    assert not os.listdir(tmp_path)
+
+
+def test_a_log_and_a_design_of_python_are_named_as_those_of_a_command(tmp_path: Path) -> None:
+    with pytest.raises(HilError, match=r"x\.html: a log is written here; expected a name that ends in \.mcap"):
+        hil.run("dc-motor-hinf", duration=1, log=tmp_path / "x.html")
+
+
 def test_a_design_overwrites_only_with_force(cli: Hil, tmp_path: Path) -> None:
-    mine = tmp_path / "my.toml"
+    mine = tmp_path / "my.json"
     mine.write_text("mine")
-    arguments = ("design", "dc-motor", "--information", "constant", "--starts", "1", "-o", "my.toml")
+    arguments = ("design", "dc-motor", "--information", "constant", "--starts", "1", "-o", "my.json")
     status, _, err = cli(*arguments)
     assert status == 2 and "--force" in err and mine.read_text() == "mine"
     assert cli(*arguments, "--force")[0] == 0 and '"hilrig-design/1"' in mine.read_text()
