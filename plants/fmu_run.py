@@ -118,7 +118,7 @@ class FMURun:
         self._user, self._pid = self._host.start()
         weakref.finalize(self, self._user.close)
         _as_urgent(self._pid)
-        self._hear("while it started")
+        self._receive("while it started")
 
     def advance(self, dt_ns: int, u: Sequence[float], w: Sequence[float] = ()) -> None:
         """Hold the input u + w for dt_ns.
@@ -138,9 +138,9 @@ class FMURun:
         with suppress(OSError):  # a process that is gone is reported below
             self._user.send_bytes(STEP.pack(self._t_ns, dt_ns) + struct.pack(f"={len(held)}d", *held))
         self._t_ns += dt_ns
-        self._hear(f"in the step to {self._t_ns / NS_PER_S:g} s")
+        self._receive(f"in the step to {self._t_ns / NS_PER_S:g} s")
 
-    def _hear(self, when: str) -> None:
+    def _receive(self, when: str) -> None:
         try:
             data = self._user.recv_bytes()
         except (EOFError, OSError):

@@ -39,8 +39,8 @@ class LinearPlant:
         outputs: name and unit of the p outputs; ("y1", "1"), ... if left out.
         states: name and unit of the n states; ("x1", "1"), ... if left out.
         initial_state: x at time 0, n entries; zero if left out.
-        saturation: largest magnitude that the actuator puts out, m entries above 0, in the input's unit. A certificate of the
-            model is undecided for a plant with it.
+        saturation: largest magnitude that the actuator puts out, m entries above 0, in the input's unit. The
+            loop is then certified in a region of starts, or undecided.
         process_noise: intensity of white noise v on x', n entries, at least 0, in the state's unit per root of a second.
         noise_step_s: v is held over steps of this length, s.
         measurement_noise: standard deviation of white noise e on every output, new with every sample, p entries, at least 0.

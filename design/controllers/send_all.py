@@ -33,7 +33,7 @@ class SendAll:
     Args:
         gains: nested tuple [tau][row][m][p]. One gain matrix (m x p, input unit per output unit) for every measured tau and every
             row; one matrix for all of them is kind = "local".
-        selection: which row the actuator applies; see the module's table.
+        selection: which row the actuator applies (`hil guide own-plant-law-controller`).
         integral: the gains have p more columns, for the integral of the measured error (Remark 7.7).
         integral_limit: largest size of the integral of each output's error, output unit times slots: it is clamped there, against
             wind-up. One entry per output; absent: no clamp.
@@ -149,7 +149,7 @@ class PublishedHinf(TableAlone):
     """The thesis's H-infinity gains (7.36) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:
-        selection: which row the actuator applies; see the module's table.
+        selection: which row the actuator applies (`hil guide own-plant-law-controller`).
     """
 
     selection: Literal["generated", "applied"] = "generated"
@@ -163,7 +163,7 @@ class PublishedH2(TableAlone):
     """The thesis's H2 gains (7.37) for the DC motor, with the printed selection rule (7.13) by default.
 
     Args:
-        selection: which row the actuator applies; see the module's table.
+        selection: which row the actuator applies (`hil guide own-plant-law-controller`).
     """
 
     selection: Literal["generated", "applied"] = "generated"

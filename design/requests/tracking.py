@@ -104,7 +104,8 @@ class Designed:
         output_weights: weight of each output in Q x; by default 1.
         output: ``stacked`` or ``sum`` (as printed).
         integral: weight of the integrated error; above 0 the controller integrates (Remark 7.7).
-        integral_limit: of the gains that run, a file's too: see `design.controllers.send_all.SendAll`.
+        integral_limit: largest size of the sum of each output's errors, also of a file's gains, one entry per output;
+            absent: no clamp.
         samples: samples per packet, 1 or 2: the newest, or also the one before.
         design_seed: seed of the multistart.
         sojourns: over semi-Markov delays: lengths of stay at the measured delay that the gain distinguishes, in slots; 1: none.

@@ -149,7 +149,7 @@ def _line(text: str) -> None:
 
 @click.group(cls=Questions)
 def command() -> None:
-    """Estimate parameters from logs."""
+    """Estimate a plant, a network law or rates of faults from records."""
 
 
 command.add_command(law)

@@ -34,10 +34,9 @@ WIDEST = 110
 def command(chapter: str, output: Path | None, with_power: bool, force: bool) -> None:
     """Reproduce CHAPTER of the thesis (ch2, ch3, ch4, ch5, ch6, ch7), or all: every number, and with -o every figure.
 
-    The rule beside each row decides its verdict from its numbers, and says what kind of claim it is. With -o
-    what is finished is kept in a file
-    beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after Ctrl-C the same
-    command goes on from there.
+    The rule beside each row decides its verdict from its numbers, and says what kind of claim it is. With -o what is finished
+    is kept in a file beside the page (reproduce.state in the folder of all, PAGE.state for one) until everything is: after
+    Ctrl-C the same command goes on from there.
     """
     from hil.files import write_output
     from hil.thesis import chapters, compute_chapter, seconds_left
@@ -59,7 +58,7 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
         nominal_s = [seconds_left(name, kept) for name in names]
         watch = stack.enter_context(Working("reproduce", max(round(sum(nominal_s)), 1)))
         for i, name in enumerate(names):
-            results[name] = compute_chapter(name, partial(_told, watch, name, sum(nominal_s[:i])), kept)
+            results[name] = compute_chapter(name, partial(_show_step, watch, name, sum(nominal_s[:i])), kept)
             if output is not None:
                 write_output(pages[name], chapter_page(results[name]))
                 click.echo(f"figures: {pages[name]}", err=True)
@@ -81,7 +80,7 @@ def command(chapter: str, output: Path | None, with_power: bool, force: bool) ->
         print_json(found if chapter == ALL else found[chapter])
 
 
-def _told(watch: Working, chapter: str, before_s: float, step: Step) -> None:
+def _show_step(watch: Working, chapter: str, before_s: float, step: Step) -> None:
     """Say which step runs; how far all is, is counted in nominal seconds, so that the rest is estimated by the pace so far."""
     words = f"{chapter} {step.number}/{step.stages} {step.stage}" + (f": {step.text}" if step.text else "")
     watch.counted(round(before_s + step.seconds), what=words)

@@ -145,7 +145,7 @@ def run(
 
     Exit status: 0 done; 1 the rig died or the log is not whole; 2 bad input, nothing started or written; 3 stopped by
     safety; 4 timing not valid (with --require-valid-timing); 5 a second controller answered too; 6 the link was flooded; 7 the
-    plant or the controller was not what it says; 130, 143 interrupted.
+    plant or the controller was not what it says; 128 + N ended by signal N.
     """
     from hil.cli.page_text import print_summary
     from hil.experiment import load_experiment
@@ -240,10 +240,10 @@ def live(
 ) -> None:  # fmt: skip
     """Watch a run of EXPERIMENT in the browser, and change it there: reference, disturbance, network, controller, faults.
 
-    Each change is shown with the certificate of the loop that would run before it is applied, and is logged: `hil live --script
-    LOG.mcap EXPERIMENT` runs it again without the page, `hil replay LOG.mcap` verifies it. Two experiments run side by side on
-    the same random numbers. A LOG is shown as it was. The page is on loopback; its URL holds the token without which it only
-    watches. Ctrl-C ends it.
+    A change of the loop is shown with the certificate that the loop would have before it is applied. Every change is logged:
+    `hil live --script LOG.mcap EXPERIMENT` runs it again without the page, `hil replay LOG.mcap` verifies it. Two experiments
+    run side by side on the same random numbers. A LOG is shown as it was. The page is on loopback; its URL holds the token
+    without which it only watches. Ctrl-C ends it.
     """
     from hil.cli.page_text import print_summary
     from hil.experiment import load_experiment

@@ -63,8 +63,7 @@ def compose(
         knows: the model that the controller was started with, where another plant took over since.
 
     Raises:
-        ExperimentError: if sizes do not fit, or the loop has no certificate of mean-square stability and ``allow_uncertified`` is
-            not set.
+        ExperimentError: if sizes do not fit, or the loop has no certificate and ``allow_uncertified`` is not set.
     """
     with in_words_of_parts(experiment), _small_matrices():
         try:

@@ -227,7 +227,7 @@ class Experiment(Table, frozen=True, kw_only=True):
         period: sample period T.
         duration: length of a run.
         seed: root of all random streams.
-        allow_uncertified: run although no certificate of mean-square stability could be computed.
+        allow_uncertified: run although the loop has no certificate.
         plant: what is emulated.
         controller: what commands it.
         reference: steps of the reference; 0 before the first.

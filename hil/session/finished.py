@@ -219,21 +219,21 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
     problems = messages_of(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)
-    problems |= strangers(summary["link_counters"] or {})
+    problems |= not_admitted(summary["link_counters"] or {})
     summary["problems"] = problems | {name: text for name, text in outcome.items() if text}
     return summary
 
 
-STRANGERS: Final = {
+NOT_ADMITTED: Final = {
     "refused": "packets or peers on the link were refused: they lacked the key or the name",
     "turned_away": "times there was no room for a newcomer at the rig: too many are on the channel, or no descriptor was free",
     "unopened": "connections to the rig's endpoint said nothing, or nonsense, which delays the link where they are many",
 }
-"""Counters of a link by which others are noticed."""
+"""Counters of a link that say that another participant tried to join or to command."""
 
 
-def strangers(counters: Mapping[str, int]) -> dict[str, str]:
-    return {name: f"{counters[name]} {what}" for name, what in STRANGERS.items() if counters.get(name)}
+def not_admitted(counters: Mapping[str, int]) -> dict[str, str]:
+    return {name: f"{counters[name]} {what}" for name, what in NOT_ADMITTED.items() if counters.get(name)}
 
 
 def unreached(loop: Loop) -> dict[str, str]:

@@ -24,7 +24,7 @@ OLDEST: Final = 1000
 
 
 class GilbertElliott(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Loss in bursts: a channel that is good (mode 0) or bad (mode 1), a Markov chain over packets.
+    """Loss in bursts: a channel that is good (mode 0) or bad (mode 1), a Markov chain over slots.
 
     Args:
         p_gb: probability of good to bad, per slot.

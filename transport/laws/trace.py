@@ -30,7 +30,7 @@ class TraceAge:
     Args:
         ages: ages in slots; empty when a file is given.
         file: CSV file with the ages in the column `age`, or in its first column when it has no heading. Lines that
-            start with "#" are skipped. A relative name counts from where `loaded` is given.
+            start with "#" are skipped. A relative name counts from the experiment's folder.
         past_end: after the last entry begin again ("repeat"), or have no more to give ("refuse"; then a run must not be
             longer).
         allow_gaps: accept an age that grows by more than one per slot.

@@ -56,7 +56,7 @@ def open_link(uri: str, role: Role, period_s: float = 0.0) -> Link:
     Args:
         uri: scheme, colon, address, as in ``can:hil:rig0``.
         role: which end.
-        period_s: of the loop: a controller with a key hears nothing of its rig for so long, s.
+        period_s: of the loop, s; a controller with a key takes another session after three periods of silence, 1 s at least.
 
     Returns:
         The open end; use it with ``with``.

@@ -24,7 +24,7 @@ from hil.measure.summary import summarise
 from hil.measure.view import view_of
 from hil.runtime.virtual import simulate
 from hil.session import run_session
-from hil.session.finished import controller_counters, link_counters, strangers
+from hil.session.finished import controller_counters, link_counters, not_admitted
 from hil.session.replay import replay
 from hil.session.replay.replay import verify, what_if
 from hil.sweeps import statistics
@@ -341,8 +341,8 @@ def test_what_both_ends_of_a_link_counted_is_read_from_their_events() -> None:
     whole, none = (Run(arrays={}, schemas={}, events=events) for events in ([*silent, rig, controller], silent))
     assert (link_counters(whole), controller_counters(whole)) == ({"received": 7, "refused": 2}, {"answered": 5})
     assert (link_counters(none), controller_counters(none)) == (None, None)
-    assert strangers({"refused": 2, "unopened": 3, "foreign": 4}) == {
+    assert not_admitted({"refused": 2, "unopened": 3, "foreign": 4}) == {
         "refused": "2 packets or peers on the link were refused: they lacked the key or the name",
         "unopened": "3 connections to the rig's endpoint said nothing, or nonsense, which delays the link where they are many",
     }
-    assert strangers({"refused": 0}) == {} and [*strangers({"turned_away": 1})] == ["turned_away"]
+    assert not_admitted({"refused": 0}) == {} and [*not_admitted({"turned_away": 1})] == ["turned_away"]
