@@ -219,9 +219,9 @@ class Side:
             self.clock.end()
 
     def stop(self) -> None:
-        """End the run before its next slot; a signal handler may call it."""
+        """End the run before its next slot, its first where it is still composed; a signal handler may call it."""
         self.end()
-        while self.status == "running" and not self.arm(self.next_slot(), Change(path=END, value=None, loop=None)):
+        while not self.arm(self.next_slot(), Change(path=END, value=None, loop=None)):
             pass
 
     def records(self) -> Mapping[str, Records]:

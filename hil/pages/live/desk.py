@@ -218,11 +218,11 @@ class Desk:
                     self.draft = Draft(number, wish.path, "armed", message, [side.claim() for side in sides])
                 else:
                     self.draft = Draft(number)
-                    if wish.do == "restart":
-                        self.seed = wish.seed
-                        self.again.set()
                     for side in self.sides:
                         side.stop()
+                    if wish.do == "restart":  # behind the stop, which would end the run that begins now
+                        self.seed = wish.seed
+                        self.again.set()
             except Exception as error:  # of a part of the user's own, of any kind: the page waits for an answer
                 self.refused += 1
                 text = str(error) if isinstance(error, HilError) else f"{wish.path or wish.do}: {words(error)}"

@@ -13,7 +13,7 @@ from hil.pages.live import Side
 from hil.pages.live.about import about, controllers, controllers_of
 from hil.pages.live.desk import Desk, Wish
 from hil.rig.loop import Loop
-from hil.runtime.changes import Change
+from hil.runtime.changes import END, Change
 from hil.runtime.clock import PacedClock
 from tests.waiting import until
 
@@ -30,6 +30,25 @@ def test_a_change_acts_once_from_its_slot_on_and_none_is_armed_for_a_slot_that_h
     assert due(1) == due(2) == [] and due(3) == [SECOND] and due(4) == []
     assert not side.arm(4, FIRST) and side.next_slot() == 5 and side.arm(5, FIRST) and side.arm(6, SECOND)
     assert due(9) == [FIRST, SECOND] and side.next_slot() == 10
+
+
+def test_a_run_that_is_stopped_while_it_is_composed_ends_before_its_first_slot() -> None:
+    side = Side(PacedClock(), acts=True)
+    side.stop()
+    due = side.changes
+    assert due is not None and [change.path for change in due(0)] == [END]
+
+
+def test_a_restart_stops_the_run_that_is_there_and_not_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    side, seen = Side(PacedClock(), acts=True), list[bool]()
+    desk = Desk([side])
+    monkeypatch.setattr(side, "stop", lambda: seen.append(desk.again.is_set()))
+    try:
+        desk.take(Wish(do="restart", seed=3))
+        until(desk.again.is_set, "the restart")
+        assert seen == [False] and desk.seed == 3
+    finally:
+        desk.close()
 
 
 def test_a_change_that_takes_many_slots_to_compose_is_armed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
