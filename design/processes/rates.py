@@ -184,8 +184,8 @@ def clip_rate(lower: float, upper: float, slope: float = 1.0) -> PiecewiseLinear
     check_above_zero(slope=slope)
     if not math.isfinite(upper) or upper <= lower:
         raise FieldError("upper", f"{upper!r} is not above lower = {lower!r}: the rate crosses its bounds")
-    times, values = (0.0, lower / slope, upper / slope), (lower, lower, upper)
-    return PiecewiseLinearRate(times_s=times[lower == 0.0 :], values=values[lower == 0.0 :])
+    first = 1 if lower == 0.0 else 0
+    return PiecewiseLinearRate(times_s=(0.0, lower / slope, upper / slope)[first:], values=(lower, lower, upper)[first:])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

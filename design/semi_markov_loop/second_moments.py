@@ -85,6 +85,7 @@ def _transitions(a0: FloatArray, slope: FloatArray, offsets: FloatArray, lengths
     return np.asarray(expm(0.5 * x * (first + second) + math.sqrt(3.0) / 12.0 * x * x * commutator))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _mode_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov, mode: int, parts: int) -> _ModeMoments:
     n, q, settled = system.states, svec_size(system.states), process.settled(mode)
     starts = gain.starts_s[mode]
@@ -152,6 +153,7 @@ def _far_enough(process: SemiMarkov, mode: int, start: float, growth: float) -> 
     return start + span
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def _operator(moments: list[_ModeMoments], beta: float) -> FloatArray | None:
     """T(beta), shape (N q, N q), or None where an integral over an endless cell does not exist."""
     if not all(mode.exists(beta) for mode in moments):
@@ -170,7 +172,9 @@ def _operator(moments: list[_ModeMoments], beta: float) -> FloatArray | None:
 
 def _radius(moments: list[_ModeMoments], beta: float = 0.0) -> float:
     operator = _operator(moments, beta)
-    return math.inf if operator is None else float(np.abs(np.linalg.eigvals(operator)).max())
+    if operator is None or not np.isfinite(operator).all():  # larger than any float
+        return math.inf
+    return float(np.abs(np.linalg.eigvals(operator)).max())
 
 
 def _settled_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarkov) -> tuple[list[_ModeMoments], float]:
@@ -180,6 +184,8 @@ def _settled_moments(system: JumpSystem, gain: ScheduledGain, process: SemiMarko
     for parts in (1, 2, 4, 8):
         moments = [_mode_moments(system, gain, process, i, parts) for i in range(system.modes)]
         new = _radius(moments)
+        if new == math.inf and all(mode.exists(0.0) for mode in moments):
+            raise DesignError("second-moment operator: second moments within a sojourn are larger than any float")
         if new == radius or abs(new - radius) <= 1e-8 * new:
             return moments, new
         radius = new

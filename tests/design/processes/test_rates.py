@@ -17,7 +17,7 @@ STEP = PiecewiseLinearRate(times_s=(0.0, 0.5, 0.5), values=(0.01, 0.01, 20.0))
 BATHTUB = BathtubRate(infant=3.0, infant_time_s=0.4, useful=0.2, wear=1.5, wear_start_s=0.6, wear_span_s=2.0)
 RATES: dict[str, Rate] = {
     "constant": constant_rate(0.7),
-    "clip": clip_rate(0.1, 4.6),
+    "clip": clip_rate(np.float64(0.1), 4.6),
     "step": STEP,
     "weibull": WeibullRate(scale_s=1.3, shape=2.0),
     "bathtub": BATHTUB,

@@ -128,6 +128,15 @@ def test_published_gains_pass_the_printed_test_and_only_pwl_certifies_them() -> 
     assert best.check() > 0
 
 
+def test_moments_beyond_every_float_end_no_exact_test() -> None:
+    """A loop 1000 times as fast as its modes change is stable; one that grows to e^1185 within a stay is not decided."""
+    fast = analyse(autonomous([[-200.0]], [[-200.0]]), None, PROCESS, method="exact")
+    assert fast.certified and fast.decay_rate is not None and 100.0 < fast.decay_rate < 400.0
+    slow = WeibullRate(scale_s=5.0, shape=1.5)
+    grown = analyse(autonomous([[2.0]], [[-1.0]]), None, SemiMarkov(rates=((None, slow), (slow, None))), method="exact")
+    assert grown.verdict == "undecided" and "larger than any float" in grown.reason
+
+
 def test_pwl_decay_approaches_the_exact_one_from_below() -> None:
     exact = second_moment_decay(chapter2_system("none"), chapter2_gain(), PROCESS)
     rates = []
