@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,7 +18,8 @@ import pytest
 from tests.waiting import LIMIT_S, ended, until
 from transport.can_bus_model import BitRates, CanFrame
 from transport.links.can_bus import bus_directory
-from transport.links.shared_bus import HELD_S, BusFile, Ended, SharedBus
+from transport.links.held_bus import Ended, HeldBus
+from transport.links.shared_bus import HELD_S, BusFile, SharedBus
 
 HOLDER = """
 import sys
@@ -120,6 +122,18 @@ def test_a_state_that_was_half_written_does_not_count(tmp_path: Path, monkeypatc
         with pytest.raises(OSError, match="killed"):
             ours.change(lambda text: b"half")
     assert state(ours) == "before"
+
+
+@pytest.mark.parametrize("owner", [b'"x"', b"1.5", b"null", b"[]"])
+def test_a_state_with_a_value_of_another_type_begins_a_new_bus(tmp_path: Path, owner: bytes) -> None:
+    first = SharedBus(tmp_path, BitRates(500_000), lambda ended: None)
+    file = BusFile(tmp_path)
+    file.change(lambda text: re.sub(rb"\d{12,}(?=,\[\],\[\])", owner, text))
+    assert owner in state(file).encode()
+    second = SharedBus(tmp_path, BitRates(250_000), lambda ended: None)
+    assert second.look().state == "active" and HeldBus(state(file).encode()).living.rates == BitRates(250_000)
+    for each in (first, second, file):
+        each.close()
 
 
 def test_a_frame_is_queued_once_where_others_went_on_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ Not modelled: overload frames, the last bit of EOF disturbed, bits that only som
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from transport.can_bus_model import BitRates
 from transport.can_bus_model.bits import INTERMISSION, wire_bits
@@ -23,6 +23,9 @@ from transport.can_bus_model.node import (
     Waiting,
     collide,
 )
+
+Memory = tuple[int, int, list[int], list[tuple[int, int]]]
+"""What a bus remembers: since when it is idle and recessive, who is off, and who does not send before when."""
 
 _MISREAD: Final = 12
 """The bit at which a node with other bit rates has seen what can be no frame: about behind the identifier."""
@@ -305,11 +308,11 @@ class CanBus:
         node = self.nodes[i]
         node.recovers, node.errors.sequences = True, -self._sequences(at)
 
-    def memory(self) -> list[Any]:
-        """Return what it remembers besides its nodes and what is being sent, as plain values."""
-        return [self._idle, self._recessive_since, sorted(self._off), sorted(self._not_before.items())]
+    def memory(self) -> Memory:
+        """Return what it remembers besides its nodes and what is being sent."""
+        return self._idle, self._recessive_since, sorted(self._off), sorted(self._not_before.items())
 
-    def remember(self, memory: list[Any], now: Sequence[tuple[Transmission, tuple[tuple[int, Waiting], ...]]]) -> None:
+    def remember(self, memory: Memory, now: Sequence[tuple[Transmission, tuple[tuple[int, Waiting], ...]]]) -> None:
         """Take over what `memory` returned, and what is being sent."""
         self._idle, self._recessive_since, off, not_before = memory
         self._counted = True

@@ -170,14 +170,13 @@ class PlannedOutages:
         self._off.discard(node)
         self._faults = tuple(fault._replace(off=tuple(i for i in fault.off if i != node)) for fault in self._faults)
 
-    def memory(self) -> list[Any]:
-        """Return what it remembers, as plain values."""
-        return [self._faults, self._edges, sorted(self._off)]
+    def memory(self) -> tuple[Sequence[BusFault], Sequence[int], Sequence[int]]:
+        """Return what it remembers."""
+        return self._faults, self._edges, sorted(self._off)
 
-    def remember(self, memory: list[Any]) -> None:
+    def remember(self, faults: Sequence[Sequence[Any]], edges: Sequence[int], off: Sequence[int]) -> None:
         """Take over what `memory` returned."""
-        faults, self._edges, off = memory
-        self._faults, self._off = tuple(BusFault._make([*each[:4], tuple(each[4])]) for each in faults), set(off)
+        self._faults, self._edges, self._off = tuple(BusFault._make(each) for each in faults), list(edges), set(off)
 
 
 class PlannedErrors:

@@ -5,20 +5,21 @@ It is read from the bytes of a file, and written back as bytes.
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 from time import monotonic_ns
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
+from msgspec import Struct, field
+from msgspec.json import Decoder, encode
 
 from transport.can_bus_model import BitRates, CanFrame
-from transport.can_bus_model.bus import CanBus, Transmission
+from transport.can_bus_model.bus import CanBus, Memory, Transmission
 from transport.can_bus_model.disturbances import BusFault, PlannedErrors, PlannedOutages
-from transport.can_bus_model.node import CanNode, State, Waiting
+from transport.can_bus_model.node import BufferKind, CanNode, State, Waiting
 from transport.links import TransportError
 
 PATIENCE_NS: Final = 100_000_000
@@ -58,6 +59,35 @@ class StateChange(NamedTuple):
     rec: int
 
 
+class Participant(Struct, array_like=True):
+    """Whose a node is, and what its owner has yet to learn.
+
+    Attributes:
+        owner: a random number and the number of its process, 0 where it has left.
+        mail: what became of its frames, and was not handed out yet.
+        changes: of its error state, likewise.
+        tag, identifier: of the frame that it queued last.
+    """
+
+    owner: int = 0
+    mail: list[Ended] = field(default_factory=list)
+    changes: list[StateChange] = field(default_factory=list)
+    tag: int = 0
+    identifier: int = -1
+
+
+_Fault: TypeAlias = tuple[int, int, float | None, int | None, tuple[int, ...]]  # see `BusFault`
+_Frame: TypeAlias = tuple[CanFrame, int, int, int, int]  # queued, tag, lost, attempts
+_Node: TypeAlias = tuple[BufferKind, bool, BitRates | None, tuple[int, int, int], list[_Frame]]
+_Sending: TypeAlias = tuple[int, int, int, int | None, list[tuple[int, int | None, _Frame]]]
+SavedBus: TypeAlias = tuple[BitRates, Memory, list[_Node], list[_Sending]]
+
+_DECODER: Final = Decoder(tuple[
+    SavedBus, list[Participant], tuple[list[_Fault], list[int], list[int]], list[_Fault], tuple[int, int]
+])  # fmt: skip
+"""Of what stands in the file: bus, participants, outages, faults, state of the stream of the disturbed bits."""
+
+
 class HeldBus:
     """The bus while the lock is held.
 
@@ -66,22 +96,19 @@ class HeldBus:
 
     Attributes:
         bus: None if there is none yet.
-        owners: of each node a random number and the number of its process, 0 where it has left.
-        mail: of each node what became of its frames, and was not handed out yet.
+        participants: of each node.
     """
 
     def __init__(self, text: bytes) -> None:
         self.bus: CanBus | None = None
-        self.owners: list[int] = []
-        self.mail: list[list[Any]] = []
-        self._changes: list[list[Any]] = []
-        self._last: list[list[Any]] = []  # of each node the tag and the identifier of the frame that it queued last
+        self.participants: list[Participant] = []
         self._outages = PlannedOutages()
-        self._faults: list[list[Any]] = []
-        self._drawn = [0, 1]  # state of the stream of the disturbed bits
-        with suppress(ValueError, TypeError, IndexError, KeyError):  # a file that holds none begins a new one
-            state, self.owners, self.mail, self._changes, self._last, outages, self._faults, self._drawn = json.loads(text)
-            self._outages.remember(outages)
+        self._faults: list[BusFault] = []
+        self._drawn = 0, 1
+        with suppress(ValueError, IndexError):  # a file that holds none begins a new one
+            state, self.participants, outages, faults, self._drawn = _DECODER.decode(text)
+            self._outages.remember(*outages)
+            self._faults = [BusFault(*each) for each in faults]
             self.bus = restored(state)
         self._changed: set[int] = set()
         self._noise: np.random.PCG64 | None = None
@@ -96,18 +123,17 @@ class HeldBus:
             state, increment = self._drawn
             self._noise.state = {**self._noise.state, "state": {"state": state, "inc": increment}}
             errors = PlannedErrors(None, np.random.Generator(self._noise))
-            errors.plan([BusFault(*each) for each in self._faults])
+            errors.plan(self._faults)
             bus.noise = errors
 
     def _note(self, bus: CanBus, at: int, node: int) -> None:
-        if self.owners[node]:
+        own, errors = self.participants[node], bus.nodes[node].errors
+        if own.owner:
             self._changed.add(node)
-            errors = bus.nodes[node].errors
             if errors.off:
                 bus.nodes[node].recovers = False  # until it restarts, or the fault is over
-            changes = self._changes[node]
-            changes.append([BitRates.ns(at), errors.state, errors.tec, errors.rec])
-            del changes[:-_MOST_FAILURES]
+            own.changes.append(StateChange(BitRates.ns(at), errors.state, errors.tec, errors.rec))
+            del own.changes[:-_MOST_FAILURES]
 
     @property
     def living(self) -> CanBus:
@@ -120,19 +146,22 @@ class HeldBus:
             raise TransportError("the file of the bus was emptied by another program")
         return self.bus
 
+    @property
+    def owners(self) -> list[int]:
+        """Of each node its owner, 0 where it has left."""
+        return [each.owner for each in self.participants]
+
     def start(self, rates: BitRates) -> None:
         """Begin a bus without nodes, idle from now on."""
-        self.owners, self.mail, self._changes, self._last = [], [], [], []
-        self._outages, self._faults, self._noise = PlannedOutages(), [], None
+        self.participants, self._outages, self._faults, self._noise = [], PlannedOutages(), [], None
         self.bus = CanBus(rates, [], idle=BitRates.units(monotonic_ns()))
         self._listen(self.bus)
 
     def join(self, node: CanNode, owner: int) -> int:
         """Take a node onto the bus; return its number."""
-        place = self.living.join(node, self.owners.index(0) if 0 in self.owners else None)
-        self.owners[place : place + 1] = [owner]
-        for of_nodes, fresh in ((self.mail, []), (self._changes, []), (self._last, [0, -1])):
-            of_nodes[place : place + 1] = [fresh]
+        owners = self.owners
+        place = self.living.join(node, owners.index(0) if 0 in owners else None)
+        self.participants[place : place + 1] = [Participant(owner)]
         return place
 
     def advance(self, now_ns: int) -> set[int]:
@@ -141,42 +170,42 @@ class HeldBus:
             self._pass(edge)
             self._outages.switch(self.living, edge)
         self._pass(now_ns)
-        self._faults = [fault for fault in self._faults if fault[1] > now_ns]
+        self._faults = [fault for fault in self._faults if fault.end_ns > now_ns]
         changed, self._changed = self._changed, set()
         return changed
 
     def _pass(self, ns: int) -> None:
         for each in self.living.advance(BitRates.units(ns), _MOST_FAILURES):
             for i, waiting in ((each.node, each.waiting), *each.others):
-                if self.owners[i]:
-                    mail = self.mail[i]
-                    mail.append([waiting.tag, BitRates.ns(each.end), each.error_bit, i == each.node])
+                if self.participants[i].owner:
+                    mail = self.participants[i].mail
+                    mail.append(Ended(waiting.tag, BitRates.ns(each.end), each.error_bit, i == each.node))
                     if each.error_bit is not None and len(mail) > _MOST_FAILURES:
-                        del mail[next(i for i, (_, _, bit, _) in enumerate(mail) if bit is not None)]
+                        del mail[next(at for at, end in enumerate(mail) if end.error_bit is not None)]
 
     def queue(self, i: int, waiting: Waiting) -> None:
         """Let a frame wait that was not queued before."""
-        if waiting.tag > self._last[i][0]:
-            self._last[i] = [waiting.tag, waiting.frame.identifier]
+        own = self.participants[i]
+        if waiting.tag > own.tag:
+            own.tag, own.identifier = waiting.tag, waiting.frame.identifier
             self.living.queue(i, waiting)
 
     def who_sent(self, identifiers: Sequence[int]) -> tuple[int, ...]:
         """Return who queued one of these identifiers last."""
-        return tuple(i for i, (_, last) in enumerate(self._last) if self.owners[i] and last in identifiers)
+        return tuple(i for i, each in enumerate(self.participants) if each.owner and each.identifier in identifiers)
 
     def plan(self, faults: Sequence[BusFault], seed: int, now_ns: int) -> None:
         """Replace what is wrong with the bus from now on."""
         faults = [fault._replace(first_ns=max(fault.first_ns, now_ns)) for fault in faults if fault.end_ns > now_ns]
         self._outages.plan(faults, now_ns)
-        self._faults = [list(each) for each in faults if each.rate is not None or each.identifier is not None]
-        state = np.random.PCG64(seed).state["state"]
-        self._drawn, self._noise = [state["state"], state["inc"]], None
+        self._faults = [each for each in faults if each.rate is not None or each.identifier is not None]
+        self._drawn, self._noise = _stream(np.random.PCG64(seed)), None
 
     def leave(self, i: int) -> None:
         """Take a node off the bus for good."""
         self.living.leave(i)
         self._outages.forget(i)
-        self.owners[i], self.mail[i], self._changes[i] = 0, [], []
+        self.participants[i] = Participant()
 
     def sweep(self) -> None:
         """Take those off the bus whose process is gone."""
@@ -186,26 +215,27 @@ class HeldBus:
 
     def due(self, i: int, now_ns: int) -> tuple[list[Ended], bool]:
         """Take what one participant may hand out; return whether more of its own waits for others."""
-        others = [end for j, mail in enumerate(self.mail) for _, end, bit, _ in mail if j != i and bit is None]
+        own = self.participants[i]
+        others = [end.end_ns for each in self.participants if each is not own for end in each.mail if end.error_bit is None]
         first = min((end for end in others if end > now_ns - PATIENCE_NS), default=now_ns)
-        mine = [Ended(*each) for each in self.mail[i]]
-        self.mail[i] = [list(each) for each in mine if each.end_ns > first]
-        return [each for each in mine if each.end_ns <= first], bool(self.mail[i])
+        mine, own.mail = own.mail, [each for each in own.mail if each.end_ns > first]
+        return [each for each in mine if each.end_ns <= first], bool(own.mail)
 
     def changes_of(self, i: int) -> list[StateChange]:
         """Take the changes of state of one participant."""
-        changes, self._changes[i] = self._changes[i], []
-        return [StateChange(*each) for each in changes]
+        own = self.participants[i]
+        changes, own.changes = own.changes, []
+        return changes
 
     def text(self) -> bytes:
         """Return everything as bytes."""
-        drawn = self._drawn
-        if self._noise is not None:
-            state = self._noise.state["state"]
-            drawn = [state["state"], state["inc"]]
-        wrong = [self._outages.memory(), self._faults, drawn]
-        held = [saved(self.living), self.owners, self.mail, self._changes, self._last, *wrong]
-        return json.dumps(held, separators=(",", ":")).encode()
+        drawn = self._drawn if self._noise is None else _stream(self._noise)
+        return encode((saved(self.living), self.participants, self._outages.memory(), self._faults, drawn))
+
+
+def _stream(noise: np.random.PCG64) -> tuple[int, int]:
+    state = noise.state["state"]
+    return state["state"], state["inc"]
 
 
 def _alive(pid: int) -> bool:
@@ -218,65 +248,58 @@ def _alive(pid: int) -> bool:
     return True
 
 
-def saved(bus: CanBus) -> list[Any]:
+def saved(bus: CanBus) -> SavedBus:
     """Return everything that a bus remembers; tags of frames must be plain values.
 
     >>> restored(saved(CanBus(BitRates(500_000), [CanNode()]))).rates
     BitRates(bitrate=500000, dbitrate=None)
     """
-    nodes = []
+    nodes: list[_Node] = []
     for node in bus.nodes:
-        errors, rates = node.errors, node.rates
-        own_rates = None if rates is None else [rates.bitrate, rates.dbitrate]
-        counters = [errors.tec, errors.rec, errors.sequences]
-        nodes.append([node.buffer, node.recovers, own_rates, counters, [_waiting(each) for each in node.waiting.frames]])
-    sending = []
-    for transmission, senders in bus.sending:
-        places = []
+        errors = node.errors
+        counters = errors.tec, errors.rec, errors.sequences
+        nodes.append((node.buffer, node.recovers, node.rates, counters, [_plain(each) for each in node.waiting.frames]))
+    sending: list[_Sending] = []
+    for now, senders in bus.sending:
+        places: list[tuple[int, int | None, _Frame]] = []
         for i, each in senders:
             queue = bus.nodes[i].waiting.frames
-            places.append([i, next((place for place, other in enumerate(queue) if other is each), None), _waiting(each)])
-        sending.append([transmission.start, transmission.end, transmission.idle, transmission.error_bit, places])
-    return [bus.rates.bitrate, bus.rates.dbitrate, bus.memory(), nodes, sending]
+            places.append((i, next((place for place, other in enumerate(queue) if other is each), None), _plain(each)))
+        sending.append((now.start, now.end, now.idle, now.error_bit, places))
+    return bus.rates, bus.memory(), nodes, sending
 
 
-def restored(state: list[Any]) -> CanBus:
+def restored(state: SavedBus) -> CanBus:
     """Return the bus of which `saved` returned the state.
 
     Raises:
-        ValueError, TypeError, IndexError, KeyError: it is none.
+        IndexError: it is none.
     """
-    bitrate, dbitrate, memory, nodes, sending = state
+    rates, memory, nodes, sending = state
     made = []
     for buffer, recovers, own_rates, (tec, rec, sequences), waiting in nodes:
-        node = CanNode(buffer=buffer, recovers=recovers, rates=None if own_rates is None else BitRates(*own_rates))
+        node = CanNode(buffer=buffer, recovers=recovers, rates=own_rates)
         node.errors.tec, node.errors.rec, node.errors.sequences = tec, rec, sequences
         for each in waiting:
-            node.waiting.queue(_frame(each))
+            node.waiting.queue(_waiting(each))
         made.append(node)
-    bus = CanBus(BitRates(bitrate, dbitrate), made)
+    bus = CanBus(rates, made)
     now = []
     for start, end, idle, error_bit, places in sending:
         senders = tuple(
-            (i, _frame(each) if place is None else bus.nodes[i].waiting.frames[place]) for i, place, each in places
+            (i, _waiting(each) if place is None else bus.nodes[i].waiting.frames[place]) for i, place, each in places
         )  # fmt: skip
         now.append((Transmission(senders[0][0], senders[0][1], start, end, idle, error_bit, senders[1:]), senders))
     bus.remember(memory, now)
     return bus
 
 
-def _waiting(each: Waiting) -> list[Any]:
-    f = each.frame
-    flags = [f.extended, f.remote, f.dlc, f.fd, f.bitrate_switch, f.error_state]
-    return [f.identifier, f.data.hex(), flags, each.queued, each.tag, each.lost, each.attempts]
+def _plain(each: Waiting) -> _Frame:
+    return each.frame, each.queued, each.tag, each.lost, each.attempts
 
 
-def _frame(state: list[Any]) -> Waiting:
-    identifier, data, (extended, remote, dlc, fd, switch, error_state), queued, tag, lost, attempts = state
-    frame = CanFrame(
-        identifier=identifier, data=bytes.fromhex(data), extended=extended, remote=remote, dlc=dlc, fd=fd, bitrate_switch=switch,
-        error_state=error_state,
-    )  # fmt: skip
+def _waiting(state: _Frame) -> Waiting:
+    frame, queued, tag, lost, attempts = state
     waiting = Waiting(frame, queued, tag)
     waiting.lost, waiting.attempts = lost, attempts
     return waiting

@@ -25,7 +25,7 @@ from functools import partial
 from pathlib import Path
 from struct import Struct
 from time import monotonic, monotonic_ns, sleep
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple
 
 from transport.can_bus_model import BitRates, CanFrame
 from transport.can_bus_model.disturbances import BusFault
@@ -165,8 +165,6 @@ class BusFile(Closing):
 
 _AGAIN_NS: Final = 100_000
 
-Found = TypeVar("Found")
-
 
 class Seen(NamedTuple):
     """What a participant finds when it looks.
@@ -210,36 +208,34 @@ class SharedBus:
         self._file = BusFile(directory)
         self._own = int.from_bytes(os.urandom(4)) << 32 | os.getpid()
         self._node = -1
-        self._change(lambda held: self._join(held, rates))
+        self._file.change(partial(self._join, rates))
 
-    def _join(self, held: HeldBus, rates: BitRates) -> None:
+    def _join(self, rates: BitRates, text: bytes) -> bytes:
+        held = HeldBus(text)
         held.sweep()
         if held.bus is None or not any(held.owners):
             held.start(rates)
-        bus = held.living
         if self._own in held.owners:
             self._node = held.owners.index(self._own)
-            return
-        node = CanNode(buffer="fifo", recovers=False, rates=None if bus.rates == rates else rates)
-        self._node = held.join(node, self._own)
+        else:
+            node = CanNode(buffer="fifo", recovers=False, rates=None if held.living.rates == rates else rates)
+            self._node = held.join(node, self._own)
+        return held.text()
 
-    def _change(self, change: Callable[[HeldBus], Found]) -> Found:
-        found: list[Found] = []
+    def _change(self, change: Callable[[HeldBus, int], object]) -> Seen:
+        """Let time pass until now, change the bus at this instant, and take what there is for this participant."""
+        found: list[Seen] = []
 
         def changed(text: bytes) -> bytes:
-            held = HeldBus(text)
-            found.append(change(held))
+            held, now = HeldBus(text), monotonic_ns()
+            if held.advance(now) - {self._node}:
+                self._others_changed()
+            change(held, now)
+            found.append(self._seen(held, now))
             return held.text()
 
         self._file.change(changed)
         return found[-1]
-
-    def _pass(self, held: HeldBus) -> int:
-        """Let time pass until now; return the instant."""
-        now = monotonic_ns()
-        if held.advance(now) - {self._node}:
-            self._others_changed()
-        return now
 
     def queue(self, frames: Sequence[tuple[CanFrame, int]]) -> Seen:
         """Let frames wait from now on, one behind the other.
@@ -248,29 +244,21 @@ class SharedBus:
             frames: what is sent, each with the number by which `Ended.tag` names it; larger from frame to frame.
         """
 
-        def change(held: HeldBus) -> Seen:
-            now = self._pass(held)
+        def change(held: HeldBus, now: int) -> None:
             for frame, tag in frames:
                 held.queue(self._node, Waiting(frame, BitRates.units(now), tag))
-            return self._seen(held, now)
 
         return self._change(change)
 
     def look(self) -> Seen:
         """Let time pass until now."""
-        return self._change(lambda held: self._seen(held, self._pass(held)))
+        return self._change(lambda held, now: None)
 
     def restart(self) -> Seen:
         """Come back from bus-off after 128 times 11 recessive bits from now on, as a driver does on a request to restart."""
+        return self._change(lambda held, now: held.living.switch_on(self._node, BitRates.units(now)))
 
-        def change(held: HeldBus) -> Seen:
-            now = self._pass(held)
-            held.living.switch_on(self._node, BitRates.units(now))
-            return self._seen(held, now)
-
-        return self._change(change)
-
-    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
+    def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> Seen:
         """Replace what is wrong with the bus when.
 
         Args:
@@ -280,13 +268,16 @@ class SharedBus:
                 participant.
         """
 
-        def change(held: HeldBus) -> None:
-            now = self._pass(held)
+        def change(held: HeldBus, now: int) -> None:
             places = [held.who_sent(ids) if ids else (self._node,) for ids in senders]
             meant = [fault._replace(off=tuple(i for place in fault.off for i in places[place])) for fault in faults]
             held.plan(meant, seed, now)
 
-        self._change(change)
+        return self._change(change)
+
+    def sweep(self) -> Seen:
+        """Take those off the bus whose process is gone; they acknowledge nothing."""
+        return self._change(lambda held, now: held.sweep())
 
     def _seen(self, held: HeldBus, now: int) -> Seen:
         due, more = held.due(self._node, now)
@@ -300,25 +291,18 @@ class SharedBus:
         in_vain = bool(due) and all(each.error_bit is not None for each in due)
         return Seen(in_vain, next_ns, len(node.waiting), node.errors.state)
 
-    def sweep(self) -> None:
-        """Take those off the bus whose process is gone; they acknowledge nothing."""
-
-        def change(held: HeldBus) -> None:
-            self._pass(held)
-            held.sweep()
-
-        self._change(change)
-
     def close(self) -> None:
         """Leave the bus; what waits is not sent. May be called twice."""
         if self._node >= 0:
             node, self._node = self._node, -1
 
-            def change(held: HeldBus) -> None:
+            def leave(text: bytes) -> bytes:
+                held = HeldBus(text)
                 held.advance(monotonic_ns())
                 if held.owners[node] == self._own:
                     held.leave(node)
+                return held.text()
 
             with suppress(OSError, ValueError, IndexError, TransportError):
-                self._change(change)
+                self._file.change(leave)
             self._file.close()

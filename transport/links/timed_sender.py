@@ -101,7 +101,7 @@ class TimedSender:
     def plan(self, faults: Sequence[BusFault], seed: int, senders: Sequence[Sequence[int]]) -> None:
         """Replace what is wrong with the bus when, see `SharedBus.plan`."""
         with self._more:
-            self._bus.plan(faults, seed, senders)
+            self._take(self._bus.plan(faults, seed, senders))
 
     def _be_as_urgent(self) -> None:
         """Give the thread the scheduling of the thread that sends, as of a process that keeps time."""
@@ -167,7 +167,7 @@ class TimedSender:
                     self._more.notify_all()
                 if monotonic() - self._swept > _SWEEP_S:
                     self._swept = monotonic()
-                    self._bus.sweep()
+                    self._take(self._bus.sweep())
 
     def close(self) -> None:
         """Leave the bus; what waits is not sent."""
