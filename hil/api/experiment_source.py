@@ -181,7 +181,7 @@ def load_experiment(
 
     Args:
         source: name of a shipped experiment, or path of a TOML file.
-        sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them.
+        sets: changes ``path=value`` in TOML notation, as ``hil run --set`` takes them; they come after all others.
         seed: root of all random streams.
         duration: length of a run: seconds, or text such as "2 min".
         changes: path to value, as ``**{"plant.gain": 150, "network.sc.max_age": 4}``. ``plant`` takes a `control.StateSpace` or a
@@ -194,10 +194,11 @@ def load_experiment(
     Raises:
         HilError: with every fault found, each with the path of its field.
     """
-    tables = {path: _table_of(path, value) for path, value in changes.items()}
+    lasting = {} if duration is None else {"duration": str(duration)}
+    tables = {path: _table_of(path, value) for path, value in (lasting | changes).items()}
     objects = {path: value for path, value in tables.items() if OBJECT.fullmatch(path) and not isinstance(value, str | Mapping)}
-    said = [*sets, *(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects)]
-    return read_experiment(source, said, seed=seed, duration=None if duration is None else str(duration), objects=objects)
+    said = [*(f"{path}={_toml(value, path)}" for path, value in tables.items() if path not in objects), *sets]
+    return read_experiment(source, said, seed=seed, objects=objects)
 
 
 def checked_experiment(source: Source, seed: int | None, duration: str | float | None, changes: Mapping[str, Any]) -> Experiment:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from msgspec import structs
@@ -104,8 +104,7 @@ def run(
         path = Path(folder) / "run.mcap"
         session = run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals)
         run = session.run  # before its file is gone
-    summary = session.summary | {"log": session.summary["log"] | {"path": None}}
-    return structs.replace(session, log=lambda: run, summary=summary)
+    return structs.replace(session, log=run, summary=session.summary | {"log": session.summary["log"] | {"path": None}})
 
 
 @checked_arguments
@@ -204,6 +203,20 @@ def simulate(
     return simulate_loop(loop, checked.seed, topics)
 
 
+@overload
+def sweep(
+    source: Source, *, grid: None = None, range: None = None, points: None = None, runs: int = 100, first_seed: int = 0,
+    jobs: int = -1, **changes: Any,
+) -> Sweep: ...
+@overload
+def sweep(
+    source: Source, *, grid: Mapping[str, Sequence[Any]], runs: int = 100, first_seed: int = 0, jobs: int = -1, **changes: Any
+) -> ParameterSweep: ...
+@overload
+def sweep(
+    source: Source, *, range: Mapping[str, Sequence[Any]], points: int, runs: int = 100, first_seed: int = 0, jobs: int = -1,
+    **changes: Any,
+) -> ParameterSweep: ...
 @checked_arguments
 def sweep(
     source: Source,

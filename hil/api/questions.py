@@ -157,7 +157,7 @@ def laws(source: Source, **changes: Any) -> Laws:
     return Laws(checked.name, found, period_s)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class DesignResult(SingleResult):
     """A design with the plant and the network that it is for: its verdict, its file, and what a notebook shows of it.
 

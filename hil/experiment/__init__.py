@@ -91,6 +91,10 @@ def parse_experiment(
     except ValueError as e:
         raise HilError(f"{source}: not valid TOML: {e}{_line_of(text, e)}") from e
     for change in sets:
+        path = change.partition("=")[0].strip()
+        taken = next((each for each in objects or () if f"{path}.".startswith(f"{each}.")), None)
+        if taken is not None:
+            raise HilError(f"{source}: {path}: has no effect, an object stands at {taken}; give the object another value")
         _apply(raw, change)
     try:
         return _checked(Checker(folder, objects), raw, text, source)

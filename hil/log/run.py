@@ -181,7 +181,7 @@ def _fixed(array: StructuredArray) -> StructuredArray:
     return array.view(Records)
 
 
-class Run(Struct, frozen=True, kw_only=True):
+class Run(Struct, frozen=True, kw_only=True, eq=False):
     """What a log says.
 
     Args:

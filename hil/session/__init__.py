@@ -11,7 +11,6 @@ import os
 import signal
 from collections.abc import Callable, Mapping
 from errno import EMFILE, ENFILE
-from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
@@ -66,7 +65,7 @@ def simulated_session(loop: Loop, seed: int) -> Session:
     summary["log"] = {"path": None, "sha256": "", "messages": sum(map(len, run.arrays.values())) + len(run.events), "dropped": 0}
     summary["problems"] = finished.messages_of(run, {WITHDRAWN, DEPARTED}) | finished.unreached(loop)
     status = finished.LEFT if finished.kinds_of(run) & {WITHDRAWN, DEPARTED} else 3 if summary["safety"] else 0
-    return Session(log=lambda: run, summary=summary, status=status, experiment=experiment)
+    return Session(log=run, summary=summary, status=status, experiment=experiment)
 
 
 def run_session(
@@ -174,8 +173,7 @@ def run_session(
     finally:
         os.close(log)
     status = finished.status_of(run, sink, outcome)
-    read = cache(partial(finished.read_back, path)) if keep is not None else lambda: run
-    return Session(log=read, summary=summary, status=status, experiment=loop.experiment)
+    return Session(log=run if keep is None else path.absolute(), summary=summary, status=status, experiment=loop.experiment)
 
 
 def _sha256(descriptor: int) -> str:

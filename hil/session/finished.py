@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -39,11 +39,11 @@ INTRUSIONS: Final = {"second controller": 5, "flood": 6}
 """Exit statuses by the events that say that another process sends on the link."""
 
 
-class Session(Struct, frozen=True, kw_only=True):
+class Session(Struct, frozen=True, kw_only=True, eq=False):
     """The result of a run.
 
     Args:
-        log: returns the log, read when it is first asked for.
+        log: its log, or the file, which is read when it is first asked for.
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
             5 a second controller answered too, 6 the link was flooded, 7 plant or controller departed from what it states,
@@ -51,7 +51,7 @@ class Session(Struct, frozen=True, kw_only=True):
         experiment: what ran.
     """
 
-    log: Callable[[], Run]
+    log: Run | Path
     summary: dict[str, Any]
     status: int
     experiment: Experiment | None = None
@@ -62,7 +62,9 @@ class Session(Struct, frozen=True, kw_only=True):
     @property
     def run(self) -> Run:
         """The log, read back; it takes memory for every record."""
-        return self.log()
+        run = self.log if isinstance(self.log, Run) else read_back(self.log)
+        force_setattr(self, "log", run)
+        return run
 
     @property
     def metrics(self) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from hil.sweeps.shown import (
 HEADS = ("quantity", "runs", "mean", "95 % interval", "sd", "5 %", "50 %", "95 %")
 
 
-@dataclass(frozen=True, slots=True, repr=False)
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Sweep(ShownResult):
     """What a sweep has found.
 

@@ -20,7 +20,7 @@ from hil.sweeps.seeds import here, quantities_in, run_sweep, seeds_of
 from hil.sweeps.shown import SHORTER, ShownResult, Values, asked, interval_of, measured, paint_distributions, pairs, within
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class Comparison(ShownResult):
     """What a comparison has found.
 

@@ -32,7 +32,7 @@ MOST_CAUTIONS = 5
 """Points whose caution is written out."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
+@dataclass(frozen=True, slots=True, kw_only=True, repr=False, eq=False)
 class ParameterSweep(ShownResult):
     """What a sweep over parameters has found.
 

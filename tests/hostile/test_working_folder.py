@@ -49,7 +49,7 @@ def test_mine(hil):
 PLOT = """
 from hil.log.read import read_run
 from hil.session import Session
-Session(log=lambda: read_run("a.mcap"), summary={}, status=0).plot("figures/a.svg")
+Session(log=read_run("a.mcap"), summary={}, status=0).plot("figures/a.svg")
 """
 
 COMMANDS = {

@@ -112,7 +112,7 @@ def test_the_assertion_on_a_law_finds_another_law() -> None:
     draws = session.arrays["/network/sc"]
     other = MarkovAge(matrix=((0.4, 0.6, 0.0), (0.6, 0.2, 0.2), (0.8, 0.1, 0.1)))
     network = session.summary["network"] | {"sc": network_metrics(draws, other, "markov")}
-    wrong = hil.Session(log=lambda: session.run, summary=session.summary | {"network": network}, status=0)
+    wrong = hil.Session(log=session.run, summary=session.summary | {"network": network}, status=0)
     with pytest.raises(AssertionError, match=r"sc: not the law 'markov': p = .* < 1e-06; modes \["):
         hil.assert_law(wrong, "sc")
     assert hil.assert_law(session, "sc") == session.summary["network"]["sc"]["p_value"]

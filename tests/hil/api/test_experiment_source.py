@@ -11,6 +11,7 @@ import pytest
 import hil
 from hil.errors import HilError
 from hil.session import Session
+from plants import DCMotor
 
 WRONG = [None, 3, 2.5, True, {}, {"plant": 1}, [], ["dc-motor-h2"], ("dc-motor-h2",), {"a"}, b"x", object(), np.zeros(3)]
 CALLS: dict[str, Callable[..., Any]] = {
@@ -93,3 +94,19 @@ def test_an_argument_near_to_one_of_the_function_is_suggested() -> None:
         hil.sweep("dc-motor-hinf", grids={"plant.gain": [150, 170]})
     with pytest.raises(HilError, match=r"duraton.*did you mean 'duration'"):
         hil.sweep("dc-motor-hinf", duraton=3)
+
+
+def test_a_point_of_a_sweep_runs_at_its_own_value_beside_a_change_of_the_same_field() -> None:
+    given: dict[str, Any] = {"duration": 3, "plant.gain": 160, "network.sc.law.kind": "markov"}
+    found = hil.sweep("dc-motor-hinf", grid={"plant.gain": [150, 170], "duration": [1, 2]}, runs=1, jobs=1, **given)
+    alone = [hil.sweep("dc-motor-hinf", runs=1, jobs=1, duration=2, **{"plant.gain": gain}) for gain in (150, 170)]
+    assert [found.columns[i]["sse"][0] for i in (1, 3)] == [each.values["sse"][0] for each in alone]
+    assert found.columns[0]["sse"][0] != found.columns[1]["sse"][0]
+
+
+def test_a_change_of_what_an_object_stands_for_is_refused() -> None:
+    changes: dict[str, Any] = {"plant": DCMotor(gain=140.0), "plant.gain": 20}
+    with pytest.raises(hil.HilError, match=r"plant\.gain: has no effect, an object stands at plant"):
+        hil.load_experiment("dc-motor-hinf", **changes)
+    with pytest.raises(hil.HilError, match=r"plant\.gain: has no effect, an object stands at plant"):
+        hil.sweep("dc-motor-hinf", grid={"plant.gain": [150, 170]}, runs=1, jobs=1, plant=DCMotor(gain=140.0))

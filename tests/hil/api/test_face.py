@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import re
 import shutil
 import subprocess
@@ -95,6 +96,7 @@ def test_a_type_checker_knows_what_the_faces_return(tmp_path: Path) -> None:
         "import design, hil, plants, transport\n"
         "reveal_type(hil.run('x').metrics)\nreveal_type(design.h2_norm)\nreveal_type(plants.DCMotor())\n"
         "reveal_type(transport.MarkovAge)\nhil.run(3)\nhil.rum('x')\n"
+        "reveal_type((hil.sweep('x', runs=2, duration=1), hil.sweep('x', grid={}), hil.sweep('x', range={}, points=2)))\n"
     )
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", "known", "user.py"],
@@ -103,6 +105,7 @@ def test_a_type_checker_knows_what_the_faces_return(tmp_path: Path) -> None:
     told = done.stdout
     for part in ("dict[str, Any]", "-> float", "plants.dc_motor.DCMotor", "transport.laws.age.MarkovAge"):
         assert part in told, told
+    assert "tuple[hil.sweeps.Sweep, hil.sweeps.parameters.ParameterSweep, hil.sweeps.parameters.ParameterSweep]" in told, told
     assert 'Argument 1 to "run"' in told and 'Module has no attribute "rum"' in told, told
 
 
@@ -158,6 +161,20 @@ def test_what_cannot_be_is_reported_as_one_error() -> None:
     ):
         with pytest.raises(hil.HilError):
             call()
+
+
+def test_a_result_may_leave_its_process_and_be_compared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = [hil.run("dc-motor-hinf", duration=1), hil.run("dc-motor-hinf", duration=1, log="a.mcap")]
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir("elsewhere")
+    for session in found:
+        copy = pickle.loads(pickle.dumps(session))
+        np.testing.assert_array_equal(copy.arrays["/plant/state"], session.arrays["/plant/state"])
+        assert copy.summary == session.summary and repr(copy) == repr(session)
+        assert session != copy and session.run != copy.run and session in {session}
+    many, same = (hil.sweep("dc-motor-hinf", runs=2, jobs=1, duration=1) for _ in range(2))
+    assert many != same and {many: 1}[many]
 
 
 def test_a_session_is_one_line() -> None:
