@@ -67,7 +67,8 @@ def test_a_number_is_finite_all_the_same(text: str, said: str, cli: Hil) -> None
     assert status == 2 and said in err
 
 
-def test_the_list_begins_with_what_to_try_and_has_groups_of_one_line_each(cli: Hil) -> None:
+def test_the_list_begins_with_what_to_try_and_has_groups_of_one_line_each(cli: Hil, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
     lines = cli("list")[1].splitlines()
     assert lines[0].startswith(f"to begin with: hil run {FIRST}") and max(map(len, lines)) <= 80
     heads = [line for line in lines if line.startswith("experiments with the plant ")]
