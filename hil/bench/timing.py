@@ -252,7 +252,7 @@ def _session(readers: int, name: str, uri: str, duration_s: float, folder: Path)
     """Run one session with readers of its page; return it, and how many pictures they read."""
     urls: list[str] = []
     with ExitStack() as stack:
-        with watched("real", urls.append) if readers else nullcontext() as side:
+        with watched("real", lambda page: urls.append(page.url)) if readers else nullcontext() as side:
             reads = [*PYTHON, "-c", "import sys; from hil.bench.timing import read_page; print(read_page(sys.argv[1]))"]
             processes = [
                 subprocess.Popen([*reads, urls[0].split("/")[2]], stdout=subprocess.PIPE, text=True) for _ in range(readers)

@@ -25,6 +25,7 @@ from hil.files import check_ending
 
 if TYPE_CHECKING:
     from hil.experiment import Experiment
+    from hil.pages.live.server import LivePage
     from hil.session import Onlooker
 
 LONGEST_WAIT_S = 1e8
@@ -188,7 +189,7 @@ def run(
             if live:
                 from hil.pages.live.watch import watched
 
-                onlooker = views.enter_context(watched(clock, lambda url: click.echo(f"open {url}", err=True)))  # type: ignore[arg-type]
+                onlooker = views.enter_context(watched(clock, lambda page: click.echo(f"open {page.url}", err=True)))  # type: ignore[arg-type]
             if foxglove is not None:
                 onlooker = views.enter_context(foxglove_beside(onlooker, foxglove))
             if not (wants_json() or quiet or sys.stderr is None or not sys.stderr.isatty()):
@@ -249,16 +250,10 @@ def live(
     from hil.experiment import load_experiment
     from hil.pages.live.watch import RequestedRun, show_log, watch
 
-    def opened(url: str) -> None:
-        click.echo(f"open {url}", err=True)
-        if show:  # by a file of this user's alone: every user can read the arguments of a browser, and the token is in the URL
-            from tempfile import NamedTemporaryFile
-
-            page = NamedTemporaryFile("w", prefix="hil-live-", suffix=".html")  # noqa: SIM115 (there as long as the command)
-            click.get_current_context().with_resource(page)
-            page.write(f'<!doctype html><meta http-equiv="refresh" content="0; url={url}">')
-            page.flush()
-            click.launch(page.name)
+    def opened(page: LivePage) -> None:
+        click.echo(f"open {page.url}", err=True)
+        if show:
+            click.launch(page.url_once())
 
     if experiments[0].endswith(".mcap"):
         from hil.log.read import read_run

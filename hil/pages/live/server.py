@@ -75,6 +75,7 @@ class LivePage(ThreadingHTTPServer):
     def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int) -> None:
         self.desk, self.about = desk, about
         self.token = secrets.token_urlsafe(18)
+        self._once: set[str] = set()
         self.refused = 0
         self.closed = False
         self._free = threading.BoundedSemaphore(MOST_CONNECTIONS)
@@ -87,6 +88,19 @@ class LivePage(ThreadingHTTPServer):
     def url(self) -> str:
         """Where a browser finds the page, with the token for changes."""
         return f"http://{HOST}:{self.server_port}/?token={self.token}"
+
+    def url_once(self) -> str:
+        """Return a URL that leads to `url` once: for a browser's arguments, which every user of this machine can read."""
+        word = secrets.token_urlsafe(18)
+        self._once.add(word)
+        return f"http://{HOST}:{self.server_port}/once?{word}"
+
+    def take_once(self, word: str) -> bool:
+        """Return whether a word leads to `url`; it does so no more."""
+        with suppress(KeyError):
+            self._once.remove(word)
+            return True
+        return False
 
     @cached_property
     def hosts(self) -> tuple[str, ...]:
@@ -228,6 +242,10 @@ class Handler(BaseHTTPRequestHandler):
         if path in ASSETS:
             package, name, kind = ASSETS[path]
             return kind, files(package).joinpath("assets", name).read_bytes()
+        if path == "/once":
+            if not self.server.take_once(query):
+                raise Refused(HTTPStatus.GONE, "this URL led to the page once; open the one that the terminal shows")
+            return "text/html", f'<!doctype html><meta http-equiv="refresh" content="0; url={self.server.url}">'.encode()
         asked = {name: values[-1] for name, values in parse_qs(query).items()}
         if path == "/about":
             return "application/json", _json(self.server.about() | {"acts": self._may_act()})

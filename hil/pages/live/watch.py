@@ -54,7 +54,7 @@ class RequestedRun:
 
 
 def watch(
-    asked: Sequence[RequestedRun], *, port: int = 0, stay: bool = True, opened: Callable[[str], None] = lambda url: None,
+    asked: Sequence[RequestedRun], *, port: int = 0, stay: bool = True, opened: Callable[[LivePage], None] = lambda page: None,
     finished: Callable[[Session], None] = lambda session: None, beside: Onlooker | None = None,
 ) -> int:  # fmt: skip
     """Run experiments with a page on them; return the exit status of the last runs.
@@ -63,7 +63,7 @@ def watch(
         asked: one experiment, or two beside each other in virtual time.
         port: of the page; 0 for any that is free.
         stay: whether the page stays when the runs have ended, until a signal comes.
-        opened: called with the page's URL.
+        opened: called with the page.
         finished: called with every run that has ended.
         beside: looks at the first of them, too.
 
@@ -123,12 +123,12 @@ def _stays(desk: Desk) -> bool:
 
 
 @contextmanager
-def watched(clock: ClockName, opened: Callable[[str], None]) -> Iterator[Side]:
+def watched(clock: ClockName, opened: Callable[[LivePage], None]) -> Iterator[Side]:
     """Give what watches one run, with a page on it that changes nothing; virtual time is paced as the clock on the wall.
 
     Args:
         clock: of the run.
-        opened: called with the page's URL.
+        opened: called with the page.
     """
     side = Side(PacedClock() if clock == "virtual" else None)
     with _page([side], clock, 0, opened):
@@ -136,19 +136,19 @@ def watched(clock: ClockName, opened: Callable[[str], None]) -> Iterator[Side]:
 
 
 @contextmanager
-def _page(sides: Sequence[Side], where: str, port: int, opened: Callable[[str], None]) -> Iterator[Desk]:
+def _page(sides: Sequence[Side], where: str, port: int, opened: Callable[[LivePage], None]) -> Iterator[Desk]:
     """Serve a page on some runs."""
     desk = Desk(sides)
     try:
         with LivePage(desk, lambda: about(sides, WHERE.get(where, where)), port) as page:
-            opened(page.url)
+            opened(page)
             yield desk
     finally:
         desk.close()
 
 
 def show_log(
-    run: Any, source: str, *, port: int = 0, folder: str | None = None, opened: Callable[[str], None] = lambda url: None
+    run: Any, source: str, *, port: int = 0, folder: str | None = None, opened: Callable[[LivePage], None] = lambda page: None
 ) -> None:  # fmt: skip
     """Show a log on a page, until a signal comes.
 
@@ -157,7 +157,7 @@ def show_log(
         source: its name, for messages.
         port: of the page; 0 for any that is free.
         folder: where own modules stand: they are run.
-        opened: called with the page's URL.
+        opened: called with the page.
 
     Raises:
         HilError: the log says not what ran, or the port is taken.

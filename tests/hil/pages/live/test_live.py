@@ -45,6 +45,7 @@ class Page:
     folder: Path
     asked: list[RequestedRun]
     url: str = ""
+    once: str = ""
     sessions: list[Session] = field(default_factory=list)
     status: int = -1
     number: int = 0
@@ -52,8 +53,8 @@ class Page:
     def begin(self, status: str = "paused") -> None:
         there = threading.Event()
 
-        def opened(url: str) -> None:
-            self.url = url
+        def opened(page: LivePage) -> None:
+            self.url = page.url
             there.set()
 
         def run() -> None:
@@ -127,7 +128,7 @@ def still() -> Iterator[Page]:
     """The page of a run that has not begun: its server answers as that of any other."""
     desk = Desk([Side(PacedClock(1.0, True), acts=True)])
     with closing(desk), LivePage(desk, lambda: about(desk.sides, "here"), 0) as live:
-        page = Page(Path(), [])
+        page = Page(Path(), [], url=live.url, once=live.url_once())
         page.reach(live.url)
         yield page
 
@@ -194,6 +195,15 @@ def test_only_loopback_pages_with_the_token_change_anything(page: Page) -> None:
     assert page.request("GET", "/about", Origin=f"http://localhost:{page.port}", X_Hil_Token=page.token)[0] == 200
     assert page.wish(do="step")[0] == 200
     until(lambda: page.view()["slots"] == 1, "the step")
+
+
+def test_a_url_for_the_arguments_of_a_browser_leads_to_the_page_once(still: Page) -> None:
+    path = still.once.partition(f":{still.port}")[2]
+    assert still.token not in path and still.request("GET", path[:-1])[0] == 410
+    status, data = still.request("GET", path)
+    assert status == 200 and f"url={still.url}".encode() in data
+    status, data = still.request("GET", path)
+    assert status == 410 and still.token.encode() not in data
 
 
 def test_the_page_may_load_and_connect_to_itself_alone(still: Page) -> None:
@@ -381,7 +391,7 @@ def test_a_log_is_served_until_a_signal_comes(tmp_path: Path) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
     run = read_run(tmp_path / "a.mcap")
-    show_log(run, "a.mcap", opened=lambda url: threading.Thread(target=look, args=(url,), daemon=True).start())
+    show_log(run, "a.mcap", opened=lambda page: threading.Thread(target=look, args=(page.url,), daemon=True).start())
     assert answers == [200] and signal.getsignal(signal.SIGINT) == plain
 
 
@@ -397,8 +407,8 @@ def test_a_signal_ends_two_runs_and_both_are_handed_on(tmp_path: Path) -> None:
         until(lambda: paused(url, 0) and paused(url, 1), "the runs")
         os.kill(os.getpid(), signal.SIGINT)
 
-    def opened(url: str) -> None:
-        threading.Thread(target=end, args=(url,), daemon=True).start()
+    def opened(page: LivePage) -> None:
+        threading.Thread(target=end, args=(page.url,), daemon=True).start()
 
     assert watch(runs, opened=opened, finished=sessions.append) == 130
     assert [session.summary["experiment"] for session in sessions] == names
