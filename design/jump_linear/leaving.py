@@ -23,7 +23,7 @@ Where a loop ends that bounded signals push, `ultimate_bound` says.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,11 +70,11 @@ class Leaving:
     slots: int | None
     later: int
 
-    def probability(self, *starts: tuple[int, Array], degree: int | None = None, left: float = 1.0) -> float:
+    def probability(self, *starts: tuple[Sequence[int], Array], degree: int | None = None, left: float = 1.0) -> float:
         """Return the bound of the probability of leaving, at most 1.
 
         Args:
-            starts: slot, at most `later`, and y of what is added to the state there, whatever the mode; their responses add.
+            starts: slots, up to `later`, and y of what is added to the state in each, whatever the mode; their responses add.
             degree: the one that is used; default: the best one in every slot.
             left: share of the limits that something else leaves, above 0.
         """
@@ -82,10 +82,12 @@ class Leaving:
         for d, free, pushed in zip(self.degrees, self.free, self.pushed):
             if degree in (None, d):
                 size = np.zeros(free.shape[:2])
-                for k, y in starts:
-                    size[k:] += (_value(free, at(y, d)).max(axis=2) ** (1.0 / d))[: len(free) - k]
+                for slots, y in starts:
+                    response = _value(free, at(y, d)).max(axis=2) ** (1.0 / d)
+                    for k in slots:
+                        size[k:] += response[: len(free) - k]
                 bounds.append((((size + pushed) / left) ** d).sum(axis=1))
-        tail = sum(float(np.sqrt(max((y @ self.rest @ y).max(), 0.0))) for _, y in starts) ** 2
+        tail = sum(len(slots) * float(np.sqrt(max((y @ self.rest @ y).max(), 0.0))) for slots, y in starts) ** 2
         return float(min(np.min(bounds, axis=0).sum() + tail / left**2, 1.0))
 
     def needed(self, probability: float) -> float:
@@ -111,7 +113,7 @@ class Leaving:
     def _along_axes(self, probability: float, degree: int) -> Array:
         size = self.rest.shape[-1]
         found = np.zeros(size)
-        if self.probability((0, np.zeros(size)), degree=degree) > probability:
+        if self.probability(((0,), np.zeros(size)), degree=degree) > probability:
             return found
         free, pushed = next((free, b) for d, free, b in zip(self.degrees, self.free, self.pushed) if d == degree)
         for i, axis in enumerate(np.eye(size)):

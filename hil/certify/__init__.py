@@ -58,7 +58,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
         slack: bound of the error of each output at the controller by dead-band triggers; empty: no node has one.
         shares: the same bound as a share of the output, by relative triggers; empty: no node has one.
         steps: slot and value of every step of the reference.
-        pulses: slot, length in slots and value of every disturbance at the inputs.
+        disturbance: slot and value of every change of the disturbance at the inputs; the last one ends it.
         taken_over: the plant's nominal model, where the controller was started over another plant and knows that one.
     """
 
@@ -84,7 +84,7 @@ class CertificationProblem(msgspec.Struct, frozen=True, kw_only=True):
     slack: tuple[float, ...] = ()
     shares: tuple[float, ...] = ()
     steps: tuple[tuple[int, tuple[float, ...]], ...] = ()
-    pulses: tuple[tuple[int, int, tuple[float, ...]], ...] = ()
+    disturbance: tuple[tuple[int, tuple[float, ...]], ...] = ()
     taken_over: LoopModel | None = None
 
     @property

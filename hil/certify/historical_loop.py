@@ -115,7 +115,9 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
     known = msgspec.structs.replace(
         verdict, digest=loop.digest, details={**verdict.details, **least},
-        assumptions=(*verdict.assumptions, *(["the cost is without disturbances"] * bool(loop.pulses)), lost, "no limit trips"),
+        assumptions=(
+            *verdict.assumptions, *(["the cost is without disturbances"] * bool(loop.disturbance)), lost, "no limit trips",
+        ),
     )  # fmt: skip
     return limited_to_model(loop.plant, known, knows_state_delays=True)
 

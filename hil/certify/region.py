@@ -11,7 +11,7 @@ Where a command beyond its limit acts as the limit, `hil.certify.saturation` kno
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -85,7 +85,7 @@ def judge_region(
         found = leaving(
             closed.matrices, closed.chances, closed.inputs[:, which], np.stack([closed.standing, fresh]),
             limits=room, pushes=pushes[:, :, pushes.any(axis=(0, 1))], adds=adds[which],
-            later=max((slot for slot, _ in starts), default=0),
+            later=max((slots[-1] for slots, _ in starts), default=0),
         )  # fmt: skip
     except (DesignError, np.linalg.LinAlgError) as error:
         return _outside(verdict, named, f"not decided: {error}", {})
@@ -96,7 +96,7 @@ def judge_region(
         regions.append({
             "probability": risk, "states": {name: float(r) for (name, _), r in zip(names, radii)}, "degree": degree,
         })  # fmt: skip
-    left = 1.0 if clips else 1.0 - float((disturbance(loop)[which] / room).max())  # it may act before a limit
+    left = 1.0 if clips else 1.0 - float((largest_disturbance(loop)[which] / room).max())  # it may act before a limit
     if starts and left <= 0.0:
         starts, why = [], "a disturbance takes the whole command"
     own = found.probability(*starts, left=left) if starts else None
@@ -175,11 +175,10 @@ def _first_slots(loop: CertificationProblem) -> float:
     return 1.0 + sum(chain.max_delay for chain in chains) if len(chains) == 2 else np.inf
 
 
-def disturbance(loop: CertificationProblem) -> Array:
-    """Return the largest disturbance of each input in a slot, (m,): pulses that overlap add up."""
-    sizes = [(slot, slot + length, np.abs(w)) for slot, length, w in loop.pulses]
-    together = [np.sum([size for first, end, size in sizes if first <= slot < end], axis=0) for slot, _, _ in sizes]
-    return np.asarray(np.max(together, axis=0)) if together else np.zeros(loop.motion.B.shape[1])
+def largest_disturbance(loop: CertificationProblem) -> Array:
+    """Return the largest disturbance of each input in a slot, (m,)."""
+    values = np.array([w for _, w in loop.disturbance]).reshape(-1, loop.motion.B.shape[1])
+    return np.asarray(np.abs(values).max(axis=0, initial=0.0))
 
 
 def first_state(loop: CertificationProblem) -> Array | None:
@@ -188,8 +187,8 @@ def first_state(loop: CertificationProblem) -> Array | None:
     return one if len(one) == len(loop.motion.A) and np.array_equal(one, two) else None
 
 
-def _begins(loop: CertificationProblem, limits: Array) -> tuple[list[tuple[int, Array]], Array, str]:
-    """Return the slots in which the state is moved, each with its shift; the largest steady command, (m,); and a reason.
+def _begins(loop: CertificationProblem, limits: Array) -> tuple[list[tuple[Sequence[int], Array]], Array, str]:
+    """Return slots in which the state is moved, with the shift in each; the largest steady command, (m,); and a reason.
 
     No slots, with the reason, where the start of the experiment is not judged.
     """
@@ -203,18 +202,20 @@ def _begins(loop: CertificationProblem, limits: Array) -> tuple[list[tuple[int, 
     if not held_exactly(A, B, C, references):
         return [], np.zeros(m), "no input holds its reference"
     points, steady = [np.zeros(n), *(references @ star.state.T)], np.abs(references @ star.input.T).max(axis=0, initial=0.0)
-    pushes = [(slot + i + 1, B @ np.array(w)) for slot, length, w in loop.pulses for i in range(length)]
+    pushes = [(range(slot + 1, end + 1), w) for (slot, w), (end, _) in pairwise(loop.disturbance) if any(w)]
     if first is None:
         return [], steady, "its first state is not known"
     if (steady > NO_COMMAND * np.where(np.isfinite(limits), limits, 1.0)).any():
         return [], steady, "its reference needs a steady command"
-    if max(*slots, *(slot for slot, _ in pushes), 0, 0) >= SLOTS:
+    if max(*slots, *(pushed[-1] for pushed, _ in pushes), 0, 0) >= SLOTS:
         return [], steady, f"its reference steps, or a disturbance comes, after slot {SLOTS}"
     jumps = [first - points[0], *(before - after for before, after in pairwise(points))]
     begun: dict[int, Array] = {}
     for slot, jump in zip([0, *slots], jumps):
         begun[slot] = begun.get(slot, np.zeros(n)) + jump
-    starts, unlike = [*begun.items(), *pushes], _first_rows(loop)  # pushes on their own: of a disturbance a share may act
-    if unlike and any(slot <= _first_slots(loop) and shift.any() for slot, shift in starts):
+    starts: list[tuple[Sequence[int], Array]] = [((slot,), shift) for slot, shift in begun.items()]
+    starts += [(pushed, column) for pushed, w in pushes for column in (B * w).T]  # of each a share of its own may act
+    unlike = _first_rows(loop)
+    if unlike and any(slots[0] <= _first_slots(loop) and shift.any() for slots, shift in starts):
         return [], steady, unlike
     return starts, steady, ""

@@ -11,7 +11,7 @@ from design.controllers import GainTable, integral_limit, integrates, packet_sam
 from design.errors import DesignError
 from design.verdict import Verdict
 from hil.certify import CertificationProblem, table_of
-from hil.certify.region import Array, ClosedLoop, disturbance, first_state, not_judged
+from hil.certify.region import Array, ClosedLoop, first_state, largest_disturbance, not_judged
 from plants.parts.protocols import HasOwnInputs
 
 ROUNDING = 1e-6
@@ -35,7 +35,7 @@ def escapes(loop: CertificationProblem, verdict: Verdict, *, limits: Array, push
     plant, A, B, first = loop.plant, loop.motion.A, loop.motion.B, first_state(loop)
     if first is None or (isinstance(plant, HasOwnInputs) and plant.own_inputs()):
         return None
-    disturbed, (rates, left) = disturbance(loop), np.linalg.eig(A.T)
+    disturbed, (rates, left) = largest_disturbance(loop), np.linalg.eig(A.T)
     for rate, mode in sorted(zip(np.abs(rates), left.T), key=lambda each: -each[0]):
         moved = np.abs(mode @ B)
         if rate <= 1.0 + ROUNDING or np.isinf(limits[moved > 0.0]).any():

@@ -23,7 +23,7 @@ from hil.rig.delay_chains import Chains, gains_over, within_reach, without_held
 from hil.rig.loop import CANCELS, EQUAL, RUN_AGAIN, JumpStep, Loop, OneStep, Watched, digest_of
 from hil.rig.loop_chains import ANY_PHASE, IN_PHASE, loop_chains
 from hil.rig.missing_packets import STOPPED, chance_behind_cuts, never_received, percent, waited_for, watchdog_chance
-from hil.rig.schedules import whole_again
+from hil.rig.schedules import disturbance_changes, whole_again
 from plants.parts.protocols import JumpPlant
 
 if TYPE_CHECKING:
@@ -153,7 +153,7 @@ def _problem(
         chainless="" if known else chainless, neglects=chains.neglects() if known else "",
         silent=never_received(sc, ca, rig), waited=waited_for(controller, rig),
         steps=tuple({round(s.at / e.period): s.value for s in e.reference}.items()),  # of one slot the last counts
-        pulses=tuple((round(w.at / e.period), w.samples, w.value) for w in e.disturbance),
+        disturbance=tuple(disturbance_changes(e).items()),
     )  # fmt: skip
 
 

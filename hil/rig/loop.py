@@ -24,7 +24,7 @@ from hil.errors import ForeignVerdict, located
 from hil.experiment import Experiment
 from hil.rig import RigSpec
 from hil.rig.delay_chains import Chains
-from hil.rig.schedules import Piecewise
+from hil.rig.schedules import Piecewise, disturbance_changes
 
 if TYPE_CHECKING:
     from design.controllers import Controller
@@ -215,14 +215,7 @@ class Loop:
 
     def disturbance(self) -> Piecewise:
         """Return the input disturbance, slot by slot."""
-        e = self.experiment
-        zero = (0.0,) * len(e.plant.inputs)
-        changes: dict[int, tuple[float, ...]] = {}
-        pulses = [(round(p.at / e.period), round(p.at / e.period) + p.samples, p.value) for p in e.disturbance]
-        for k in sorted({edge for a, b, _ in pulses for edge in (a, b)}):
-            active = [v for a, b, v in pulses if a <= k < b]
-            changes[k] = tuple(map(sum, zip(zero, *active)))
-        return Piecewise(zero, changes)
+        return Piecewise((0.0,) * len(self.experiment.plant.inputs), disturbance_changes(self.experiment))
 
 
 def digest_of(experiment: Experiment, controller: Controller, model: LoopModel) -> str:

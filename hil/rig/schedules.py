@@ -225,6 +225,26 @@ def fault_schedule(e: Experiment, names: Sequence[str]) -> FaultSchedule:
     return FaultSchedule(nodes=tuple(map(tuple, nodes)), actuator=tuple(actuator), restarts=tuple(sorted(restarts)))
 
 
+def disturbance_changes(e: Experiment) -> dict[int, tuple[float, ...]]:
+    """Return the disturbance at the inputs of a checked experiment, by the slot from which on it is so large.
+
+    Pulses that overlap add up, each sum rounded once: it depends neither on their order nor on what is over.
+    """
+    from fractions import Fraction  # loaded where there is a disturbance
+
+    turns: dict[int, list[Fraction]] = {}
+    for pulse in e.disturbance:
+        first = round(pulse.at / e.period)
+        for slot, sign in ((first, 1), (first + pulse.samples, -1)):
+            before = turns.get(slot, [Fraction(0)] * len(pulse.value))
+            turns[slot] = [a + sign * Fraction(b) for a, b in zip(before, pulse.value)]
+    found, now = {}, [Fraction(0)] * len(e.plant.inputs)
+    for slot in sorted(turns):
+        now = [a + b for a, b in zip(now, turns[slot])]
+        found[slot] = tuple(map(float, now))
+    return found
+
+
 class Piecewise:
     """Values by slot: that of the last change.
 

@@ -33,12 +33,12 @@ def test_of_one_mode_the_moments_are_powers_and_their_sums_geometric() -> None:
     still = scalar(0.5)
     assert still.slots is None
     for d in still.degrees:
-        assert still.probability((0, np.array([0.3])), degree=d) == pytest.approx(0.3**d / (1.0 - 0.5**d), rel=1e-6)
+        assert still.probability(((0,), np.array([0.3])), degree=d) == pytest.approx(0.3**d / (1.0 - 0.5**d), rel=1e-6)
     degree, (radius,) = still.radii(0.01)
     assert degree == 10 and radius == pytest.approx((0.01 * (1.0 - 0.5**10)) ** (1 / 10), rel=1e-6)
     pushed = scalar(0.5, push=0.1, limit=2.0, slots=50)
     assert pushed.slots == 50 and all(b[0] == pytest.approx(0.1, rel=1e-9) for b in pushed.pushed)
-    assert pushed.probability((0, NOTHING), degree=2) == pytest.approx(50 * 0.1**2, rel=1e-9)
+    assert pushed.probability(((0,), NOTHING), degree=2) == pytest.approx(50 * 0.1**2, rel=1e-9)
     assert pushed.needed(0.01) == pytest.approx((50 * 0.1**10 / 0.01) ** (1 / 10), rel=1e-9)
     assert scalar(0.5, push=0.1, limit=2.0 * 0.99 * pushed.needed(0.01), slots=50).radii(0.01)[1][0] == 0.0
     assert scalar(0.5, push=0.1, limit=2.0 * 1.01 * pushed.needed(0.01), slots=50).radii(0.01)[1][0] > 0.0
@@ -46,15 +46,15 @@ def test_of_one_mode_the_moments_are_powers_and_their_sums_geometric() -> None:
 
 def test_responses_of_later_slots_add_and_the_end_of_the_sum_is_counted() -> None:
     later = scalar(0.9, later=20)
-    both = later.probability((0, np.array([0.2])), (20, np.array([0.3])), degree=2)
+    both = later.probability(((0,), np.array([0.2])), ((20,), np.array([0.3])), degree=2)
     exact = [0.2 * 0.9**k + (0.3 * 0.9 ** (k - 20) if k >= 20 else 0.0) for k in range(600)]
     assert both == pytest.approx(float(np.sum(np.square(exact))), rel=1e-6)
     short = scalar(0.99, slots=5)
-    assert short.probability((0, np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
-    half = short.probability((0, np.array([0.05])), degree=2, left=0.5)
+    assert short.probability(((0,), np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
+    half = short.probability(((0,), np.array([0.05])), degree=2, left=0.5)
     assert half == pytest.approx(0.1**2 / (1.0 - 0.99**2), rel=1e-9), "half of the limits, twice the state"
     first = scalar(0.99, slots=1)
-    assert first.probability((0, np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
+    assert first.probability(((0,), np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
 
 
 def test_a_loop_at_the_edge_has_no_region() -> None:
@@ -109,5 +109,5 @@ def test_units_of_the_states_move_no_bound() -> None:
             inner, chances, np.repeat(seen[None], 2, axis=0), start * scale[:, None], limits=np.ones(1), pushes=0.01 * pushed,
             adds=NOTHING, slots=30,
         )  # fmt: skip
-        chance.append(from_there.probability((0, np.array([0.1, 0.0, 0.1]))))
+        chance.append(from_there.probability(((0,), np.array([0.1, 0.0, 0.1]))))
     assert bounds[1] == pytest.approx(bounds[0], rel=2e-3) and chance[1] == pytest.approx(chance[0], rel=1e-3)

@@ -220,6 +220,18 @@ def test_a_disturbance_above_the_supply_acts_by_a_share_where_the_plant_says_so(
         assert np.abs(many_runs(loops[0], 8)[1]).max() < 0.0015
 
 
+def test_what_the_limits_of_one_input_clip_of_a_disturbance_no_other_input_takes_back() -> None:
+    """Of (0.5, -0.5) the first input may pass 0.1 and the second all, as in a plant that clips: together they move nothing."""
+    plant = LinearPlant(A=((0.0,),), B=((1.0, 1.0),), C=((1.0,),), saturation=(0.1, 1000.0))
+    rest: Any = {f"network.{link}": {"law": {"kind": "constant", "age": 0}, "max_age": 0} for link in ("sc", "ca")}
+    rest |= {"reference": [], "allow_uncertified": True, "limits": {}, "controller": {"kind": "local", "gain": [[-1.0], [-1.0]]}}
+    for size, inside in ((0.01, True), (0.5, False)):
+        pushed = [{"at": "1 s", "samples": 20, "value": [size, -size]}]
+        verdict = verdict_of(compose(load_experiment("dc-motor-h2", plant=plant, disturbance=pushed, **rest)))
+        region: Any = verdict.details["region"]
+        assert (region["own_probability"] <= RISK) == verdict.certified == inside, verdict
+
+
 class Boastful(DCMotor):
     """Has a disturbance act by 3 times of what it is, and says that its limits clip it."""
 
