@@ -22,6 +22,7 @@ from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment, parse_table
 from hil.experiment.table import plain
 from hil.files import read_regular
+from hil.plugins import is_own, written_in
 from hil.plugins.user_plugins import Designer, GainsOnFile, GivesGains, NamedController
 from hil.rig.loop import Gains
 
@@ -63,7 +64,7 @@ def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedCon
         own = problem_digest(asked, task)
     except NoDigest as error:
         return asked.solve(task), Gains(origin="solved here", note=f"{error}, so that no file can hold them")
-    stored, why = _stored(path, own, experiment.folder)
+    stored, why = _stored(path, own, experiment.folder, runs_own=written_in(type(asked)) is not None)
     if stored is not None:
         return stored, Gains(origin="stored")
     note = f"{path.parent.name}/{path.name} {why}; `hil solve` stores them, for the same bits on every machine"
@@ -105,14 +106,16 @@ def gains_text(experiment: Experiment, controller: NamedController, own: str) ->
     return json.dumps({**said, "controller": plain(controller)}, indent=1) + "\n"
 
 
-def _stored(path: Path, own: str, folder: str) -> tuple[NamedController | None, str]:
-    """Return the controller of a file, or None and why not."""
+def _stored(path: Path, own: str, folder: str, *, runs_own: bool) -> tuple[NamedController | None, str]:
+    """Return the controller of a file, or None and why not; `runs_own`: the experiment itself names a module beside it."""
     if not path.exists():
         return None, "is not there"
     try:
         said = json.loads(read_regular(path, LARGEST, "a file of gains"))
         if not isinstance(said, dict) or said.get("format") != FORMAT or not isinstance(said.get("controller"), dict):
             return None, f"is no file of gains ({FORMAT})"
+        if is_own(str(said.get("kind"))) and not runs_own:
+            return None, f"names a module, {said['kind']!r:.40}, which the experiment does not: it is not run"
         if said.get("problem") != own:
             return None, "is of another problem"
         made = parse_table("hil.controllers", {**said["controller"], "kind": said.get("kind")}, "controller", folder)

@@ -128,6 +128,7 @@ def test_what_is_no_part_of_the_problem_changes_nothing(change: str) -> None:
         ("{", "cannot be used"),
         ("[]", "is no file of gains"),
         ('{"format": "hilrig-gains/1", "controller": {}}', "is of another problem"),
+        ('{"format": "hilrig-gains/1", "kind": "theirs:Theirs", "controller": {}}', "names a module, 'theirs:Theirs', which the"),
     ],
 )
 def test_a_damaged_file_is_reported_and_solved_again(own: Path, text: str, why: str) -> None:
