@@ -47,7 +47,7 @@ class Session(Struct, frozen=True, kw_only=True, eq=False):
         summary: what ``hil run --json`` prints.
         status: exit status: 0, 1 the rig died or the log is not whole, 3 stopped by safety,
             5 a second controller answered too, 6 the link was flooded, 7 plant or controller departed from what it states,
-            130 or 143 interrupted.
+            128 + N ended by signal N.
         experiment: what ran.
     """
 
