@@ -10,6 +10,7 @@ import hashlib
 import os
 import platform
 import shutil
+import stat
 import subprocess
 import sys
 import time
@@ -103,7 +104,16 @@ def small(wanted: Wanted) -> Kernel:
                 need_for_build(wanted.source, install=wanted.install)
                 path = _cached(wanted.source)  # the source's version is known only now
                 _build(path, wanted.source or SOURCE, lock)
-    return Kernel(path=path, backend="uml")
+    return Kernel(path=_of_ours(path), backend="uml")
+
+
+def _of_ours(path: Path) -> Path:
+    """Return a kernel that is kept, unless another user could have put it there: it runs with our rights."""
+    for each in (path.parent, path):
+        about = each.stat()
+        if about.st_uid not in (0, os.geteuid()) or about.st_mode & stat.S_IWOTH:
+            raise RunnerError(f"{each}: another user can write it, and it would run as you; remove it, or set XDG_CACHE_HOME")
+    return path
 
 
 def debian(wanted: Wanted) -> Kernel:
@@ -124,9 +134,13 @@ def debian(wanted: Wanted) -> Kernel:
 
 
 def built() -> Path | None:
-    """Return the small kernel if it lies in the cache."""
+    """Return the small kernel if it lies in the cache.
+
+    Raises:
+        RunnerError: there is no cache, or another user can write there.
+    """
     path = _cached(None)
-    return path if path.exists() else None
+    return _of_ours(path) if path.exists() else None
 
 
 def need_machine(*, install: bool) -> None:
@@ -192,7 +206,10 @@ def _cached(source: Path | None) -> Path:
 
 def _source_version() -> str:
     query = ["dpkg-query", "-W", "-f", "${Version}", SOURCE_PACKAGE]
-    return subprocess.run(query, check=True, capture_output=True, text=True).stdout
+    try:
+        return subprocess.run(query, check=True, capture_output=True, text=True).stdout
+    except (OSError, subprocess.CalledProcessError) as why:
+        raise RunnerError(f"{SOURCE}: is of no package that dpkg-query knows; build from it with --source {SOURCE}") from why
 
 
 def _build(path: Path, source: Path, lock: int) -> None:

@@ -100,6 +100,35 @@ def test_a_kernel_is_kept_by_what_it_is_made_of(tmp_path: Path, monkeypatch: pyt
     assert kernel._cached(source).name[:24] != first.name[:24]
 
 
+def test_a_kernel_that_another_user_can_write_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HILRIG_KERNEL_CACHE", str(tmp_path))
+    monkeypatch.setattr(kernel, "SOURCE", tmp_path / "absent")
+    kept = kernel._cached(None)
+    kept.parent.mkdir(mode=0o755)
+    kept.touch(mode=0o755)
+    assert kernel.built() == kept
+    for place, mode in ((kept, 0o757), (kept.parent, 0o777)):
+        place.chmod(mode)
+        with pytest.raises(RunnerError, match=rf"^{place}: another user can write it"):
+            kernel.built()
+        place.chmod(0o755)
+    monkeypatch.setattr(kernel.os, "geteuid", lambda: kept.stat().st_uid + 1)
+    if kept.stat().st_uid:  # root's own kernel is everybody's
+        with pytest.raises(RunnerError, match="another user can write it"):
+            kernel.built()
+
+
+@pytest.mark.parametrize("query", ["exit 1", ""], ids=["another package manager", "no dpkg"])
+def test_a_source_of_no_package_is_said(query: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if query:
+        (tmp_path / "dpkg-query").write_text(f"#!/bin/sh\n{query}\n")
+        (tmp_path / "dpkg-query").chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(kernel, "SOURCE", tmp_path)
+    with pytest.raises(RunnerError, match=rf"is of no package that dpkg-query knows; build from it with --source {tmp_path}"):
+        kernel.built()
+
+
 def test_a_user_without_a_home_keeps_no_kernel_and_reads_why(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("HILRIG_KERNEL_CACHE", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
