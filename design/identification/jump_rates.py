@@ -8,7 +8,7 @@ Poisson count,
 The rates of detection are counted apart for every true mode (4.2). Modes are known at samples, and the sojourn to a sample: a
 stay that no sample falls into hides two jumps, or shows them as one. With q_i = sum_j q_ij, to first order in the period, a share
 (q_i + q_j) period / 2 of the jumps from i to j is hidden, by which the upper bound is larger, and sum_k q_ik q_kj period / 2 is
-the rate of what looks like them, by which the lower one is smaller.
+the rate of what looks like them, by which the lower one is smaller: q_i after the sojourn, q_j and q_kj after the shortest.
 
 Reference: thesis sec. 4.2; O. O. Aalen, Nonparametric inference for a family of counting processes, Ann. Stat. 6(4), 1978.
 """
@@ -107,18 +107,23 @@ def _count(into: Array, given: Modes, modes: Modes, cleared: NDArray[np.bool_], 
 def _rates(counted: Array, edges: Array, period_s: float, *, known: bool) -> list[JumpRate]:
     from scipy.stats import chi2
 
-    total, alone = counted.sum(axis=3), np.eye(counted.shape[1], dtype=bool)
-    rates = np.where(alone, 0.0, total / np.maximum(total.diagonal(axis1=1, axis2=2)[:, :, None], period_s))
-    out, found = rates.sum(axis=2), []
-    hidden, through = 0.5 * period_s * (out[:, :, None] + out[:, None, :]), 0.5 * period_s * rates @ rates
+    alone = np.eye(counted.shape[1], dtype=bool)
+
+    def rates(part: Array) -> Array:
+        return np.where(alone, 0.0, part / np.maximum(part.diagonal(axis1=1, axis2=2)[:, :, None], period_s))
+
+    by_stay, found = [rates(part) for part in np.moveaxis(counted, 3, 0)], []
+    fresh = np.maximum(by_stay[0], rates(counted.sum(axis=3)))
     for given, source, to, at in np.ndindex(*counted.shape):
         exposure, n = float(counted[given, source, source, at]), round(float(counted[given, source, to, at]))
+        hidden = 0.5 * period_s * float(by_stay[at][given, source].sum() + fresh[given, to].sum())
+        through = 0.5 * period_s * float(by_stay[at][given, source] @ fresh[given, :, to])
         if source == to or not exposure:
             continue
         low = float(chi2.ppf((1.0 - LEVEL) / 2.0, 2 * n)) / (2.0 * exposure) if n else 0.0
         high = float(chi2.ppf((1.0 + LEVEL) / 2.0, 2 * n + 2)) / (2.0 * exposure)
-        low = max(low - float(through[given, source, to]), 0.0)
-        high /= 1.0 - min(float(hidden[given, source, to]), 0.5)
+        low = max(low - through, 0.0)
+        high /= 1.0 - min(hidden, 0.5)
         fault = given + 1 if known else None
         ends = float(edges[at]), float(edges[at + 1])
         found.append(JumpRate(fault, source + 1, to + 1, *ends, n, exposure, n / exposure, low, high))
