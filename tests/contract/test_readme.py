@@ -11,6 +11,7 @@ import tomllib
 import types
 from collections.abc import Iterator
 from contextlib import chdir
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,14 @@ import hil as face
 from design.controllers import LoopModel
 from hil.cli import COMMANDS, cli
 from hil.cli.guide import pages
+from hil.design_questions.plant_uncertainty import interval
 from hil.experiment import parse_experiment, shipped
 from hil.measure.check import check_measure
 from hil.measure.view import view_of
 from hil.pages.sections import check_section
 from hil.plugins.checks import check_controller
 from hil.session import run_session
-from plants import check_plant
+from plants import DCMotor, Plant, check_plant
 from tests.hil.pages.runs import run_of
 from tests.waiting import until
 from transport import open_link
@@ -157,6 +159,14 @@ def test_commands_on_a_log_run_one_after_the_other(tmp_path: Path, monkeypatch: 
         assert end.value.code in (None, 0), words
         ran += 1
     assert ran == 10 and (tmp_path / "run.html").exists() and (tmp_path / "run.plant_state.csv").stat().st_size > 1000
+
+
+def test_an_uncertainty_that_is_shown_is_one_of_its_plant(tmp_path: Path) -> None:
+    cart = blocks(TEXT["first-plugin"], "python")[0]
+    plants: dict[str, Plant] = {"dc-motor": DCMotor(), "cart.toml": module_of("guide_cart", cart)["Cart"]()}
+    pairs = [(words[1], pair) for _, words in COMMAND_LINES for pair in pairwise(words)]
+    shown = [(plant, said) for plant, (option, said) in pairs if option == "--uncertainty"]
+    assert {interval(plants[plant], said).name for plant, said in shown} == {"gain", "pole", "damping"}
 
 
 def test_names_in_the_text_exist() -> None:
