@@ -56,6 +56,15 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     return sheet
 
 
+def literal(text: str) -> str:
+    r"""Return a text that matplotlib draws as it is: in one from elsewhere a dollar sign begins no formula.
+
+    >>> literal("$/h")
+    '\\$/h'
+    """
+    return text.encode("utf-8", "backslashreplace").decode().replace("$", r"\$")
+
+
 def svg_of(sheet: Figure) -> str:
     """Return the element ``<svg>`` of a figure, as a cell shows it."""
     picture = io.StringIO()

@@ -10,9 +10,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from hil.errors import HilError
+from hil.errors import HilError, located
+from hil.files import made_folder, written_whole
 from hil.measure.signals import with_unit
-from hil.notebook import MM_PER_INCH, paper_style
+from hil.notebook import MM_PER_INCH, literal, paper_style
 from hil.pages import Bars, Figure, Histogram, Matrix, Scene, Section, Shape
 from hil.pages.html import share_text
 
@@ -41,18 +42,16 @@ def write_figures(
 
     written: list[Path] = []
     plots = [block for section in sections for block in section.blocks if isinstance(block, Plot)]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with context:
-            for number, plot in enumerate(plots, start=1):
-                sheet = Sheet(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
-                draw(plot, sheet.subplots())
-                for ending in ENDINGS:
-                    path = folder / f"{number:02d}-{slug(plot.title)}{ending}"
-                    sheet.savefig(path, metadata={"Date": None} if ending == ".svg" else {"CreationDate": None})
-                    written.append(path)
-    except OSError as error:
-        raise HilError(f"--figures: {error.filename or folder}: cannot be written: {error.strerror}") from error
+    with located("--figures", HilError), context:
+        made_folder(folder)
+        for number, plot in enumerate(plots, start=1):
+            sheet = Sheet(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
+            draw(plot, sheet.subplots())
+            for ending in ENDINGS:
+                path = folder / f"{number:02d}-{slug(plot.title)}{ending}"
+                with written_whole(path, replace=True) as part:
+                    sheet.savefig(part, metadata={"Date": None} if ending == ".svg" else {"CreationDate": None})
+                written.append(path)
     return written
 
 
@@ -66,7 +65,7 @@ def slug(title: str) -> str:
 
 
 def draw(plot: Plot, axis: Any) -> None:
-    """Draw one plot of a report. A dollar sign in its texts, which may be of a file from elsewhere, begins no formula.
+    """Draw one plot of a report, its texts `literal`.
 
     Args:
         plot: the plot.
@@ -94,7 +93,7 @@ def draw(plot: Plot, axis: Any) -> None:
 def _literal(value: Any) -> Any:
     """Return a plot, or a part of it, whose texts matplotlib draws as they are."""
     if isinstance(value, str):
-        return value.encode("utf-8", "backslashreplace").decode().replace("$", r"\$")
+        return literal(value)
     if isinstance(value, tuple | list):
         return type(value)(map(_literal, value))
     if is_dataclass(value) and not isinstance(value, type):

@@ -146,6 +146,8 @@ class Session(Struct, frozen=True, kw_only=True, eq=False):
 
 
 def _paint(run: Run, sheet: Figure) -> None:
+    from hil.notebook import literal
+
     view = view_of(run)
     measurement, reference, applied = (run.arrays[topic] for topic in (MEASUREMENT, REFERENCE, APPLIED))
     outputs, inputs = view.signals.tracked, [*view.signals.inputs]
@@ -155,14 +157,14 @@ def _paint(run: Run, sheet: Figure) -> None:
         if followed:
             axis.step(seconds(reference), reference[name], "--", where="post", color="0.45", label="reference")
         axis.plot(seconds(measurement), measurement[name], color="C0", label=name if len(outputs) == 1 else "output")
-        axis.set_ylabel(with_unit(name, view.signals.outputs[name]))
+        axis.set_ylabel(literal(with_unit(name, view.signals.outputs[name])))
     if followed:
         rows[0].legend()
     unit = view.signals.input_unit()
     for number, name in enumerate(inputs):
-        label = name if unit is not None else with_unit(name, view.signals.inputs[name])
+        label = name if unit is not None else literal(with_unit(name, view.signals.inputs[name]))
         rows[-1].step(seconds(applied), applied[name], where="post", color=f"C{number + 1}", label=label)
-    rows[-1].set_ylabel(with_unit(inputs[0] if len(inputs) == 1 else "input", unit or ""))
+    rows[-1].set_ylabel(literal(with_unit(inputs[0] if len(inputs) == 1 else "input", unit or "")))
     if len(inputs) > 1:
         rows[-1].legend()
     rows[-1].set_xlabel("time (s)")

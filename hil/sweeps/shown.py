@@ -16,7 +16,7 @@ from design.monte_carlo.confidence import Interval, mean_interval
 from hil.errors import unknown_name
 from hil.measure import Quantity
 from hil.measure.signals import with_unit
-from hil.notebook import Result, data_frame
+from hil.notebook import Result, data_frame, literal
 
 if TYPE_CHECKING:
     import pandas
@@ -234,13 +234,13 @@ def paint_distributions(groups: Mapping[str, Values], quantity: Quantity) -> Cal
             sample = values[quantity.name]
             finite = np.sort(sample[np.isfinite(sample)])
             if finite.size:
-                axis.step(finite, np.arange(1, finite.size + 1) / finite.size, where="post", label=name)
+                axis.step(finite, np.arange(1, finite.size + 1) / finite.size, where="post", label=literal(name))
         kind = axis_for([values[quantity.name] for values in groups.values()])
         if kind.log:
             axis.set_xscale("log")
         elif kind.asinh is not None:
             axis.set_xscale("asinh", linear_width=kind.asinh)
-        axis.set_xlabel(with_unit(quantity.title, quantity.unit))
+        axis.set_xlabel(literal(with_unit(quantity.title, quantity.unit)))
         axis.set_ylabel("share of runs at or below")
         axis.set_ylim(0.0, 1.0)
         if len(groups) > 1:
@@ -264,11 +264,11 @@ def paint_points(
             ends = np.array([*map(ends_of, found)])
             bars = np.abs(ends.T - mean)[:, order]  # an interval of a skewed quantity has its mean not in the middle
             line = "" if x is None else "-"
-            axis.errorbar(at[order], mean[order], yerr=bars, marker="o", linestyle=line, capsize=3, label=name or None)
+            axis.errorbar(at[order], mean[order], yerr=bars, marker="o", linestyle=line, capsize=3, label=literal(name) or None)
         if x is None:
-            axis.set_xticks(at, labels)
-        axis.set_xlabel(x_label)
-        axis.set_ylabel(with_unit(quantity.title, quantity.unit))
+            axis.set_xticks(at, [*map(literal, labels)])
+        axis.set_xlabel(literal(x_label))
+        axis.set_ylabel(literal(with_unit(quantity.title, quantity.unit)))
         if len(groups) > 1:
             axis.legend()
 

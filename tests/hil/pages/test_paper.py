@@ -30,7 +30,11 @@ def test_every_plot_of_a_report_is_written(tmp_path: Path, capsys: pytest.Captur
 def test_plots_are_numbered_and_of_the_size_asked_for(tmp_path: Path) -> None:
     blocks = (FIGURES[1], Text(text="no plot"), FIGURES[10])
     section = Section(title="s", blocks=blocks)
+    (tmp_path / "theirs").write_text("kept")
+    (tmp_path / "new").mkdir()
+    (tmp_path / "new" / "01-scales.svg").symlink_to(tmp_path / "theirs")
     drawing, document, *more = write_figures([section], tmp_path / "new", width_mm=127.0, height_mm=50.8)
+    assert (tmp_path / "theirs").read_text() == "kept", "none is written through a link"
     assert [path.name for path in (drawing, document, *more)] == [
         "01-scales.svg", "01-scales.pdf", "02-chain.svg", "02-chain.pdf"
     ]  # fmt: skip
@@ -47,7 +51,7 @@ def test_a_dollar_sign_of_a_stranger_begins_no_formula(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(HilError, match=r"--figures: .*cannot be written"):
+    with pytest.raises(HilError, match=r"--figures: .*file: cannot be made: File exists"):
         write_figures([], tmp_path / "file")
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(HilError, match="matplotlib is not installed"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import re
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -11,6 +12,10 @@ import numpy as np
 import pytest
 
 import hil
+from design.monte_carlo.confidence import Interval
+from hil.measure import Quantity
+from hil.notebook import as_svg
+from hil.sweeps.shown import paint_distributions, paint_points
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +98,21 @@ def test_a_cell_shows_numbers_with_units_and_the_plot(session: hil.Session, monk
     assert "<svg" in html and repr(session)[1:20] in html
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert "<svg" not in session._repr_html_() and "rad² s" in session._repr_html_()
+
+
+def test_a_dollar_sign_in_a_name_or_a_unit_begins_no_formula() -> None:
+    unit = "$^{$"
+    states = [["angle", "rad"], ["speed", "rad/s"]]
+    plant = {"kind": "state-space", "A": [[0.0, 1.0], [0.0, -3.5]], "B": [[0.0], [171.0]], "C": [[1.0, 0.0]],
+             "inputs": [["u", unit]], "outputs": [["y", unit]], "states": states}  # fmt: skip
+    assert unit in hil.run("dc-motor-hinf", plant=plant, duration=1)._repr_html_()
+    interval = Interval(1.0, 0.0, 2.0, 0.95, 3)
+    values, of = {"late": np.arange(3.0)}, Quantity(name="late", title="late", unit=unit)
+    for paint in (
+        paint_distributions({"$_{$": values, "b": values}, of),
+        paint_points(None, ["$_{$"], "$_$", {"$_{$": [interval], "b": [interval]}, of),
+    ):
+        assert {f"late ({unit})", "$_{$"} <= set(re.findall("<!-- (.*?) -->", as_svg(paint, 60.0)))
 
 
 def test_a_misspelt_field_or_part_is_answered_with_the_nearest_one(session: hil.Session) -> None:
