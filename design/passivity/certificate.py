@@ -48,6 +48,8 @@ ASSUMPTIONS = (
     "the device damps at least as much as its model says",
     "the force is held over a sample and the wall takes backward differences",
 )
+ROUNDING = 1e-9
+"""By what a radius of 1 may be missed: a hand without a spring rests at any depth behind an integrator."""
 
 
 def certify_wall(
@@ -92,19 +94,19 @@ def certify_wall(
     places = [(i, d) for i in range(len(wall.touched)) for d in delays]
     radii = [loop.radius(wall.touched[i], sc_at := min(d, sides[0][-1]), d - sc_at) for i, d in places]  # the sum alone matters
     where, radius = max(zip((f"{named(wall.touched[i])} at a delay of {d}" for i, d in places), radii), key=lambda item: item[1])
-    details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0}
+    details |= {"spectral_radius": radius, "spectral_radius_at": where, "stable": radius < 1.0 - ROUNDING}
     stays = [1.0 if wall.chain is None else wall.chain[i][i] for i in wall.met]  # probability, per slot; a hand may rest
     linear, moment = wall.switching == "plain" or wall.alike, 0.0  # else the energy rule moves the surface
     if wall.chain is not None:
         moment = loop.jump_system(wall.touched, np.array(wall.chain)[np.ix_(wall.met, wall.met)], sc, ca).radius()
-        details |= {"mean_square_radius": moment, "stable": moment < 1.0 if varies and linear else radius < 1.0}
+        details |= {"mean_square_radius": moment, "stable": (moment if varies and linear else radius) < 1.0 - ROUNDING}
         if varies and not linear:  # of the paths alone on which a material stays
             alone = [loop.jump_system((m,), [[1.0]], sc, ca).radius() for m in wall.touched]
             moment = max(stay * each for stay, each in zip(stays, alone))
-    if not varies and max(stays[i] * each**2 for each, (i, _) in zip(radii, places)) >= 1.0:
+    if not varies and max(stays[i] * each**2 for each, (i, _) in zip(radii, places)) > 1.0 + ROUNDING:
         reason = f"the contact with {where} samples is not stable for the hand that is there (spectral radius {radius:.5g})"
         return _verdict("refused", reason, beta, radius, "spectral radius in contact", 1.0, details)
-    if (varies or linear) and moment >= 1.0:
+    if (varies or linear) and moment > 1.0 + ROUNDING:
         reason = f"in contact the second moment grows (radius {moment:.5g}) under the delays and materials of this loop"
         return _verdict("refused", reason, beta, moment, "second-moment radius in contact", 1.0, details)
     needed = damping_needed(coupler, period_s, asked, varying=varies)

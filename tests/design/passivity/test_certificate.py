@@ -38,6 +38,14 @@ def test_theorem_61_is_refused_with_its_spectral_radius():
     assert verdict.number == pytest.approx(1.153, abs=5e-4) and verdict.limit == 1.0
 
 
+@pytest.mark.parametrize("gain", [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02])
+def test_an_integrator_lets_a_free_device_rest_anywhere_and_is_passive(gain):
+    """It adds d/T to the condition's real part, and a radius of 1 but for rounding, above or below."""
+    verdict = certify(coupler=Coupler(taps_m_per_n=DESIGNED.taps_m_per_n, integrator_m_per_n=gain))
+    assert verdict.certified and verdict.details["stable"] is False, verdict.reason
+    assert verdict.details["spectral_radius"] == pytest.approx(1.0, abs=1e-12)
+
+
 def test_a_wave_coupler_is_certified_for_its_delay_and_refused_one_sample_later():
     wave = wave_coupler(PERIOD_S, DAMPING, 6)
     assert certify(coupler=wave).certified
