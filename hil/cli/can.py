@@ -65,7 +65,8 @@ def analyse(
         found = _of_traffic(Path(target), bitrate, dbitrate, duration, bursts)
     else:
         if bitrate is not None or dbitrate is not None:
-            raise HilError("--bitrate: an experiment has its own; change it by --set network.media.NAME.bitrate=500000")
+            raise HilError(f"--bitrate: is for messages in a .csv or .dbc; change that of {target} by --set "
+                           "network.media.NAME.bitrate=500000")  # fmt: skip
         found = _of_experiment(target, sets, duration, bursts)
     show_page(bus_page(found), asdict(found), output)
 
@@ -122,8 +123,8 @@ def _of_traffic(
             raise HilError(f"--dbitrate: missing; {path} has CAN FD messages")
         found = analyse_traffic(path.name, traffic, rates, seconds, partial(rng_for, 0), errors)
         if others:
-            named = ", ".join(others[:3]) + ", ..." * (len(others) > 3)
-            found = replace(found, assumes=f"{found.assumes}, and {len(others)} without GenMsgCycleTime are not sent ({named})")
+            named = f"{len(others)}: {', '.join(others[:3])}" + ", ..." * (len(others) > 3)
+            found = replace(found, assumes=f"{found.assumes}, and nothing without GenMsgCycleTime is sent ({named})")
         return found
     except FieldError as error:
         raise HilError(f"{path if error.field == 'identifier' else '--' + error.field}: {error.message}") from error

@@ -172,9 +172,9 @@ def print_summary(summary: dict[str, Any]) -> None:
             row("", f"{needed}: those of low priority are not sent, or ever later", "red")
         for each in bus["messages"]:
             if each["node"] in bus["own_nodes"]:
-                row(f"  {each['name']}", f"{each['can_id']:#x}, waited {number(each['waited_ms'])} ms, at most "
-                    f"{number(each['waited_worst_ms'])}; response at most {number(each['response_worst_ms'])} ms, "
-                    f"bound {number(each['bound_ms'])}")  # fmt: skip
+                row(f"  {each['name']}", f"{each['can_id']:#x}, mean wait {number(each['waited_ms'])} ms, longest "
+                    f"{number(each['waited_worst_ms'])} ms; longest response {number(each['response_worst_ms'])} ms, bound "
+                    f"{number(each['bound_ms'])} ms")  # fmt: skip
     if summary["clock"] == "real":
         for name, value in timing_rows(summary["timing"]):
             row(name, value, "red" if value.startswith("NOT VALID") else None)

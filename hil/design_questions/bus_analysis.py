@@ -94,7 +94,7 @@ def analyse(
     found, assumes = [], "no bit is disturbed and no node is off the bus"
     if errors is not None:
         more = f"one more in every {errors.interval_ns / 1e9:g} s"
-        assumes = f"errors come {errors.burst} at once and {more} at most, and no node becomes error passive"
+        assumes = f"errors come at most {errors.burst} at once and {more}, and no node becomes error passive"
     unknown = disturbed and errors is None
     for bound in response_times(messages, rates, errors):
         own, bounded = bound.message, bound.response_ns is not None and not unknown

@@ -72,15 +72,18 @@ def bus_page(found: BusAnalysis) -> Page:
         subtitle="Worst-case response times after Davis, Burns, Bril and Lukkien 2007, for nodes that queue by priority, to the "
         f"end of EOF. They hold if {found.assumes}.",
         badges=[verdict],
-        facts=[("rate", rate), ("load", f"{100 * found.load:.2f} %"), ("simulated", f"{found.simulated_s:g} s")],
+        facts=[("rate", rate), ("load at most", f"{100 * found.load:.2f} %"), ("simulated", f"{found.simulated_s:g} s")],
     )
 
 
-def can_priority_page(name: str, seconds: float, judged: Sequence[Judged], free: Judged | None, best: Judged | None) -> Page:
+def can_priority_page(
+    name: str, unit: str, seconds: float, judged: Sequence[Judged], free: Judged | None, best: Judged | None
+) -> Page:  # fmt: skip
     """Return the page.
 
     Args:
         name: of the experiment.
+        unit: of the squared error.
         seconds: length of each run.
         judged: the places, from the most urgent on.
         free: the one to take that leaves the other messages their identifiers; None where no run came to its end.
@@ -94,7 +97,7 @@ def can_priority_page(name: str, seconds: float, judged: Sequence[Judged], free:
 
     cost = Figure(
         title="Squared error of a run", series=(curve("cost", [each.cost for each in judged]),), x_unit="",
-        x_label="messages that win over it", y_label="squared error", sync=None,
+        x_label="messages that win over it", y_label="squared error", y_unit=unit, sync=None,
     )  # fmt: skip
     bounds = Figure(
         title="Bounds of the response times", x_label="messages that win over it", x_unit="", y_label="bound", y_unit="ms",
@@ -110,7 +113,7 @@ def can_priority_page(name: str, seconds: float, judged: Sequence[Judged], free:
         ]
         for each in judged
     ]  # fmt: skip
-    columns = ["messages above", "sensor", "control", "others moved", "squared error", "certificate"]
+    columns = ["messages above", "sensor", "control", "others moved", with_unit("squared error", unit), "certificate"]
     table = Table(
         columns=[*columns, "sensor bound, ms", "control bound, ms", "in time"], rows=rows, wide=True,
         highlight=frozenset(i for i, each in enumerate(judged) if each in (free, best)),

@@ -141,6 +141,8 @@ def answer_can_id(subject: str, path: Path | None) -> None:
     from hil.design_questions.loop_on_bus import places_of, recommended
     from hil.experiment import load_experiment
     from hil.experiment.table import Seconds
+    from hil.measure.signals import signals_of
+    from hil.measure.tracking import squared_unit
     from hil.pages.designs import can_priority_page
 
     experiment = load_experiment(subject, ("allow_uncertified=true",))
@@ -154,7 +156,8 @@ def answer_can_id(subject: str, path: Path | None) -> None:
         "experiment": experiment.name, "duration_s": seconds, "places": [_plain(each) for each in judged],
         "recommended": None if free is None else _plain(free), "with_others_moved": None if best is None else _plain(best),
     }  # fmt: skip
-    show_page(can_priority_page(experiment.name, seconds, judged, free, best), document, path)
+    unit = squared_unit(signals_of(experiment.plant))
+    show_page(can_priority_page(experiment.name, unit, seconds, judged, free, best), document, path)
 
 
 def _judge_place(place: Place) -> Judged:

@@ -23,12 +23,12 @@ def text_of(value: object, digits: int = 4) -> str:
 
 
 def share_text(value: float) -> str:
-    """Return three decimals, so that a column of shares lines up; other magnitudes as any number.
+    """Return three decimals, so that a column of shares lines up; what has fewer than three digits then, as any number.
 
-    >>> share_text(0.25), share_text(1234.5)
-    ('0.250', '1234')
+    >>> share_text(0.25), share_text(1234.5), share_text(0.00518531)
+    ('0.250', '1234', '0.00519')
     """
-    return f"{value:.3f}".replace("-", "−") if 1e-3 <= abs(value) < 100.0 else text_of(value, 3)
+    return f"{value:.3f}".replace("-", "−") if 0.1 <= abs(value) < 100.0 else text_of(value, 3)
 
 
 def can_id_text(can_id: int, *, extended: bool = False) -> str:

@@ -131,6 +131,7 @@ def test_the_command_runs_every_place_and_writes_a_page(tmp_path: Path) -> None:
         found["recommended"] == second
         and found["with_others_moved"] in found["places"]
         and "Cost over priority" in page.read_text()
+        and "squared error (rad² s)" in page.read_text()
     )
 
 

@@ -159,11 +159,11 @@ def designs() -> dict[str, list[str]]:
         "bus": bus(0.5, first, message("second", 0x2F, 4.0, 1.25, 2), dbitrate=2_000_000), "full bus": bus(1.25, first, urgent),
         "disturbed bus": bus(0.5, first, urgent, disturbed=True),
         "trigger": trigger("dead-band", several, [OpenPoint(0.5, 0.2, CUT)]),
-        "places": can_priority_page("motor", 5.0, places, places[0], places[2]).html(),
+        "places": can_priority_page("motor", "rad² s", 5.0, places, places[0], places[2]).html(),
         "relative": trigger("relative", several[1:2]),
-        "no place": can_priority_page("motor", 5.0, places[2:], None, None).html(),
+        "no place": can_priority_page("motor", "rad² s", 5.0, places[2:], None, None).html(),
         "norms": norm_trade_off_page("motor", norms).html(),
-        "one place": can_priority_page("motor", 5.0, places, places[0], places[0]).html(),
+        "one place": can_priority_page("motor", "rad² s", 5.0, places, places[0], places[0]).html(),
         "stiffness": stiffness_page(cells, mass_kg=0.1, damping_n_s_per_m=1.5).html(), "laws": _laws(),
     }  # fmt: skip
     told = [_row(each.to_json().items()) for each in (*several, *front(several))]

@@ -246,6 +246,8 @@ def test_every_plot_can_be_saved_as_svg_png_and_csv(tmp_path: Path, browser: chr
     still = tmp_path / "still.html"
     still.write_text(page_of_stills(), encoding="utf-8")
     browser.open(still)
+    hollow = browser.evaluate("getComputedStyle(document.querySelector('.bar.hollow')).fill")
+    assert hollow in browser.evaluate("getComputedStyle(document.querySelector('.swatch.hollow')).boxShadow")
     for place, (boxes, csv, words) in enumerate(STILLS):
         name, svg, _ = browser.evaluate(SAVE % (place, "SVG"))
         drawn = ElementTree.fromstring(svg)

@@ -65,7 +65,7 @@ export function makeAct(place, abouts, wish, runs, controllersOf) {
   loss.setAttribute("aria-label", "Loss, share of packets");
   delay.setAttribute("aria-label", "Delay, share of the longest");
   const checkMatrix = row(button("Check the matrix", () => check(path(), { kind: "markov", matrix: entries() }), { id: "check-matrix" }));
-  const lossLabel = text("label", "loss 0 %"), delayLabel = text("label", "delay 0 samples");
+  const lossLabel = text("label", "loss"), delayLabel = text("label", "delay"); // numbers of a law that is set here
   const laws = () => about.network[direction.value], acting = {}; // of each direction, the law that a change put there
   const alike = (a, b) => JSON.stringify(a) === JSON.stringify(b);
   const matrix = (law) => !law || alike(law, laws().law) ? laws().chain : law.matrix || null;
