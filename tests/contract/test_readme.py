@@ -122,6 +122,20 @@ def test_the_plant_of_the_guide_that_is_not_linear_is_undecided_and_runs(tmp_pat
     assert session.status == 0 and session.summary["certificate"]["state"] == "undecided"
 
 
+def test_the_controller_of_the_guide_is_certified_by_its_table_and_undecided_without(tmp_path: Path) -> None:
+    (code,) = (block for block in blocks(TEXT["first-plugin"], "python") if "class Pd" in block)
+    begin, end = code.index("    def table("), code.index("    def start(")
+    (tmp_path / "pd.py").write_text(code)
+    (tmp_path / "bare.py").write_text(code[:begin] + code[end:])
+    (mine := tmp_path / "mine.toml").write_text(shipped()["dc-motor-hinf"].read_text())
+    with_table = face.run(mine, controller={"kind": "pd:Pd"}, duration=1)
+    assert with_table.summary["certificate"]["state"] == "certified"
+    with pytest.raises(face.HilError, match=r"undecided: .* states no gains or matrices"):
+        face.run(mine, controller={"kind": "bare:Pd"}, duration=1)
+    allowed = face.run(mine, controller={"kind": "bare:Pd"}, duration=1, allow_uncertified=True)
+    assert allowed.status == 0 and allowed.summary["certificate"]["state"] == "undecided"
+
+
 def test_the_experiment_of_the_guide_runs_and_is_certified(tmp_path: Path) -> None:
     (text,) = blocks(TEXT["experiments"], "toml")
     session = run_session(parse_experiment(text), path=tmp_path / "a.mcap")
