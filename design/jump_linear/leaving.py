@@ -44,6 +44,8 @@ ALL = 1e-9
 """Share by which every direction of the state counts in that sum: a sum that is positive then shows that the loop is stable."""
 SPARSE = 0.1
 """Share of entries that are not 0, up to which products with them alone are faster."""
+FARTHEST = 1e30
+"""A state that no signal sees may be as far away."""
 TOGETHER = 100
 """Slots whose forms are kept at a time."""
 ENDED = 1e-12
@@ -123,9 +125,8 @@ class Leaving:
             def inside(far: float, response: Array = response, tail: float = tail) -> bool:
                 return float(((far * response + pushed) ** degree).sum() + far**2 * tail) <= probability
 
-            low, high = 0.0, 1.0
-            while high < 1e12 and inside(high):
-                low, high = high, 4.0 * high
+            # beyond this one term alone is too much, in any unit of y
+            low, high = 0.0, min(probability ** (1.0 / degree) / max(float(response.max()), 1.0 / FARTHEST), FARTHEST)
             for _ in range(40):
                 middle = 0.5 * (low + high)
                 low, high = (middle, high) if inside(middle) else (low, middle)
@@ -178,10 +179,15 @@ def leaving(
                 break
             rest = backward(A, transition, rest)
     kept = tuple(d for d in DEGREES if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2)
-    found = [_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1)) for d in kept]
+    with np.errstate(over="ignore", invalid="ignore"):
+        every = [(d, *_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1))) for d in kept]
+    found = [each for each in every if np.isfinite(each[1]).all() and np.isfinite(each[2]).all()]  # a power may be too large
+    if not found:
+        raise NotStable("no region was found: its moments leave the range of floating point")
     ended = seen(rest) if still else 0.0 * seen(rest)
     return Leaving(
-        degrees=kept, free=tuple(free for free, _ in found), pushed=tuple(b + adds / limits for _, b in found),
+        degrees=tuple(d for d, *_ in found), free=tuple(free for _, free, _ in found),
+        pushed=tuple(b + adds / limits for *_, b in found),
         rest=ended, slots=None if still else slots, later=later,
     )  # fmt: skip
 

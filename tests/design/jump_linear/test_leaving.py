@@ -57,6 +57,15 @@ def test_responses_of_later_slots_add_and_the_end_of_the_sum_is_counted() -> Non
     assert first.probability(((0,), np.array([0.05])), degree=2) == pytest.approx(0.05**2 / (1.0 - 0.99**2), rel=1e-9)
 
 
+def test_a_region_has_the_same_place_in_any_unit() -> None:
+    """The moments of degree 10 of a signal in units of 1e-40 are beyond floating point: a smaller degree serves."""
+    one = scalar(0.5).radii(0.01)[1][0]
+    for unit in (1e-25, 1e-15, 1e15, 1e25):
+        assert scalar(0.5, limit=unit).radii(0.01)[1][0] == pytest.approx(one * unit, rel=1e-9)
+    small = scalar(0.5, limit=1e-40)
+    assert small.degrees == (2, 4, 6) and small.probability(((0,), np.array([2e-40]))) == 1.0
+
+
 def test_a_loop_at_the_edge_has_no_region() -> None:
     with pytest.raises((NotStable, np.linalg.LinAlgError)):
         scalar(1.0 + 1e-9)
