@@ -10,9 +10,10 @@ import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, chdir
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from hil.errors import HilError, located
 
@@ -87,8 +88,7 @@ WHOLE = 26
 """Characters of a cell that stay on one line: a number with its exponent, an interval, a name."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Result:
+class Result(Struct, frozen=True, kw_only=True):
     """What is shown of a result.
 
     Args:

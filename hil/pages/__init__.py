@@ -1,6 +1,6 @@
 """Pages and figures: runs, comparisons and sweeps as self-contained HTML and for paper; and the live page of a run.
 
-What a page can show is plain data: figures, bars, histograms, matrices, tables, text, badges, tiles. These dataclasses know
+What a page can show is plain data: figures, bars, histograms, matrices, tables, text, badges, tiles. These records know
 nothing of HTML, of a run or of an experiment. The author of a page, or of a measure that draws (see
 `hil.pages.sections.DrawsSection`), builds a list of `Section` of them; `hil.pages.html.page.Page` is the one place that draws:
 
@@ -19,13 +19,19 @@ Every string is shown literally: the renderer escapes, so user text (names, expe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
+from msgspec import Struct
 
-FloatArray: TypeAlias = npt.NDArray[np.floating[Any]] | npt.NDArray[np.integer[Any]] | Sequence[float]
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+    FloatArray: TypeAlias = npt.NDArray[np.floating[Any]] | npt.NDArray[np.integer[Any]] | Sequence[float]
+    Points: TypeAlias = npt.NDArray[np.float64] | Sequence[tuple[float, float]]
+else:  # what a reader of types finds: an array or a list, of which no type says more
+    FloatArray = Points = Any
+
 State: TypeAlias = Literal["neutral", "good", "warning", "bad"]
 LineStyle: TypeAlias = Literal["line", "dashed", "step", "dashed-step", "points", "circles"]
 
@@ -33,8 +39,7 @@ TIME = "time"
 """The default synchronisation group: all panels of one page in this group zoom together."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Series:
+class Series(Struct, frozen=True, kw_only=True):
     """One curve y(x).
 
     Args:
@@ -58,8 +63,7 @@ class Series:
     samples: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Band:
+class Band(Struct, frozen=True, kw_only=True):
     """The area between lower(x) and upper(x), shape (n,) each: a predicted spread, percentiles, a tolerance."""
 
     label: str
@@ -69,8 +73,7 @@ class Band:
     colour: int | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Marker:
+class Marker(Struct, frozen=True, kw_only=True):
     """A vertical line at x with a short label: an event on a time axis, a percentile in a histogram.
 
     Without a label it is one of many and drawn as a short tick on the panel's upper edge.
@@ -81,8 +84,7 @@ class Marker:
     state: State = "neutral"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
+class Figure(Struct, frozen=True, kw_only=True, tag=True):
     """An interactive panel: curves, bands and markers over one x axis.
 
     Panels with the same `sync` group share zoom and cursor (None: a panel of its own). `integer_y` ticks whole numbers only
@@ -113,8 +115,7 @@ class Figure:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BarGroup:
+class BarGroup(Struct, frozen=True, kw_only=True):
     """One value per category, e.g. "counted" beside "law". `whiskers` are ends of intervals; `hollow` outlines only."""
 
     label: str
@@ -124,8 +125,7 @@ class BarGroup:
     hollow: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bars:
+class Bars(Struct, frozen=True, kw_only=True, tag=True):
     """Grouped vertical bars over named categories."""
 
     title: str
@@ -137,8 +137,7 @@ class Bars:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Histogram:
+class Histogram(Struct, frozen=True, kw_only=True, tag=True):
     """Counts between edges: `edges` of shape (n + 1,) in the axis's unit, `counts` of shape (n,)."""
 
     title: str
@@ -154,8 +153,7 @@ class Histogram:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Matrix:
+class Matrix(Struct, frozen=True, kw_only=True):
     """Values shaded by size from `low` to `high`, e.g. frequencies; `expected` is shown small beneath each value."""
 
     title: str
@@ -170,8 +168,7 @@ class Matrix:
     note: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Badge:
+class Badge(Struct, frozen=True, kw_only=True):
     """A verdict: label, state (by colour *and* by sign), and a sentence that says why."""
 
     label: str
@@ -179,8 +176,7 @@ class Badge:
     detail: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Link:
+class Link(Struct, frozen=True, kw_only=True):
     """A cell that leads to another page: the words, and a file beside this page or in a folder below (no other address)."""
 
     label: str
@@ -191,8 +187,7 @@ class Link:
             raise ValueError(f"href: {self.href!r}, expected a file beside the page or below it")
 
 
-@dataclass(frozen=True, slots=True)
-class Lines:
+class Lines(Struct, frozen=True):
     """A cell of several lines, such as a list of assumptions."""
 
     lines: tuple[str, ...]
@@ -201,8 +196,7 @@ class Lines:
 Cell: TypeAlias = str | int | float | bool | Badge | Link | Lines | None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
+class Table(Struct, frozen=True, kw_only=True):
     """Rows of cells. Numbers are set right and to six significant digits; None is a dash.
 
     `highlight` is the index of rows to set apart (e.g. the best one). A `wide` one takes the page's width, whatever stands
@@ -220,8 +214,7 @@ class Table:
     searched: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Text:
+class Text(Struct, frozen=True, kw_only=True):
     """A paragraph, or with `code` a verbatim block (with `folded` behind a click, closed)."""
 
     text: str
@@ -230,8 +223,7 @@ class Text:
     folded: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tile:
+class Tile(Struct, frozen=True, kw_only=True):
     """One number that matters, set large: value with unit, a label above and a short note below."""
 
     label: str
@@ -241,8 +233,7 @@ class Tile:
     state: State = "neutral"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Shape:
+class Shape(Struct, frozen=True, kw_only=True):
     """An area or a way.
 
     Args:
@@ -253,15 +244,14 @@ class Shape:
         faint: thin and pale.
     """
 
-    points: npt.NDArray[np.float64] | Sequence[tuple[float, float]]
+    points: Points
     label: str = ""
     colour: int | None = None
     filled: bool = False
     faint: bool = False
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Scene:
+class Scene(Struct, frozen=True, kw_only=True):
     """Areas and ways in a plane with one scale for both axes: a path over a map, a projected solid.
 
     Args:
@@ -282,8 +272,7 @@ class Scene:
 Block: TypeAlias = Figure | Bars | Histogram | Matrix | Scene | Table | Text | Badge
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Section:
+class Section(Struct, frozen=True, kw_only=True):
     """A titled part of a page.
 
     Args:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import asdict, replace
 
 from hil.errors import HilError, located
 from hil.files import made_folder, written_whole
@@ -96,8 +97,8 @@ def _literal(value: Any) -> Any:
         return literal(value)
     if isinstance(value, tuple | list):
         return type(value)(map(_literal, value))
-    if is_dataclass(value) and not isinstance(value, type):
-        return replace(value, **{field.name: _literal(getattr(value, field.name)) for field in fields(value)})
+    if isinstance(value, Struct):
+        return replace(value, **{name: _literal(part) for name, part in asdict(value).items()})
     return value
 
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from hil.errors import HilError
 from hil.files import check_page, write_output
@@ -134,8 +135,7 @@ def _facts(view: RunView, summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(name, value) for name, value in found if value]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoggedRun:
+class LoggedRun(Struct, frozen=True, kw_only=True):
     """What the page says of one log.
 
     Attributes:

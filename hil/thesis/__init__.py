@@ -13,10 +13,11 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from msgspec import Struct
 
 from design.errors import check_solvers
 from hil.errors import HilError, unknown_name
@@ -35,8 +36,7 @@ SHOWN: Final = ("item", "printed", "computed", "rule", "verdict")
 """What a table shows of a row."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Plot:
+class Plot(Struct, frozen=True, kw_only=True):
     """One figure of a chapter: its number there, and the panels that show it."""
 
     title: str
@@ -44,8 +44,7 @@ class Plot:
     intro: str = ""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Part:
+class Part(Struct, frozen=True, kw_only=True):
     """What a stage found."""
 
     rows: tuple[Row, ...] = ()
@@ -60,8 +59,7 @@ class ReportProgress(Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class Stage:
+class Stage(Struct, frozen=True):
     """A piece of a chapter that stands alone.
 
     Args:
@@ -82,16 +80,14 @@ class Stage:
         return Part(rows=judge(self.statements, values), figures=tuple(values.get("figures", ())))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Chapter:
+class Chapter(Struct, frozen=True, kw_only=True):
     """A chapter before it is computed."""
 
     title: str
     stages: tuple[Stage, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Step:
+class Step(Struct, frozen=True, kw_only=True):
     """How far a reproduction is.
 
     Args:
@@ -128,8 +124,7 @@ class Checkpoint(Protocol):
 Progress = Callable[[Step], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, repr=False)
-class Reproduction:
+class Reproduction(Struct, frozen=True, kw_only=True):
     """Everything of one chapter."""
 
     title: str

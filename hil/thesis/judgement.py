@@ -25,11 +25,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import ClassVar, Literal, Protocol, get_args
+from typing import ClassVar, Literal, TypeAlias, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
+from msgspec.structs import replace
 
 Verdict = Literal["reproduced", "not reproduced", "claim false", "undecided"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -49,18 +50,7 @@ LEVEL = 0.99
 """Of the interval of a share of runs (Clopper and Pearson)."""
 
 
-class Rule(Protocol):
-    """What a computed value must fulfil."""
-
-    kind: ClassVar[Kind]
-
-    def says(self, value: Value) -> bool | None:
-        """Whether the value fulfils it, None where that is not known; NaN never does."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Approximately:
+class Approximately(Struct, frozen=True, tag=True):
     """|value - printed| <= tolerance; ``scale`` is the size of what is compared where ``printed`` is 0."""
 
     kind: ClassVar[Kind] = "equality"
@@ -84,8 +74,7 @@ class Approximately:
         return f"within {self.tolerance:.3g} of {self.printed:.6g}" + (f" ({self.why})" if self.why else "")
 
 
-@dataclass(frozen=True, slots=True)
-class Between:
+class Between(Struct, frozen=True, tag=True):
     """low < value < high."""
 
     kind: ClassVar[Kind] = "one-sided"
@@ -102,8 +91,7 @@ class Between:
         return f"> {self.low:g}" if math.isinf(self.high) else f"between {self.low:g} and {self.high:g}"
 
 
-@dataclass(frozen=True, slots=True)
-class Drawn:
+class Drawn(Struct, frozen=True, tag=True):
     """tail < share of our runs below the printed one < 1 - tail; ``passes``: sizes of our runs at which it would hold too."""
 
     kind: ClassVar[Kind] = "one run"
@@ -122,8 +110,7 @@ class Drawn:
         return f"between {self.tail:g} and {1.0 - self.tail:g} (error rate {2.0 * self.tail:.0%}{power})"
 
 
-@dataclass(frozen=True, slots=True)
-class Equals:
+class Equals(Struct, frozen=True, tag=True):
     """The value is this word."""
 
     kind: ClassVar[Kind] = "word"
@@ -137,8 +124,7 @@ class Equals:
         return f"is {self.word!r}"
 
 
-@dataclass(frozen=True, slots=True)
-class NotJudged:
+class NotJudged(Struct, frozen=True, tag=True):
     """The value cannot be judged."""
 
     kind: ClassVar[Kind] = "not judged"
@@ -152,8 +138,11 @@ class NotJudged:
         return f"cannot be judged: {self.why}"
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
+Rule: TypeAlias = Approximately | Between | Drawn | Equals | NotJudged
+"""What a computed value must fulfil: its `kind`, and what it `says` of a value, None where that is not known; NaN never does."""
+
+
+class Check(Struct, frozen=True):
     """One computed value and the rule that it is judged by.
 
     Args:
@@ -166,7 +155,7 @@ class Check:
     what: str
     value: Value
     rule: Rule
-    interval: tuple[float, float] | tuple[()] = ()
+    interval: tuple[float, ...] = ()
 
     @property
     def outcome(self) -> bool | None:
@@ -249,8 +238,7 @@ def share_interval(count: int, runs: int) -> tuple[float, float]:
     return float(low), float(high)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(Struct, frozen=True, kw_only=True):
     """One number or claim of a chapter, judged.
 
     Args:

@@ -8,7 +8,8 @@ its number lies from the limit is no part of it.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from hil.pages import Badge, Cell, Link, Section, State, Table, Text, Tile
 from hil.pages.html.page import Page

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from string import Formatter
 from typing import Any
+
+from msgspec import Struct
 
 from hil.thesis.judgement import Approximately, Between, Check, Equals, NotJudged, Row, Rule, rank
 
@@ -46,8 +47,7 @@ def number_of(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-@dataclass(frozen=True, slots=True)
-class Claim:
+class Claim(Struct, frozen=True):
     """A number and the rule that it is judged by.
 
     Args:
@@ -61,8 +61,7 @@ class Claim:
     judged: Callable[[str, Any, Values], Check]
 
 
-@dataclass(frozen=True, slots=True)
-class Statement:
+class Statement(Struct, frozen=True):
     """A row before its numbers are computed; see `hil.thesis.judgement.Row`."""
 
     item: str

@@ -10,7 +10,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
-from dataclasses import KW_ONLY, asdict, dataclass
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from html import escape
 from importlib.resources import files
@@ -19,6 +19,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import asdict
 
 from hil.measure.signals import with_unit
 from hil.pages import Badge, Band, Block, Cell, Figure, Lines, Link, Section, Series, Table, Text, Tile
@@ -130,7 +131,7 @@ def block_html(block: Block, payload: Payload) -> str:
     """Return the HTML of one block.
 
     Raises:
-        TypeError: for anything that is not one of the block dataclasses of `hil.pages`.
+        TypeError: for anything that is not one of the blocks of `hil.pages`.
     """
     if isinstance(block, Figure):
         return _figure(block, payload)
@@ -142,7 +143,7 @@ def block_html(block: Block, payload: Payload) -> str:
         return _text(block)
     if isinstance(block, Badge):
         return badge_html(block)
-    raise TypeError(f"block: expected one of the dataclasses of hil.pages, got {type(block).__name__}")
+    raise TypeError(f"block: expected one of the blocks of hil.pages, got {type(block).__name__}")
 
 
 def badge_html(badge: Badge) -> str:

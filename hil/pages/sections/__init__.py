@@ -13,7 +13,6 @@ from __future__ import annotations
 import types
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import fields, is_dataclass
 from functools import cache
 from importlib import import_module
 from numbers import Integral, Real
@@ -21,7 +20,8 @@ from pkgutil import iter_modules
 from typing import Any, Final, Literal, Protocol, TypeAlias, Union, get_args, get_origin, get_type_hints, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import Struct
+from msgspec.structs import asdict
 
 from hil.measure import run_measures
 from hil.measure.view import RunView
@@ -145,9 +145,11 @@ class _Copy:
             self._count(len(value), path)
             items = [self.of(item, options[0], f"{path}[{i}]") for i, item in enumerate(value)]
             return frozenset(items) if origin is frozenset else tuple(items)
-        if isinstance(hint, type) and is_dataclass(hint) and isinstance(value, hint):
-            hints = _hints(hint)
-            return hint(**{f.name: self.of(getattr(value, f.name), hints[f.name], f"{path}.{f.name}") for f in fields(hint)})
+        if hint is Any:  # numbers, see `hil.pages.FloatArray`
+            self._count(np.size(value) if isinstance(value, np.ndarray) else len(value), path)
+            return np.array(value, dtype=np.float64)
+        if isinstance(hint, type) and issubclass(hint, Struct) and isinstance(value, hint):
+            return hint(**{name: self.of(part, _hints(hint)[name], f"{path}.{name}") for name, part in asdict(value).items()})
         if hint is str and isinstance(value, str):
             self._count(len(value), path)
             return str.__str__(value)  # of a text with methods of its own, the text alone
@@ -162,13 +164,10 @@ class _Copy:
         return self._refuse(value, hint, path)
 
     def _one_of(self, value: Any, options: tuple[Any, ...], path: str) -> Any:
-        if any(get_origin(option) in (np.ndarray, NDArray) for option in options):  # two names since numpy 2.5
-            self._count(np.size(value) if isinstance(value, np.ndarray) else len(value), path)
-            return np.array(value, dtype=np.float64)
         if value is None and types.NoneType in options:
             return None
         for option in options:
-            if isinstance(option, type) and is_dataclass(option) and isinstance(value, option):
+            if isinstance(option, type) and issubclass(option, Struct) and isinstance(value, option):
                 return self.of(value, option, path)
         for option in options:
             try:

@@ -6,12 +6,12 @@ A curve is made from its records block by block: a page of a long run holds no m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from hil.log import topics
 from hil.log.append_column import pieces

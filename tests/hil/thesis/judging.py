@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from hil.thesis.judgement import OFF, Approximately, Check, Drawn, Equals, NotJudged, Row
 from hil.thesis.pages import turns

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from base64 import b64encode
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -80,7 +82,7 @@ def test_what_other_code_found_is_not_taken_over(tmp_path: Path, monkeypatch: py
         assert not kept.stages
 
 
-@pytest.mark.parametrize("end", [b"", b"{", b'{"chapter": "c", "stage": "two", "part": {"is": "Part", "ha'])
+@pytest.mark.parametrize("end", [b"", b"{", b64encode(b"\x93\xa1c\xa1s")])
 def test_a_torn_line_is_cut_off(tmp_path: Path, end: bytes) -> None:
     state = tmp_path / "state"
     with KeptStages(state) as kept:
@@ -95,24 +97,42 @@ def test_a_torn_line_is_cut_off(tmp_path: Path, end: bytes) -> None:
         assert not kept.stages
 
 
+PART = {"rows": [], "figures": [{"title": "p", "panels": [{"type": "Bars", "title": "b", "categories": [], "groups": []}]}]}
+
+
+def one_stage(part: object, **changed: object) -> bytes:
+    """A line as it is kept, of a part or of another one."""
+    return b64encode(msgspec.msgpack.encode(("c", "s", {**part, **changed} if isinstance(part, dict) else part)))
+
+
+def test_a_line_is_what_a_part_is_made_of(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    KeptStages(state).__exit__(None, None, None)
+    with state.open("ab") as file:
+        file.write(one_stage(PART) + b"\n")
+    with KeptStages(state) as kept:
+        part = kept.get("c", "s")
+        assert part is not None and part.figures == (Plot(title="p", panels=(Bars(title="b", categories=[], groups=()),)),)
+
+
 @pytest.mark.parametrize(
     "line",
-    ["notes\n", '{"format": "x"}\n', '{\n "mine": 1\n}\n', "\nnotes\n", "{\n", None, '{"is": "Path", "has": {}}', "3",
-     '{"array": "O"}', '{"is": "Part", "has": {"rows": 5}}',
-     '{"is": "Part", "has": {"figures": {"tuple": [{"is": "Plot", "has": {"title": 3, "panels": {"tuple": []}}}]}}}',
-     '{"is": "Part", "has": {"figures": {"tuple": [{"is": "Plot", "has": {"title": "", "panels": {"tuple": [3]}}}]}}}',
-     '{"is": "Row", "has": {}}', '{"array": "i", "values": [1e999]}', '{"array": "i", "values": [' + "9" * 40 + "]}"],
+    [b"notes\n", b'{"format": "x"}\n', b'{\n "mine": 1\n}\n', b"\nnotes\n", b"{\n", None, b"notes", b"{}", b"\xff", one_stage(3),
+     b64encode(b"\xdd\xff\xff\xff\xff"), b64encode(b"\x91" * 100_000), one_stage(PART, rows=5), one_stage(PART, rows=[{}]),
+     one_stage(PART, figures=[{"title": 3, "panels": []}]), one_stage(PART, figures=[{"title": "", "panels": [3]}]),
+     one_stage(PART, figures=[{"title": "", "panels": [{"type": "Path", "title": ""}]}]),
+     one_stage(PART, rows=[{"item": "", "printed": "", "computed": "", "checks": []}])],
 )  # fmt: skip
-def test_a_file_of_another_kind_is_refused_and_left(tmp_path: Path, line: str | None) -> None:
+def test_a_file_of_another_kind_is_refused_and_left(tmp_path: Path, line: bytes | None) -> None:
     state = tmp_path / "state"
     if line is None:
         state.mkdir()
-    elif line.endswith("\n"):
-        state.write_text(line)
+    elif line.endswith(b"\n"):
+        state.write_bytes(line)
     else:
         KeptStages(state).__exit__(None, None, None)
-        with state.open("a") as file:
-            file.write(f'{{"chapter": "c", "stage": "s", "part": {line}}}\n')
+        with state.open("ab") as file:
+            file.write(line + b"\n")
     before = None if line is None else state.read_bytes()
     with pytest.raises(HilError, match="state") as refused:
         KeptStages(state)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from hil.thesis.judgement import OFF, Between, Check, Row, rank, share_interval
 from hil.thesis.pages import power, power_in_words, turns

@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import fields
 
 from design.as_printed import chapter3_gain, chapter4_seen_gain
 from design.as_printed.chapters_2_to_4 import PrintedRequest

@@ -12,13 +12,13 @@ import shlex
 import zlib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import click
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import hil.thesis
 from hil.cli import cli

@@ -2,12 +2,13 @@
 
 import json
 import re
-from dataclasses import fields, is_dataclass, replace
 from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
 import pytest
+from msgspec import Struct
+from msgspec.structs import asdict, replace
 
 from hil.pages import BarGroup, Bars, Figure, Histogram, Matrix, Scene, Section, Series, Shape, Table, Tile
 from hil.pages.html.page import Page
@@ -40,8 +41,8 @@ def said(value: Any, text: str) -> Any:
     """Return what is shown with every text of it replaced."""
     if isinstance(value, str):
         return text
-    if is_dataclass(value) and not isinstance(value, type):
-        parts = {each.name: getattr(value, each.name) for each in fields(value) if each.name not in WORDS_OF_OURS}
+    if isinstance(value, Struct):
+        parts = {name: part for name, part in asdict(value).items() if name not in WORDS_OF_OURS}
         return replace(value, **{name: said(part, text) for name, part in parts.items()})
     return [said(part, text) for part in value] if isinstance(value, list | tuple) else value
 
