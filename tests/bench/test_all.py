@@ -153,12 +153,12 @@ TWO_PARTS = """
 import dataclasses, json, sys
 from tests.bench.catalogue import PARTS
 from tests.bench.run_parts import run_parts
-start, *_, designs = PARTS
-short = dataclasses.replace(designs, measures=designs.measures[:1])
+start, *_, logs, _ = PARTS
+short = dataclasses.replace(logs, measures=logs.measures[:1])
 found, _ = run_parts((start, short), lambda text: print(text, file=sys.stderr), quick=True)
 print(json.dumps(found))
 """
-"""What ``all --quick --only start --only designs`` does, with the first measure of the designs alone."""
+"""What ``all --quick --only start --only logs`` does, with the first measure of the logs alone."""
 
 
 def test_a_part_whose_process_dies_is_named_and_the_next_is_measured() -> None:
@@ -167,9 +167,9 @@ def test_a_part_whose_process_dies_is_named_and_the_next_is_measured() -> None:
         os.kill(_child_of(hil.pid), signal.SIGKILL)
         out, err = hil.communicate()
     start, *rest = _figures(out)
-    assert hil.returncode == 0 and "2 of 2: designs" in err
+    assert hil.returncode == 0 and "2 of 2: logs" in err
     assert start["part"] == "start" and start["goal_verdict"] == "not measured: its process ended with status -9"
-    assert rest[-1]["part"] == "designs" and rest[-1]["ours"] > 0.0
+    assert rest[-1]["part"] == "logs" and rest[-1]["ours"] > 0.0
 
 
 def test_an_interrupt_prints_what_was_found_and_leaves_no_process() -> None:

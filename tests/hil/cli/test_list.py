@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -39,6 +40,7 @@ BROKEN = {
     "worn_tank.py": "raise ValueError('worn out')\n",
     "odd_tank.py": """
 from dataclasses import dataclass
+from functools import cache
 @dataclass
 class Own:
     A: type
@@ -65,7 +67,7 @@ def test_a_package_that_cannot_be_loaded_is_named_and_the_rest_works(
     for name, text in BROKEN.items():
         (tmp_path / name).write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.setattr(registry, "_found", registry._found.__wrapped__)
+    monkeypatch.setattr(registry, "_found", cache(registry._found.__wrapped__))
     found = json.loads(cli("list", "--json")[1])["plugins"]["plants"]
     assert {name for name, package in found.items() if package == "worn"} == {"own", "odd", "another"}
     assert "vtol-fault, another (from worn)," in " ".join(cli("list")[1].split())
