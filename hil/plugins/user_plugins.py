@@ -7,18 +7,21 @@ own code.
 
 from __future__ import annotations
 
-import sys
+import os
+import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
-from hil.plugins import OUR_FOLDERS, text_of
+from hil.plugins import OUR_FOLDERS, is_ours, text_of
 from hil.plugins.registry import Group
 from plants.errors import PlantError
 
 if TYPE_CHECKING:
+    from traceback import FrameSummary
+
     from design.requests.tracking import DesignTask
 
 
@@ -125,19 +128,18 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
-    """Return what an exception says that came of a class of the user's own, None for any other exception.
+    """Return what an exception says that came of a class of the user's own, or of what it returned; None for any other.
 
     Args:
         error: as it was caught.
         objects: plug-ins, ours and others'.
     """
-    modules = (sys.modules.get(type(made).__module__) for made in objects)
-    files = {str(getattr(module, "__file__", None)) for module in modules}
-    theirs = {file for file in files if not file.startswith(OUR_FOLDERS)}
-    import traceback
-
-    frames = traceback.extract_tb(error.__traceback__)
-    return words(error) if any(frame.filename in theirs for frame in frames) else None
+    own = dict.fromkeys(type(made).__qualname__ for made in objects if not is_ours(made))
+    if own and _frames_elsewhere(error):
+        return words(error)
+    if own and isinstance(error, (ArithmeticError, LookupError, TypeError, ValueError, struct.error)):
+        return f"{', '.join(own)}: it returned something of another form than in its check: {words(error)}"
+    return None
 
 
 def words(error: BaseException) -> str:
@@ -146,11 +148,19 @@ def words(error: BaseException) -> str:
     Args:
         error: as it was caught.
     """
-    import traceback
-
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if not f.filename.startswith(OUR_FOLDERS)]
-    where = f" ({frames[-1].filename}, line {frames[-1].lineno})" if frames else ""
+    frames = _frames_elsewhere(error)
+    folders = [os.path.dirname(frame.filename) for frame in frames]
+    first = next(filter(None, folders), "")  # of the author; a library that is called may raise in another
+    at = next((frame for frame, folder in zip(reversed(frames), reversed(folders)) if folder == first), None)
+    where = f" ({at.filename}, line {at.lineno})" if at else ""
     return f"{type(error).__name__}: {text_of(error)}{where}"
+
+
+def _frames_elsewhere(error: BaseException) -> list[FrameSummary]:
+    """Return where an exception was raised, outermost first, without the frames of our packages."""
+    from traceback import extract_tb
+
+    return [frame for frame in extract_tb(error.__traceback__) if not frame.filename.startswith(OUR_FOLDERS)]
 
 
 PLANT = {

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from hil.errors import HilError
 from hil.log.run import Run
 from hil.log.topics import channels_of
 from hil.log.write import MemorySink, Sink
 from hil.rig.loop import Loop
 from hil.runtime.clock import Clock, Kernel, VirtualClock
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.failed_part import failure_of
 from hil.runtime.nodes.rig import Rig
 from hil.runtime.slot import OnFrame, Slot
 from transport.draws import REASONS
@@ -82,6 +84,9 @@ def run_virtual(
         failed: asked of whatever the run raises: whether the run ends in order with it.
         clock: paces the run; by default it does not wait.
         changes: of the experiment while it runs; None for none.
+
+    Raises:
+        HilError: a part of the user's own, or a plant, has failed.
     """
     e = loop.experiment
     kernel = Kernel(clock or VirtualClock())
@@ -91,11 +96,18 @@ def run_virtual(
     slot = Slot(rig, DirectExchange(node), sink.commit, lambda: kernel.stopped)
     run = slot.run if changes is None else _changing(slot, rig, node, sink, changes, e.period_ns, kernel.stop)
     try:
-        kernel.run(e.period_ns, e.slots, run)
-        rig.compare(node.departed)
+        try:
+            kernel.run(e.period_ns, e.slots, run)
+        except Exception as error:
+            if not failed(error):
+                raise
+        rig.compare(node.departed)  # of a run that a part of it ended, too
     except BaseException as error:
         if not failed(error):
-            raise
+            failure = failure_of(loop, error)
+            if failure is None:
+                raise
+            raise HilError(": ".join(failure)) from error
     return rig
 
 

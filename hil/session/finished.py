@@ -253,8 +253,8 @@ def kinds_of(run: Run) -> set[str]:
 
 
 def messages_of(run: Run, kinds: Collection[str]) -> dict[str, Any]:
-    """Return the messages of the events of some kinds, by kind."""
-    return {event["kind"].replace(" ", "_"): event["message"] for event in run.events if event["kind"] in kinds}
+    """Return the first message of the events of each of some kinds."""
+    return {each["kind"].replace(" ", "_"): each["message"] for each in reversed(run.events) if each["kind"] in kinds}
 
 
 def link_counters(run: Run) -> dict[str, int] | None:

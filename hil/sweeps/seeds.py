@@ -27,6 +27,7 @@ from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins import is_ours
+from hil.plugins.user_plugins import words
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps import Sweep, SweepStore
@@ -50,31 +51,31 @@ def copied(loop: Loop) -> Loop:
     return copy
 
 
-def refuse_other_numbers(loop: Loop, alone_numbers: Mapping[str, float], sweep_numbers: Mapping[str, float]) -> None:
-    """Refuse a sweep whose first run has other numbers than it has alone.
+def refuse_other_numbers(loop: Loop, alone: Sequence[Mapping[str, float]], swept: Sequence[Mapping[str, float]]) -> None:
+    """Refuse a sweep whose first or last run has other numbers than it has alone.
 
-    It is for a loop with a part that is not ours: its first run is made alone. Tests hold that a loop of our own parts has the
+    It is for a loop with a part that is not ours: these two are made alone. Tests hold that a loop of our own parts has the
     same numbers, bit for bit. A user's plant may inherit `start_batch` from one of ours and move otherwise, or
-    be another one once it was pickled for a worker.
+    be another one once it was pickled for a worker; a user's `of_batch` may give every run the numbers of the first.
 
     Args:
         loop: what is swept.
-        alone_numbers: numbers of a run of one seed.
-        sweep_numbers: those of the same seed in the sweep.
+        alone: numbers of runs that were made alone.
+        swept: numbers of runs of the sweep, which may lack these seeds.
 
     Raises:
         HilError: with the number that differs most plainly: the first one.
     """
-    if alone_numbers["seed"] != sweep_numbers["seed"]:
-        return  # a sweep that goes on where another one ended
-    for name, value in alone_numbers.items():
-        other = sweep_numbers[name]
-        if not (value == other or (isnan(value) and isnan(other))):
-            why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
-            raise HilError(
-                f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
-                f"{alone_numbers['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; correct {why}"
-            )
+    numbers = {row["seed"]: row for row in swept}
+    for row in alone:
+        for name, value in row.items():
+            other = numbers.get(row["seed"], row)[name]
+            if not (value == other or (isnan(value) and isnan(other))):
+                why = "start_batch(), ages_of_batch() or of_batch()" if swept_at_once(loop) else "what is left of it when pickled"
+                raise HilError(
+                    f"{', '.join(foreign_parts(loop))}: a sweep has other numbers than its runs: {name} of seed "
+                    f"{row['seed']:.0f} is {other:.6g} in the sweep and {value:.6g} in a run of its own; correct {why}"
+                )
 
 
 WORTH_WORKERS = 3_000_000
@@ -116,6 +117,11 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
             if isinstance(measure, BatchMeasure):
                 found |= _of_many(measure, view)
     columns = columns_of(loop.experiment)[1:]
+    runs = (int(np.count_nonzero(together.known)),)
+    for name in columns if found else ():
+        if (given := found.get(name)) is None or given.shape != runs:
+            told = "is missing" if given is None else f"has shape {given.shape}"
+            raise HilError(f"of_batch(view): {name} {told}; expected shape {runs}, a number of every run")
     lists = [found[name].tolist() for name in columns] if found else [[]] * len(columns)
     known = iter(zip(*lists))
     return [
@@ -125,14 +131,21 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
 
 def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
-    found = dict(measure.of_batch(view))
+    found = _of_all(measure, view)
     names = view.signals.tracked
     for c, name in enumerate(names if len(names) > 1 else ()):
         alone = msgspec.structs.replace(
             view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name)
         )
-        found |= {f"{key}.{name}": value for key, value in measure.of_batch(alone).items()}
+        found |= {f"{key}.{name}": value for key, value in _of_all(measure, alone).items()}
     return found
+
+
+def _of_all(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
+    try:
+        return {name: np.asarray(each, dtype=np.float64) for name, each in measure.of_batch(view).items()}
+    except Exception as error:  # whatever an author's measure raises
+        raise HilError(f"{type(measure).__name__}: of_batch(view): {words(error)}") from error
 
 
 def run_one_by_one(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
@@ -220,9 +233,14 @@ def run_sweep(
     wanted: Sequence[int] = seeds
     loop = compose(experiment)
     refuse_unsound_measures(loop, rehearsal)
-    alone = run_one_by_one(replace(loop, watched=None), [seeds[0]])[0] if foreign_parts(loop) else None
-    if alone is not None:
-        refuse_other_numbers(loop, alone, run_seeds(copied(replace(loop, watched=None)), seeds[:2])[0])
+    ends = list(dict.fromkeys((seeds[0], seeds[-1])))
+    alone = run_one_by_one(replace(loop, watched=None), ends) if foreign_parts(loop) else []
+    if alone:
+        try:
+            swept = run_seeds(copied(replace(loop, watched=None)), ends)
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever a class of the user's own gives it
+            raise HilError(f"{', '.join(foreign_parts(loop))}: as a sweep runs it: {words(error)}") from error
+        refuse_other_numbers(loop, alone, swept)
     together = swept_at_once(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.slots <= WORTH_WORKERS:
         workers = Workers(backend="serial")
@@ -250,9 +268,8 @@ def run_sweep(
         wanted = seeds
     rows = [done[seed] for seed in wanted if seed in done]
     values = {name: np.array([row[name] for row in rows]) for name in ("seed", *columns_of(experiment))}
-    if alone is not None and rows:
-        refuse_other_numbers(loop, alone, rows[0])
-    unseen = interrupted or not rows or (together and alone is None)
+    refuse_other_numbers(loop, alone, rows)
+    unseen = interrupted or not rows or (together and not alone)
     said = "" if unseen else withdrawal(simulate(loop, int(rows[0]["seed"]), (EVENTS_TOPIC,))) or ""
     cautions = "; ".join(filter(None, (said, caution(loop))))
     return Sweep(

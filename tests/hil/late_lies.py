@@ -54,6 +54,8 @@ LATE = {
     "a hidden state that grows after slot 300": _grown,
     "an output that turns after slot 300": lambda *a: None,
     "noise, and an output that turns after slot 300": LIES["noise"],
+    "an output that is no number after slot 300": lambda *a: None,
+    "noise, and an output that is infinite after slot 300": LIES["noise"],
 }
 LIES |= LATE
 LIES["a load, and late noise"] = lambda run, v, a, b, f: f.__iadd__([0.0, 0.2] if run.k < 2500 else 0.1 * run.drawn[:2])
@@ -63,6 +65,8 @@ LIES |= {"very late": VERY_LATE, "noise, and very late": _noisy(VERY_LATE)}
 LIES["noise, and a stronger input after slot 2500"] = _noisy(lambda run, v, a, b, f: b.__imul__(1.3 if run.k > 2500 else 1.0))
 for _name in ("an output that turns after slot 300", "noise, and an output that turns after slot 300"):
     OUTPUTS[_name] = lambda run, y: y if run.k < 300 else -5.0 * y
+OUTPUTS["an output that is no number after slot 300"] = lambda run, y: y if run.k < 300 else float("nan")
+OUTPUTS["noise, and an output that is infinite after slot 300"] = lambda run, y: y if run.k < 300 else float("inf")
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ LIES: dict[str, Lie] = {
     "a pole": lambda x, u, mode: [1.02 * v for v in x],
     "a pole of the first mode": lambda x, u, mode: [1.02 * v for v in x] if mode == 1 else x,
     "the input": lambda x, u, mode: [x[0] - 0.05 * u[0], *x[1:]],
+    "a state that is no number": lambda x, u, mode: [float("nan"), *x[1:]],
     "what both states are": lambda x, u, mode: [1.02 * v for v in x] if x[0] * x[1] > 0 else [0.98 * v for v in x],
 }
 

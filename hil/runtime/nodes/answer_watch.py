@@ -11,6 +11,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from math import inf
 from typing import Any, Final
 
 from design.controllers import Known, LoopModel, MultiSampleController, Rows
@@ -137,11 +138,12 @@ class AnswerWatch:
                 if at_zero is not None:
                     running, stated = at_zero[0][i][j], at_zero[1][i][j]
                     a, b, lost = a - running, b - stated, max(lost, ROUNDING * (abs(running) + abs(stated)))
+                if not abs(b) < inf:  # of a sample that is not finite: the table has no answer
+                    continue
                 largest = max(largest, abs(b))
                 apart = abs(a - b)
                 worst = apart if not apart <= worst else worst  # what is no number is the worst
-        if largest < float("inf"):
-            self._largest = largest
+        self._largest = largest
         if not worst <= EQUAL * largest + lost:
             self._departed = k, f"{worst:.2g} where the table says {largest:.2g} at most"
 

@@ -139,13 +139,13 @@ class JumpWatch:
         """Return the slot in which the plant left its modes, and by how much, once the run has ended; None if it did not."""
         self._blocks.finish()
         if not self._kept or not self._suspected():
-            return None
+            return self._blocks.broken
         own, left = np.concatenate(self._kept), None
         many = len(own) > ANOTHER and not self._step.bands.any()  # what is uncertain is bounded for one slot only
         for stride in (STRIDE, 1) if many else (1,):
             left = self._beside(own, stride)
             if left is None:
-                return None
+                return self._blocks.broken
         return left
 
     def _beside(self, own: Array, stride: int) -> tuple[int, str] | None:

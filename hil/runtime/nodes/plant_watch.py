@@ -39,6 +39,7 @@ class Blocks:
 
     Attributes:
         pack, seen, filled: `pack` writes the signals of a slot into the bytes `seen`, at the offset `filled`.
+        broken: the first slot with a signal that is not finite, unless they grew until then; and in words that it is.
     """
 
     def __init__(self, width: int, history: int, compare: Callable[[int, Array], Iterator[None]]) -> None:
@@ -48,6 +49,7 @@ class Blocks:
         self._past, self._history, self._next = np.zeros((0, width)), history, 0
         self._compare = compare
         self._work: Iterator[None] | None = None
+        self.broken: tuple[int, str] | None = None
 
     def taken(self) -> None:
         """Go on to the next slot; the signals of this one are packed."""
@@ -69,6 +71,10 @@ class Blocks:
         now = np.frombuffer(self.seen)[: self.filled // 8].reshape(-1, self._past.shape[1])
         z, begin = np.concatenate([self._past, now]), self._next - len(self._past)
         self._next, self.filled = self._next + len(now), 0
+        if self.broken is None and not np.isfinite(now).all():
+            k = int(np.isfinite(z).all(axis=1).argmin())
+            if (np.abs(z[max(k - 1, 0) : k]) < LARGEST).all():  # no motion overflows in one slot
+                self.broken = begin + k, "a value that is not finite"
         self._past = z[-self._history :] if self._history else z[:0]
         self._work = self._compare(begin, z)
         self._go_on()
@@ -134,9 +140,9 @@ class PlantWatch:
         """Return the slot in which the plant left its model, and by how much, once the run has ended; None if it did not."""
         self._blocks.finish()
         if not self._kept:
-            return None
+            return self._blocks.broken
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._judged(*(np.concatenate(parts) for parts in zip(*self._kept)))
+            return self._judged(*(np.concatenate(parts) for parts in zip(*self._kept))) or self._blocks.broken
 
     def _judged(self, left: Array, scale: Array) -> tuple[int, str] | None:
         again = min(len(left), RUN_AGAIN)

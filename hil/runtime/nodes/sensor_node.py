@@ -46,7 +46,7 @@ class SensorNode:
             turn: whether its medium lets the node send in this slot.
         """
         own = self._own(y)
-        self._buffer = (own + self._buffer)[: len(own) * self._samples] if k else own * self._samples
+        self._buffer = (*own, *self._buffer)[: len(own) * self._samples] if k else (*own,) * self._samples
         due = self._due is None or self._due(k)
         return self._buffer if due and turn and (self._sends is None or self._sends(own)) else None
 

@@ -22,9 +22,10 @@ from hil.rig.session_link import SessionLink
 from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.failed_part import failure_of
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
-from hil.runtime.real.ending import failure_of, useless, useless_frames
+from hil.runtime.real.ending import useless, useless_frames
 from hil.runtime.real.exchange import warm_up_controller
 from transport.links import Link, OneOfARole, TransportError
 from transport.links.opening import open_link

@@ -1,4 +1,4 @@
-"""How the processes of a session end: by signals, in order, with an exit status that their parent reads, and with what failed."""
+"""How the processes of a session end: by signals, in order, with an exit status that their parent reads."""
 
 from __future__ import annotations
 
@@ -7,11 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import Any, Final
 
-from hil.log import PLANT_FAILED, PLUG_IN_FAILED
 from hil.plugins import WATCH
-from hil.plugins.user_plugins import user_failure
-from hil.rig.loop import Loop
-from plants.errors import PlantError
 from transport.links import LinkCounters
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
@@ -111,18 +107,3 @@ def useless_frames(uri: str, counters: LinkCounters, others: int, what: str = NO
     )
     total = useless(counters, others)
     return f"{total} frames came on {uri}: {'; '.join(f'{number} {why}' for number, why in came if number)}" if total else ""
-
-
-def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, str] | None:
-    """Return the kind of the event that an exception is, and what it says; None for one that no part of the loop raised.
-
-    Args:
-        loop: what ran.
-        error: as it was caught.
-        others: what ran beside it and may be a user's own, such as the link.
-    """
-    if isinstance(error, PlantError):
-        return PLANT_FAILED, str(error)
-    parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
-    text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
-    return None if text is None else (PLUG_IN_FAILED, text.encode("utf-8", "backslashreplace").decode())

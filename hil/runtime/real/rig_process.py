@@ -24,10 +24,11 @@ from hil.runtime.changes import ChangeReceiver, log_change, log_late, take
 from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
+from hil.runtime.nodes.failed_part import failure_of
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
-from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, failure_of, useless_frames
+from hil.runtime.real.ending import ENDED, FAILED, NO_CONTROLLER, STOPPED, useless_frames
 from hil.runtime.real.exchange import Handshake, LinkExchange, LocalLink, WarmUpRig
 from hil.runtime.slot import Slot
 from plants.errors import PlantError

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from hil.sweeps.seeds import foreign_parts
 from plants.dc_motor import DCMotor
 from tests.hil.compose.lying_plugins import Plant, Rowed, Table
 from tests.hil.late_lies import LateTable
+from transport import MarkovAge
 
 
 class PlainMotor(DCMotor):
@@ -74,6 +77,59 @@ class OtherCopy(Table):
                 return tuple(tuple(gain * u for u in row) for row in running.rows(*asked))
 
         return Run()
+
+
+MEASURED = """
+import numpy as np
+from hil.measure import Quantity
+
+class Energy:
+    title, note, topics = "Energy", "", ("/actuator/applied",)
+
+    def quantities(self, signals):
+        return (Quantity(name="energy", title="input energy", unit="V² s", per_output=False),)
+
+    def of(self, view):
+        return {{"energy": float(np.sum(view.applied()[:, 0] ** 2))}}
+
+    def of_batch(self, view):
+        e = np.array([np.sum(run**2) for run in view.inputs[0]])
+        return {given}
+"""
+AT_ONCE = {
+    "the first of all": (
+        "{'energy': np.full(len(e), e[0])}", r"Energy: a sweep has other numbers than its runs: energy of seed 3 is ",
+    ),
+    "one number": ("{'energy': e[0]}", r"of_batch\(view\): energy has shape \(\); expected shape \(2,\)"),
+    "a column": ("{'energy': e[:, None]}", r"of_batch\(view\): energy has shape \(2, 1\); expected shape \(2,\)"),
+    "another name": ("{'energie': e}", r"of_batch\(view\): energy is missing; expected shape \(2,\)"),
+    "no number": ("{'energy': np.linalg.inv(e)}", r"Energy: of_batch\(view\): LinAlgError: .*measured\.py, line 16\)"),
+}
+
+
+@pytest.mark.parametrize("what", AT_ONCE)
+def test_numbers_of_all_runs_at_once_are_those_of_the_first_and_the_last(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, said = AT_ONCE[what]
+    monkeypatch.chdir(tmp_path)
+    changes: dict[str, Any] = {"report.measures": ["tracking", "measured:Energy"]}
+    Path("measured.py").write_text(MEASURED.format(given=given))
+    with pytest.raises(HilError, match=said):
+        hil.sweep("dc-motor-h2", runs=4, jobs=1, duration=3, **changes)
+
+
+class OneStream(MarkovAge):
+    """Ours, but all runs at once have the delays of the first."""
+
+    def ages_of_batch(self, rngs: Iterable[np.random.Generator], runs: int, slots: int) -> Any:
+        return np.repeat(super().ages_of_batch(rngs, runs, slots)[:, :1], runs, axis=1)
+
+
+def test_delays_of_all_runs_at_once_that_are_those_of_the_first_are_refused() -> None:
+    law = OneStream(matrix=((0.5, 0.5), (0.5, 0.5)))
+    with pytest.raises(HilError, match=r"OneStream: a sweep has other numbers than its runs: .* of seed 3 "):
+        hil.sweep("dc-motor-h2", runs=4, jobs=1, duration=3, **{"network.sc.law": law})
 
 
 def test_a_part_that_is_another_one_when_pickled_is_refused() -> None:

@@ -1,0 +1,75 @@
+"""A part of the user's own that returns what has no form, long after its check, is one problem of a run, elsewhere one error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hil
+from design.controllers import LoopModel
+from plants import DCMotor
+from tests.hil.compose.lying_plugins import Table
+from transport import MarkovAge
+
+
+class Odd:
+    """A running part that returns something else from the thousandth time on."""
+
+    def __init__(self, run: Any, method: str, given: object) -> None:
+        self.run, self.method, self.given, self.asked = run, method, given, 0
+
+    def __getattr__(self, name: str) -> Any:
+        return self.ask if name == self.method else getattr(self.run, name)
+
+    def ask(self, *asked: Any) -> Any:
+        self.asked += 1
+        return getattr(self.run, self.method)(*asked) if self.asked < 1000 else self.given
+
+
+class OddMotor(DCMotor):
+    def start(self, rng: np.random.Generator) -> Any:
+        return Odd(DCMotor.start(self, rng), "measure", GIVEN["plant"])
+
+    def start_batch(self, runs: int) -> None:
+        return None
+
+
+@dataclass(frozen=True)
+class OddTable(Table):
+    def start(self, model: LoopModel) -> Any:
+        return Odd(Table.start(self, model), "rows", GIVEN["controller"])
+
+
+class OddLaw(MarkovAge):
+    def start(self, rng: np.random.Generator) -> Any:
+        return Odd(MarkovAge.start(self, rng), "draw", GIVEN["network.sc.law"])
+
+
+GIVEN: dict[str, object] = {"plant": (0.0, 0.0), "controller": None, "network.sc.law": 1}
+PARTS: dict[str, Any] = {
+    "plant": OddMotor(gain=172.38, pole=3.5287), "controller": OddTable(), "network.sc.law": OddLaw(matrix=((0.5, 0.5),) * 2),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("path", PARTS)
+def test_an_answer_without_its_form_is_one_problem_and_a_whole_log(path: str) -> None:
+    changes = {path: PARTS[path], "duration": 60, "allow_uncertified": True}
+    said = f"{type(PARTS[path]).__name__}: it returned something of another form than in its check: TypeError: "
+    session = hil.run("dc-motor-h2", **changes)
+    assert session.status == 1 and session.summary["problems"]["plug_in_failed"].startswith(said)
+    assert 990 < len(session.arrays["/plant/state"]) < 1010
+    with pytest.raises(hil.HilError, match=f"plug in failed: {said[:60]}"):
+        hil.sweep("dc-motor-h2", runs=2, jobs=1, **changes)
+
+
+def test_a_list_of_outputs_is_sent_as_a_tuple_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent = []
+    for given in ((0.5,), [0.5], np.array([0.5])):
+        monkeypatch.setitem(GIVEN, "plant", given)
+        found = hil.run("dc-motor-h2", plant=PARTS["plant"], duration=60, allow_uncertified=True)
+        sent.append(found.arrays["/controller/rows"])
+    np.testing.assert_array_equal(sent[0], sent[1])
+    np.testing.assert_array_equal(sent[0], sent[2])
