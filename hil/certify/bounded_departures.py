@@ -182,7 +182,8 @@ def ends_within(loop: CertificationProblem, verdict: Verdict, modes: Modes) -> V
     within = ClosedLoop(own, chances, applied[:, :, kept], standing[kept, :n])
     named = ", ".join(pushed.names)
     by_plant = pushed_by(loop, np.zeros(m)) if pushed.clips else None  # what a clamped integral adds is within the limit too
-    lost = None if by_plant is None else escapes(loop, found, limits=pushed.within, pushes=by_plant.states, named=named)
+    inside = replace(found, reason=f"while no command passes its limit {verdict.reason}")
+    lost = None if by_plant is None else escapes(loop, inside, limits=pushed.within, pushes=by_plant.states, named=named)
     if lost is not None:
         return lost
     region = judge_region(loop, found, within, limits=pushed.within, pushes=E, adds=adds, clips=pushed.clips, named=named)

@@ -164,6 +164,7 @@ def unstable(start: float, saturation: float = 1.0, gain: float = -4.0, **change
 def test_a_start_from_which_no_command_brings_the_plant_back_is_refused(start: float) -> None:
     verdict = verdict_of(unstable(start))
     assert verdict.state == "refused" and verdict.number == pytest.approx(1.02) and "no controller" in verdict.reason
+    assert "; while no command passes its limit the loop is mean-square stable" in verdict.reason
     for gain in (-2.0, -3.0, -4.5):
         ends = simulate(unstable(start, gain=gain), 0, ["/plant/state"]).arrays["/plant/state"]["x1"]
         assert abs(ends[-1]) > 1.2 and ends[-1] * start > 0.0
