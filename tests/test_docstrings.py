@@ -51,7 +51,8 @@ def wrong(node: Documented, text: str) -> str:
     return f"has no {gone}" if gone and not (isinstance(node, ast.ClassDef) and node.bases) else ""  # a base may have it
 
 
-PERSONS = re.compile(r"\b(?:nobody|somebody|someone|anybody|everybody|strangers?|told|heard|talkers?|honest|who looks)\b", re.I)
+WORDS = "nobody somebody someone anybody everybody strangers? told heard hears? speaks? talkers? honest"
+PERSONS = re.compile(rf"\b(?:{WORDS.replace(' ', '|')}|who looks)\b", re.I)
 """Words for who is meant; the glossary has the names: rig, controller, node, program, user."""
 
 

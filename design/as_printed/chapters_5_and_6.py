@@ -181,7 +181,7 @@ def least_real_part(device: HeldDevice, delay: int, *, twice: bool = False) -> f
 def printed_distortion(materials: Sequence[Material], transition: npt.ArrayLike, coupler: Coupler, *, cutoff_hz: float) -> MJLS:
     """Return (6.14) as printed, for a strictly proper weight: nothing drives the weight's state, so that z stays 0.
 
-    The last rows of the printed A and B lack B_w. (6.15) to (6.17) speak of this system, whose norm is 0 (ERRATA 26).
+    The last rows of the printed A and B lack B_w. (6.15) to (6.17) are about this system, whose norm is 0 (ERRATA 26).
 
     Args:
         materials: one per mode.

@@ -29,7 +29,7 @@ Seen = tuple[tuple[int, int, int], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Hearing:
+class Arrivals:
     """Whose packet comes when, as a Markov chain of phases.
 
     Args:
@@ -45,7 +45,7 @@ class Hearing:
     loss: float = 0.0
 
 
-def hearing_of(nodes: SensorNodes) -> Hearing | None:
+def arrivals_of(nodes: SensorNodes) -> Arrivals | None:
     """Return whose packet comes when; None where this is no chain of its own: triggers, clocks that draw, delays that change.
 
     Slot 0 is any slot of a cycle, each as likely as another.
@@ -62,7 +62,7 @@ def hearing_of(nodes: SensorNodes) -> Hearing | None:
 
     if turns is None:
         every = tuple(entry for node in range(len(nodes.names)) for entry in brought(node, 0))
-        return Hearing(transition=np.ones((1, 1)), start=np.ones(1), seen=(every,))
+        return Arrivals(transition=np.ones((1, 1)), start=np.ones(1), seen=(every,))
     if len(set(delays)) > 1 or (turns.loss and any(len(slot) > 1 for slot in turns.cycle)):
         return None
     if turns.cycle:
@@ -70,8 +70,8 @@ def hearing_of(nodes: SensorNodes) -> Hearing | None:
         seen = tuple(
             tuple(e for node, age in turns.cycle[(i - delays[0]) % phases] for e in brought(node, age)) for i in range(phases)
         )
-        return Hearing(transition=cycle(phases), start=np.full(phases, 1.0 / phases), seen=seen, loss=turns.loss)
-    return Hearing(
+        return Arrivals(transition=cycle(phases), start=np.full(phases, 1.0 / phases), seen=seen, loss=turns.loss)
+    return Arrivals(
         transition=np.array(turns.transition), start=np.array(turns.initial),
         seen=tuple(brought(node, 0) for node in range(len(nodes.names))), loss=turns.loss,
     )  # fmt: skip
@@ -99,7 +99,7 @@ def mean_full_state_bound(plant: DelayedPlant, moment: Array) -> float:
     return float(np.trace(_regulator(plant, plant.memory)[0][:n, :n] @ moment))
 
 
-def causal_bound(plant: DelayedPlant, hearing: Hearing, moment: Array) -> float:
+def causal_bound(plant: DelayedPlant, arrivals: Arrivals, moment: Array) -> float:
     r"""Return what no causal controller can go below in the mean; it knows what the packets brought, and where x(0) comes from.
 
     The best causal controller is the linear quadratic regulator on the conditional mean of the stacked state: which packet comes,
@@ -115,24 +115,24 @@ def causal_bound(plant: DelayedPlant, hearing: Hearing, moment: Array) -> float:
 
     Args:
         plant: the plant (5.1) and its weights.
-        hearing: whose packet comes when.
+        arrivals: whose packet comes when.
         moment: E x(0) x(0)', (n, n); the history is zero.
     """
     n = len(plant.A)
-    memory = max(plant.memory, max((age + count - 1 for seen in hearing.seen for _, age, count in seen), default=0))
+    memory = max(plant.memory, max((age + count - 1 for seen in arrivals.seen for _, age, count in seen), default=0))
     S, price = _regulator(plant, memory)
     A = plant.matrices(memory)[0]
     values, vectors = np.linalg.eigh(moment)
     root = np.zeros((len(A), n))
     root[:n] = vectors * np.sqrt(np.maximum(values, 0.0))
     full, extra = float(np.trace(S[:n, :n] @ moment)), 0.0
-    rows = [np.array([j * n + i for i, age, count in seen for j in range(age, age + count)], int) for seen in hearing.seen]
-    live = [(float(share), i, root) for i, share in enumerate(hearing.start) if share > 0.0]
+    rows = [np.array([j * n + i for i, age, count in seen for j in range(age, age + count)], int) for seen in arrivals.seen]
+    live = [(float(share), i, root) for i, share in enumerate(arrivals.start) if share > 0.0]
     slots = 0
     while live and slots < 10_000:
         later: list[tuple[float, int, Array]] = []
         for share, phase, F in live:
-            outcomes = [(1.0 - hearing.loss, _without(F, rows[phase])), *([(hearing.loss, F)] if hearing.loss else [])]
+            outcomes = [(1.0 - arrivals.loss, _without(F, rows[phase])), *([(arrivals.loss, F)] if arrivals.loss else [])]
             for chance, known in outcomes:
                 added = share * chance * float(np.vdot(known, price @ known))
                 extra += added
@@ -140,7 +140,7 @@ def causal_bound(plant: DelayedPlant, hearing: Hearing, moment: Array) -> float:
                     continue
                 moved = A @ known
                 later += [
-                    (share * chance * p, j, moved) for j, p in enumerate(hearing.transition[phase]) if share * chance * p > RARE
+                    (share * chance * p, j, moved) for j, p in enumerate(arrivals.transition[phase]) if share * chance * p > RARE
                 ]
         live = sorted(later, key=lambda branch: -branch[0])[:BRANCHES]
         slots += 1

@@ -157,7 +157,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         HilError: another controller or plant, or orders that cannot be tried.
     """
     from design.historical_data import close
-    from design.historical_data.cost_bounds import causal_bound, cost_moments, hearing_of, mean_full_state_bound
+    from design.historical_data.cost_bounds import arrivals_of, causal_bound, cost_moments, mean_full_state_bound
     from design.historical_data.gapped_history import phase_gains
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
@@ -178,9 +178,9 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     closed = close(plant, each.gains, each.transition, renewed=each.renewed)
     found["mean_cost"] = start.mean(closed.stable_cost_to_go())
     found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
-    hearing = hearing_of(nodes)
-    if hearing is not None:
-        found["bound_causal"] = causal_bound(plant, hearing, start.moment)
+    arrivals = arrivals_of(nodes)
+    if arrivals is not None:
+        found["bound_causal"] = causal_bound(plant, arrivals, start.moment)
         found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
     if spread:
         if each.renewed is not None:

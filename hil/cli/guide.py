@@ -40,7 +40,7 @@ def _meant(topic: str, found: dict[str, Path]) -> str:
     """The page of this name, or the one in whose name it stands, in capitals or not.
 
     Raises:
-        HilError: none, or several; it names them, else the page whose name is near, else those that speak of it.
+        HilError: none, or several; it names them, else the page whose name is near, else those that name it.
     """
     lower = topic.lower()
     inside = [lower] if lower in found else [name for name in found if lower and lower in name]
@@ -49,8 +49,8 @@ def _meant(topic: str, found: dict[str, Path]) -> str:
     near = f"; it stands in the names {', '.join(inside)};" if inside else nearest(topic, found)
     if not near:
         word = re.compile(rf"\b{re.escape(topic[:60])}\b", re.IGNORECASE)
-        speak = {name: len(word.findall(path.read_text(encoding="utf-8"))) for name, path in found.items()}
-        most = sorted((name for name in speak if speak[name]), key=lambda name: -speak[name])[:3]
+        counts = {name: len(word.findall(path.read_text(encoding="utf-8"))) for name, path in found.items()}
+        most = sorted((name for name in counts if counts[name]), key=lambda name: -counts[name])[:3]
         near = f"; it stands in: {', '.join(most)};" if most else nearest(topic, found, cutoff=0.4)
     raise HilError(f"no topic {topic!r} in the guide{near or ';'} `hil guide` lists them")
 

@@ -20,7 +20,7 @@ from design.historical_data.block_diagonal import (
     largest_eigenvalue,
     tangent_scheme,
 )
-from design.historical_data.cost_bounds import causal_bound, hearing_of
+from design.historical_data.cost_bounds import arrivals_of, causal_bound
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, largest_input, match_peak, orders_by_cost, synthesise
 from design.historical_data.sensor_schedule import Mask, mask_of, round_robin
@@ -199,12 +199,12 @@ def _least_radius(plant: DelayedPlant, state: int) -> float:
 def history_numbers(plant: DelayedPlant) -> dict[str, Any]:
     """Return what historical data are worth once the gains are optimal."""
     start, nodes = average_start(4, 4), round_robin(4, buffer=3)
-    full, hearing = mask_of(nodes), hearing_of(nodes)
+    full, arrivals = mask_of(nodes), arrivals_of(nodes)
     newest = full & (np.arange(6) == 0)[None, :, None]
     return {
         "mean": [cost(close(plant, synthesise(plant, mask, start)), start) for mask in (full, newest)],
         "printed": [cost(close(plant, gains), start) for gains in (historical_gains(), newest_gains())],
-        "bound": np.nan if hearing is None else causal_bound(plant, hearing, start.moment),
+        "bound": np.nan if arrivals is None else causal_bound(plant, arrivals, start.moment),
     }
 
 

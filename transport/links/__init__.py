@@ -39,7 +39,7 @@ class LinkCounters(Struct):
         malformed: frames that belong to this link but are no packet: remote frames, fragments out of order.
         errors: error frames and faults of the medium (interface down, buffer full).
         refused: packets that are not authentic (forged, replayed, without a code), and peers of another name than the one
-            whom the link lets speak; in a rig's process over zenoh also what the access-control list denies, and failed logins.
+            that the link admits; in a rig's process over zenoh also what the access-control list denies, and failed logins.
         foreign: frames of other identifiers that this end passed over.
         turned_away: how often a newcomer found no free file descriptor here, or too many others, and had to wait (can:hil).
         unopened: connections to a rig's process over TCP that are no session of zenoh: they say nothing, or nonsense.

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 OPTIONS: Final = ("keys", "ca", "cert", "key", "rig", "controller", "users")
-"""Options of a zenoh URI that say who may speak."""
+"""Options of a zenoh URI that say who may send."""
 
 _PASSED: Final = {"ca": "{keys}/ca.pem", "cert": "{keys}/{name}.pem", "key": "{keys}/{name}.key"}
 
@@ -123,7 +123,7 @@ def _deny_all_but(subject: dict[str, Any], role: Role, name: str) -> dict[str, A
 
 
 def access(uri: str, role: Role, protocol: str, options: dict[str, str]) -> Access:
-    """Take the options that say who may speak out of a URI's.
+    """Take the options that say who may send out of a URI's.
 
     ``keys=DIR`` stands for ``ca=DIR/ca.pem&cert=DIR/NAME.pem&key=DIR/NAME.key``, as `hil keys new` makes them; NAME is this
     end's, rig or controller unless ``rig=`` or ``controller=`` choose another. ``{role}`` in a path is rig or controller, so that

@@ -12,7 +12,7 @@ from msgspec import structs
 
 from design.controllers.sensor_nodes import SensorNodes, Turns
 from design.historical_data import DelayedPlant
-from design.historical_data.cost_bounds import Hearing, causal_bound, full_state_bound, hearing_of, mean_full_state_bound
+from design.historical_data.cost_bounds import Arrivals, arrivals_of, causal_bound, full_state_bound, mean_full_state_bound
 from design.historical_data.sensor_schedule import round_robin
 
 Array = npt.NDArray[np.float64]
@@ -55,48 +55,48 @@ def certainty_equivalent_cost(plant: DelayedPlant, seen: list[list[int]], memory
     return total
 
 
-def paths(hearing: Hearing, count: int, slots: int, memory: int) -> list[list[list[int]]]:
+def paths(arrivals: Arrivals, count: int, slots: int, memory: int) -> list[list[list[int]]]:
     rng, found = np.random.default_rng(3), []
     for _ in range(count):
-        phase, own = int(rng.choice(len(hearing.start), p=hearing.start)), []
+        phase, own = int(rng.choice(len(arrivals.start), p=arrivals.start)), []
         for _ in range(slots):
-            rows = [j * 2 + i for i, age, samples in hearing.seen[phase] for j in range(age, min(age + samples, memory + 1))]
-            own.append([] if rng.random() < hearing.loss else rows)
-            phase = int(rng.choice(len(hearing.start), p=hearing.transition[phase]))
+            rows = [j * 2 + i for i, age, samples in arrivals.seen[phase] for j in range(age, min(age + samples, memory + 1))]
+            own.append([] if rng.random() < arrivals.loss else rows)
+            phase = int(rng.choice(len(arrivals.start), p=arrivals.transition[phase]))
         found.append(own)
     return found
 
 
 def test_the_bound_over_random_lossy_turns_is_what_the_best_causal_controller_costs() -> None:
     """100 paths, a band of 99.9 %: one right bound in a thousand is refused; losses of 0.5 for 0.25 lie beyond twice the band."""
-    hearing = hearing_of(NODES)
-    assert hearing is not None
-    costs = np.array([certainty_equivalent_cost(PLANT, path, 1) for path in paths(hearing, 100, 30, 1)])
+    arrivals = arrivals_of(NODES)
+    assert arrivals is not None
+    costs = np.array([certainty_equivalent_cost(PLANT, path, 1) for path in paths(arrivals, 100, 30, 1)])
     band = 3.29 * costs.std(ddof=1) / np.sqrt(len(costs))
-    found = causal_bound(PLANT, hearing, np.eye(2))
+    found = causal_bound(PLANT, arrivals, np.eye(2))
     assert abs(costs.mean() - found) < band
-    other = causal_bound(PLANT, replace(hearing, loss=0.5), np.eye(2))
+    other = causal_bound(PLANT, replace(arrivals, loss=0.5), np.eye(2))
     assert abs(costs.mean() - other) > 2 * band
 
 
 def test_a_chain_that_never_doubts_is_the_cycle_and_every_loss_raises_the_bound() -> None:
     turning = Turns(transition=((0.0, 1.0), (1.0, 0.0)), initial=(0.5, 0.5))
-    chain = hearing_of(structs.replace(NODES, buffers=(1, 1), turns=turning))
+    chain = arrivals_of(structs.replace(NODES, buffers=(1, 1), turns=turning))
     assert chain is not None
-    cycle, full_state = hearing_of(round_robin(2, buffer=1)), mean_full_state_bound(PLANT, np.eye(2))
+    cycle, full_state = arrivals_of(round_robin(2, buffer=1)), mean_full_state_bound(PLANT, np.eye(2))
     assert cycle is not None
     found = causal_bound(PLANT, cycle, np.eye(2))
     assert causal_bound(PLANT, chain, np.eye(2)) == pytest.approx(found, rel=1e-9)
     values = [causal_bound(PLANT, replace(chain, loss=loss), np.eye(2)) for loss in (0.0, 0.1, 0.3)]
     assert full_state < values[0] < values[1] < values[2]
-    everything = hearing_of(structs.replace(NODES, turns=None))
+    everything = arrivals_of(structs.replace(NODES, turns=None))
     assert everything is not None and causal_bound(PLANT, everything, np.eye(2)) == pytest.approx(full_state, rel=1e-12)
 
 
 def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
     values = []
     for delay in (0, 1, 2):
-        own = hearing_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))))
+        own = arrivals_of(structs.replace(NODES, delays=(delay, delay), turns=Turns(order=(0, 1))))
         assert own is not None
         values.append(causal_bound(PLANT, own, np.eye(2)))
     assert values[0] < values[1] < values[2]
@@ -108,8 +108,8 @@ def test_a_late_packet_raises_the_bound_of_a_cycle() -> None:
     ids=str,
 )
 def test_a_schedule_that_is_no_chain_of_its_own_has_no_causal_bound(change: dict[str, object]) -> None:
-    assert hearing_of(NODES) is not None
-    assert hearing_of(structs.replace(NODES, **change)) is None  # type: ignore[arg-type]
+    assert arrivals_of(NODES) is not None
+    assert arrivals_of(structs.replace(NODES, **change)) is None  # type: ignore[arg-type]
 
 
 def test_the_full_state_bound_is_reached_by_the_regulator_from_a_known_past() -> None:

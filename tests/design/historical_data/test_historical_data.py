@@ -17,7 +17,7 @@ from design.historical_data.block_diagonal import (
     largest_eigenvalue,
     tangent_scheme,
 )
-from design.historical_data.cost_bounds import causal_bound, hearing_of, mean_full_state_bound
+from design.historical_data.cost_bounds import arrivals_of, causal_bound, mean_full_state_bound
 from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, cost_from, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, match_peak, orders_by_cost, synthesise
 from design.historical_data.sensor_schedule import mask_of, round_robin
@@ -84,9 +84,9 @@ def test_our_gains_cost_a_third_and_come_close_to_what_any_controller_can_reach(
     gains = synthesise(PLANT, mask, AVERAGE)
     assert not gains[:, :, 0][~mask].any()
     value = cost(close(PLANT, gains), AVERAGE)
-    hearing = hearing_of(round_robin(4, buffer=3))
-    assert hearing is not None
-    full_state, causal = mean_full_state_bound(PLANT, AVERAGE.moment), causal_bound(PLANT, hearing, AVERAGE.moment)
+    arrivals = arrivals_of(round_robin(4, buffer=3))
+    assert arrivals is not None
+    full_state, causal = mean_full_state_bound(PLANT, AVERAGE.moment), causal_bound(PLANT, arrivals, AVERAGE.moment)
     assert value <= 1.8130
     assert full_state < causal < value <= 1.031 * causal
     assert (full_state, causal) == pytest.approx((1.6471, 1.7588), abs=1e-4)
