@@ -102,7 +102,14 @@ def readable(writable: Sequence[str], needed: Sequence[str]) -> list[str]:
 
 def boot(order_text: str) -> int:
     """Boot, wait for the end, return the command's status; the first process of its namespaces runs this."""
-    order = json.loads(order_text)
+    try:
+        return _boot(json.loads(order_text))
+    except (OSError, subprocess.CalledProcessError) as why:
+        say(f"the kernel cannot be started: {why}")
+        return RUNNER_FAILED
+
+
+def _boot(order: Mapping[str, Any]) -> int:
     work = Path(order["work"])
     if order["work"] == COVERED:
         # No other process sees it and it ends with us, however we end; /dev/shm may be small or noexec.
@@ -126,7 +133,7 @@ def boot(order_text: str) -> int:
     return _status(work)
 
 
-def _run_kernel(work: Path, stdin: bool, order: dict[str, Any]) -> bool:
+def _run_kernel(work: Path, stdin: bool, order: Mapping[str, Any]) -> bool:
     """Boot the kernel on `work` and carry its terminals' bytes until it has powered off; False if our reader left."""
     out_r, out_w = os.pipe()
     err_r, err_w = os.pipe()

@@ -141,6 +141,13 @@ def test_a_closed_or_empty_stdin_is_none() -> None:
     os.close(write)
 
 
+def test_what_the_machine_lacks_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = order(tmp_path)
+    (tmp_path / "command").mkdir()
+    assert uml.boot(text) == RUNNER_FAILED
+    assert capsys.readouterr().err.startswith("hil vcan: the kernel cannot be started: [Errno 21] Is a directory: ")
+
+
 def test_without_namespaces_a_kernel_works_in_a_folder_that_goes_with_us(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*namespaces: str, allow_user: bool) -> list[str]:
         raise uml.RunnerError("no")
