@@ -181,7 +181,7 @@ def _cell(side: str, value: Cell) -> str:
 
 
 PAPER_STYLE: Any = {
-    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "legend.frameon": False, "xtick.labelsize": 7,
+    "font.size": 8, "axes.labelsize": 8, "legend.fontsize": 7, "legend.edgecolor": "none", "xtick.labelsize": 7,
     "ytick.labelsize": 7, "lines.linewidth": 1.0, "axes.linewidth": 0.6,
     "svg.hashsalt": "hilrig", "svg.fonttype": "none", "pdf.fonttype": 42,
 }  # fmt: skip

@@ -49,7 +49,7 @@ def report(file: str, output: Path | None, figures: Path | None, folder: Path | 
     if drawn and Path(file).is_dir():
         click.echo(f"written: {len(drawn)} page{'s' * (len(drawn) != 1)} of runs beside it")
     if figures is not None:
-        click.echo(f"written: {len(drawn)} figures in {visible(figures)}")
+        click.echo(f"written: {len(drawn) // 2} figures, as SVG and PDF, in {visible(figures)}")
     if show:
         click.launch(str(page))
 

@@ -136,7 +136,7 @@ def _verdict(target: TrackingTarget, design: Design, sc: Measured, ca: Measured,
 
 
 def _enough(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, packets: int) -> int | None:
-    """Return how many packets certify the region, to 10 %; None where not even a million times as many do."""
+    """Return how many packets certify the region, to 10 %, in two digits; None where not even a million times as many do."""
 
     def holds(factor: float) -> bool:
         return _verdict(target, design, sc, ca, factor).state == "certified"
@@ -149,7 +149,7 @@ def _enough(target: TrackingTarget, design: Design, sc: Measured, ca: Measured, 
     while high > 1.1 * low:
         middle = (low * high) ** 0.5
         low, high = (low, middle) if holds(middle) else (middle, high)
-    return int(np.ceil(packets * high))
+    return int(float(f"{packets * high:.2g}"))
 
 
 def _chain_of(region: AgeRegion, at: Receiver) -> DelayChain:

@@ -119,6 +119,7 @@ def _curves(plot: Figure, axis: Any) -> None:
                 drawstyle="steps-post" if series.style.endswith("step") else "default",
                 linewidth=2.5 if series.halo else 1.0, marker="o" if series.marked else "", markersize=3, **style,
             )  # fmt: skip
+    axis.locator_params(axis="y", integer=plot.integer_y)
     _scale("x", axis, plot.x_log, plot.x_asinh)
     _scale("y", axis, plot.y_log, plot.y_asinh)
     if plot.x_ticks:

@@ -72,6 +72,8 @@ def command(subject: str, path: Path | None, force: bool, **options: Any) -> Non
     for param in context.command.params:
         name = str(param.name)
         if name in every.keys() - means and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+            if name == "path":
+                raise HilError(f"-o: not with {question.name}; --json > FILE.json keeps the answer")
             owner = next((each.name for each in QUESTIONS if name in names_of(each.options)), "")
             raise HilError(f"{param.opts[-1]}: " + (f"not with {question.name}" if question.name else f"belongs to {owner}"))
     if path is not None:

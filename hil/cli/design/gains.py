@@ -235,7 +235,7 @@ def show_local(document: dict[str, Any]) -> None:
     alone, verdict = document["without_network"], document["verdict"]
     click.echo(f"{document['plant']}, {document['local']} by python-control, period {document['period_s']:g} s")
     print_facts((
-        ("H2 norm", f"{alone['h2']:.6g}", "of z = [C x; rho u], without a network"),
+        ("H2 norm", f"{alone['h2']:.6g}", "of z = [C x; R u], without a network"),
         ("H-infinity norm", f"{alone['hinf']:.6g}", "without a network"),
         ("second-moment radius", f"{alone['radius']:.6f}", "without a network"),
         ("over the network", verdict["state"], verdict["reason"]),

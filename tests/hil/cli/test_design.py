@@ -71,7 +71,7 @@ def test_experiment_gives_plant_period_and_network():
         (("dc-motor", "--uncertainty", "gain=-5%"), "--uncertainty gain=-5%: expected"),
         (("dc-motor", "--uncertainty", "initial_angle_rad=5%"), "initial_angle_rad: is 0"),
         (("dc-motor", "--local", "lqg", "--samples", "2"), "--samples: not with --local"),
-        (("dc-motor", "--local", "lqg", "-o", "x.json"), "--output: not with --local"),
+        (("dc-motor", "--local", "lqg", "-o", "x.json"), "plant alone; --json > FILE.json keeps"),
         (("dc-motor", "--local", "lqg", "--noise", "0"), "--noise: 0.0, expected"),
         (("dc-motor", "--noise", "1"), "--noise: belongs to --local"),
         (("dc-motor", "--local", "lqg", "--network", "no.mcap"), "--network: not with --local"),

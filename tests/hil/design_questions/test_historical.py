@@ -104,7 +104,7 @@ def test_a_run_says_what_no_controller_goes_below_even_where_its_own_cost_is_und
     ("args", "says"),
     [
         (["multisensor-ours", "--gain-bound", "3"], "--gain-bound: not with gains over historical data"),
-        (["multisensor-ours", "-o", "x.json"], "--output: not with gains over historical data"),
+        (["multisensor-ours", "-o", "x.json"], "-o: not with gains over historical data"),
         (["dc-motor", "--orders"], "--orders: belongs to gains over historical data"),
         (["dc-motor", "--spread"], "--spread: belongs to gains over historical data"),
         (["dc-motor-two-nodes"], "hil design judges gains over historical data"),

@@ -23,7 +23,8 @@ def test_every_plot_of_a_report_is_written(tmp_path: Path, capsys: pytest.Captur
     hil.run("dc-motor-hinf", duration=4, log=tmp_path / "run.mcap")
     assert run_main("report", str(tmp_path / "run.mcap"), "--figures", str(tmp_path / "figures")) == 0
     names = sorted(path.name for path in (tmp_path / "figures").iterdir())
-    assert len(names) > 8 and names[0].startswith("01-angle") and f"written: {len(names)} figures" in capsys.readouterr().out
+    assert len(names) > 8 and names[0].startswith("01-angle")
+    assert f"written: {len(names) // 2} figures, as SVG and PDF" in capsys.readouterr().out
     assert b"angle (rad)" in (tmp_path / "figures" / names[1]).read_bytes()
 
 
@@ -47,6 +48,16 @@ def test_a_dollar_sign_of_a_stranger_begins_no_formula(tmp_path: Path) -> None:
     plot = Figure(title="t", y_label="$^{$ \udcff", series=(curve, replace(curve, label="y")))
     drawing, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path)
     assert all(text in drawing.read_text() for text in ("$^{$ \\udcff", "$x$"))
+
+
+def test_what_is_counted_has_whole_ticks_and_a_legend_hides_what_is_behind_it(tmp_path: Path) -> None:
+    ages = Series(label="a", x=10 * np.arange(2.0), y=np.arange(2.0))
+    plot = Figure(title="t", y_label="age", series=(ages, replace(ages, label="b")), integer_y=True)
+    drawing, _ = write_figures([Section(title="s", blocks=(plot,))], tmp_path)
+    words = {text.text or "" for text in ElementTree.parse(drawing).iter() if text.tag.endswith("text")}
+    assert {"0", "1"} <= words and not any("." in word for word in words)
+    (legend,) = (part for part in ElementTree.parse(drawing).iter() if (part.get("id") or "").startswith("legend"))
+    assert "opacity: 0.8" in ElementTree.tostring(legend[0], encoding="unicode")
 
 
 def test_what_cannot_be_written_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
