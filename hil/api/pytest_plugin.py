@@ -16,7 +16,7 @@ import re
 import shlex
 import socket
 from collections.abc import Callable, Iterator, Sequence
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -118,8 +118,8 @@ class Runner:
     def __init__(self, folder: Path, clock: ClockName, link: str | None, worker: int | None, timing: bool = False) -> None:
         self._folder, self._clock, self._link, self._worker = folder, clock, link, worker
         self._timing = timing  # fail where the timing of a run in real time is not valid
-        self.sessions: list[Session] = []
-        self.changes: list[str] = []  # of each session, what its test changed in its experiment
+        self.sessions: list[tuple[Session, str]] = []  # each with what its test changed in its experiment
+        self._numbers = count()
 
     def run(
         self,
@@ -161,14 +161,12 @@ class Runner:
             raise HilError("external needs clock='real': virtual time runs in one process, without a link")
         checked = load_experiment(experiment, set, seed=seed, duration=duration, **changes)
         self._folder.mkdir(parents=True, exist_ok=True)
-        number = len(self.sessions)
-        while (path := self._folder / f"{checked.name}-{number}.mcap").exists():
-            number += 1  # of an earlier run of this test: it is kept
+        while (path := self._folder / f"{checked.name}-{next(self._numbers)}.mcap").exists():
+            pass  # of an earlier run of this test: it is kept
         if clock == "real" and link is None:
             link = self._shared(self._link or checked.links.uri)
-        session = run_session(checked, clock=clock, link=link or self._link, path=path, external=external)
-        self.sessions.append(session)
-        self.changes.append(_changes(set, duration=duration, **changes))
+        session = run_session(checked, clock=clock, link=link or self._link, path=path, external=external, replace=False)
+        self.sessions.append((session, _changes(set, duration=duration, **changes)))
         if session.status == 130:
             raise KeyboardInterrupt  # the session closed its log first; now pytest shall end too
         timing = session.summary["timing"]
@@ -213,7 +211,7 @@ def hil(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Runner]:
     )
     request.node.stash[RUNNER] = rig
     yield rig
-    request.node.user_properties += [each for s in rig.sessions for each in properties(s)]
+    request.node.user_properties += [each for session, _ in rig.sessions for each in properties(session)]
 
 
 def properties(session: Session) -> list[tuple[str, object]]:
@@ -262,7 +260,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[Any]) -> 
         steps = call.excinfo.traceback
         at = next((user for user, ours in pairwise(steps) if str(ours.path).startswith(OUR_FOLDERS)), steps[-1])
         report.longrepr = f"{call.excinfo.value}\n\n{at.path}:{at.lineno + 1}: {call.excinfo.typename}"
-    for session, changes in zip(rig.sessions, rig.changes, strict=True):
+    for session, changes in rig.sessions:
         report.sections.append(("hil log", explained(session, changes)))
 
 

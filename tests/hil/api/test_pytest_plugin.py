@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,6 +15,7 @@ from hil import session
 from hil.api.pytest_plugin import Runner, folder_of, has_vcan
 from hil.errors import HilError
 from hil.experiment import shipped
+from hil.log.read import read_run
 from tests.warm_hil import hil_command
 
 pytest_plugins = ["pytester"]
@@ -257,6 +259,14 @@ def test_logs_of_tests_with_one_name_lie_apart_and_no_run_overwrites_another(pyt
 
 
 @pytest.mark.realtime
+def test_runs_of_one_test_at_once_have_a_log_each(tmp_path: Path) -> None:
+    rig = Runner(tmp_path, "virtual", None, None)
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda seed: rig.run("dc-motor-hinf", seed=seed, duration=0.2), range(4)))
+    logs = [each.summary["log"]["path"] for each in found]
+    assert len({*logs}) == 4 and [read_run(log).metadata["seed"] for log in logs] == ["0", "1", "2", "3"]
+
+
 def test_workers_of_xdist_have_a_channel_each(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
