@@ -119,13 +119,14 @@ def _curves(plot: Figure, axis: Any) -> None:
                 drawstyle="steps-post" if series.style.endswith("step") else "default",
                 linewidth=2.5 if series.halo else 1.0, marker="o" if series.marked else "", markersize=3, **style,
             )  # fmt: skip
-    axis.locator_params(axis="y", integer=plot.integer_y)
     _scale("x", axis, plot.x_log, plot.x_asinh)
     _scale("y", axis, plot.y_log, plot.y_asinh)
     if plot.x_ticks:
         axis.set_xticks(plot.x_ticks)
     if plot.y_names:
         axis.set_yticks(range(len(plot.y_names)), plot.y_names)
+    elif plot.integer_y and axis.get_yscale() == "linear":
+        axis.locator_params(axis="y", integer=True)
     if plot.y_range is not None:
         axis.set_ylim(*plot.y_range)
     axis.set_xlabel(with_unit(plot.x_label, plot.x_unit))
