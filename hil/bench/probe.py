@@ -12,11 +12,12 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from shlex import quote
 from typing import Final, NamedTuple
+
+from msgspec import Struct
 
 from hil.bench import part_of_pair, running
 from hil.errors import HilError, located
@@ -35,8 +36,7 @@ STRAGGLERS_NS: Final = 1_000_000_000
 IDLE_S: Final = 0.2
 
 
-@dataclass(slots=True)
-class Trip:
+class Trip(Struct):
     """One round trip, instants of CLOCK_MONOTONIC at both ends, ns; 0 for never."""
 
     sent_ns: int

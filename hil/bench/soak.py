@@ -12,12 +12,12 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct, field
 
 from hil.bench import killed
 from hil.bench.timing import EXPERIMENT, read_cyclictest, start_cyclictest
@@ -108,8 +108,7 @@ Floats = npt.NDArray[np.float64]
 Row = dict[str, Any]
 
 
-@dataclass(slots=True)
-class Samples:
+class Samples(Struct):
     """What was seen of one session while it ran.
 
     Attributes:

@@ -12,12 +12,12 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
-from dataclasses import dataclass
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
 
 from hil.bench import killed
 from hil.errors import HilError
@@ -61,8 +61,7 @@ def read_cyclictest(output: Path, period_us: int) -> tuple[Array, int]:
     return np.array(late + missed), len(missed)
 
 
-@dataclass(frozen=True, slots=True)
-class Turn:
+class Turn(Struct, frozen=True):
     """One session, with cyclictest beside it or without."""
 
     period_s: float

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Any, Final, Literal
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import (
@@ -40,8 +40,7 @@ LinkKind = Literal["can", "zenoh"]
 HERE: Final = {"can": "can:hil:rig0", "zenoh": "zenoh:tcp/127.0.0.1:7447"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ExternalController:
+class ExternalController(Struct, frozen=True, kw_only=True):
     """What a foreign program needs to know of a loop.
 
     Args:
@@ -218,8 +217,7 @@ def _root_bits(prime: int, degree: int) -> int:
     return int(prime ** (1 / degree) % 1 * 2**32)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LawTables:
+class LawTables(Struct, frozen=True, kw_only=True, eq=False):
     """u_row = Omega r + K[table, row] z, xi' = F z; z are the errors y - r of the newest samples, and the state xi.
 
     Args:

@@ -6,10 +6,10 @@ A law is exact where the ages repeat, else estimated from a run. Every place amo
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
@@ -35,8 +35,7 @@ LEAST_SLOTS: Final = 1000
 """Slots of the run that a law is estimated from, where the experiment has fewer."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BusLaw:
+class BusLaw(Struct, frozen=True, kw_only=True):
     """The law of one way over the bus.
 
     Args:
@@ -182,8 +181,7 @@ NEAR: Final = 0.01
 """Share by which the cost of a place may be above the least and still count as as good."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(Struct, frozen=True, kw_only=True):
     """A place of the loop's packets among the messages of 11 bits.
 
     Args:
@@ -201,8 +199,7 @@ class Place:
     experiment: Experiment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Judged:
+class Judged(Struct, frozen=True, kw_only=True):
     """What a place is worth.
 
     Args:

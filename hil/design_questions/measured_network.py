@@ -7,10 +7,10 @@ chain in the region, also one that changes from slot to slot.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 from msgspec.structs import replace
 
 from design.processes.delay_chain import DelayChain
@@ -33,8 +33,7 @@ OLDEST_DISTINGUISHED = 3
 MOST_TIMES = 1e6
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Measured:
+class Measured(Struct, frozen=True, kw_only=True):
     """One direction: what was fitted, the law, and who receives."""
 
     fit: LawFit

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.identification.jump_rates import ModeRecord
 from hil.errors import HilError
@@ -20,8 +20,7 @@ from hil.log.topics import STATE
 from hil.measure.view import APPLIED, MEASUREMENT, view_of
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Axis:
+class Axis(Struct, frozen=True, kw_only=True):
     """One axis y'' + p y' = g u of a plant that can be identified.
 
     Args:
@@ -46,8 +45,7 @@ AXES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AxisRecord:
+class AxisRecord(Struct, frozen=True, kw_only=True):
     """One file.
 
     Args:

@@ -7,9 +7,8 @@ f is what else acts on the plant and is known: its motion without an input, less
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers import (
@@ -39,8 +38,7 @@ LOOKED_AT = 100
 """Slots in which a plant is tested for random motion."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictedSum:
+class PredictedSum(Struct, frozen=True, kw_only=True):
     """A squared tracking error, summed over time, as the measure `Tracking` defines it.
 
     Args:
@@ -62,8 +60,7 @@ class PredictedSum:
     sd: float
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PredictedTracking:
+class PredictedTracking(Struct, frozen=True, kw_only=True):
     """The prediction of an experiment.
 
     Args:

@@ -7,10 +7,10 @@ share a medium, have clocks, or every packet counts, the medium of a session is 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from hil.experiment import Experiment
@@ -24,8 +24,7 @@ from transport.laws import AgeLaw, GapLaw, NetworkLaw
 Slots = NDArray[np.int32]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Received:
+class Received(Struct, frozen=True, kw_only=True):
     """What the receiver of one direction holds.
 
     Args:
@@ -140,8 +139,7 @@ Arrivals = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.int32]]
 """Of one slot: run, node, and the slot in which the packet was sent, of everything that arrives, in order."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Delivered:
+class Delivered(Struct, frozen=True, kw_only=True):
     """What comes of the sensor nodes.
 
     Args:

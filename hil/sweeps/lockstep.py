@@ -8,9 +8,9 @@ safety would trip, or a number leaves the range in which nothing can overflow, i
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from design.controllers.contract import KnownInBatch
@@ -39,8 +39,7 @@ MOST_RUNS = 1000
 """Runs that are computed at once: from there on a run costs the same."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BatchResult:
+class BatchResult(Struct, frozen=True, kw_only=True):
     """Runs that were computed at once.
 
     Args:

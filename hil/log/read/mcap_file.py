@@ -12,13 +12,13 @@ import struct
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Final
 
 import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Metadata, Schema
+from msgspec import Struct, field
 
 from hil.errors import HilError, located
 from hil.files import open_regular
@@ -61,8 +61,7 @@ def start_instant(clock: Mapping[str, str]) -> int | None:
     return int(said) if said.isascii() and said.isdecimal() and len(said) <= 19 and int(said) < LATEST_START_NS else None
 
 
-@dataclass(slots=True, kw_only=True)
-class Content:
+class Content(Struct, kw_only=True):
     """Records by kind; a message stays whole, framing included (time at byte 15, payload from byte 31).
 
     Args:

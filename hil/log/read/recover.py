@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import struct
 from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from mcap.opcode import Opcode
 from mcap.records import Header, MessageIndex, Metadata
+from msgspec import Struct, field
 
 from hil.errors import HilError
 from hil.files import written_whole
@@ -22,8 +22,7 @@ from hil.log.write.mcap_sink import FLUSH_BYTES
 from hil.log.write.mcap_writer import McapWriter
 
 
-@dataclass(slots=True, kw_only=True)
-class Recovery:
+class Recovery(Struct, kw_only=True):
     """What was saved and what was not.
 
     Args:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from hil.errors import HilError, located
@@ -27,8 +28,7 @@ ROUND_TRIP: Final = "round trip"
 THERE, BACK = "sc", "ca"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Way:
+class Way(Struct, frozen=True, kw_only=True, eq=False):
     """Packets of one direction.
 
     Args:
@@ -42,8 +42,7 @@ class Way:
     until_s: Array | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Recording:
+class Recording(Struct, frozen=True, kw_only=True, eq=False):
     """What one or two files hold.
 
     Args:
@@ -56,7 +55,7 @@ class Recording:
     source: str
     ways: Mapping[str, Way]
     clocks: int
-    notes: tuple[str, ...] = field(default=())
+    notes: tuple[str, ...] = ()
 
 
 def packet_records(recording: Recording, *, halve: bool = False) -> tuple[dict[str, PacketRecord], tuple[str, ...]]:

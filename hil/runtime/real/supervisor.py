@@ -14,10 +14,11 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
+
+from msgspec import Struct, field
 
 from hil.errors import HilError, Terminated
 from hil.experiment.rig_tables import RESTART
@@ -113,8 +114,7 @@ POLL_S = 0.02
 HELLO_TIMEOUT_S, EXTERNAL_TIMEOUT_S = 15.0, 120.0
 
 
-@dataclass(slots=True)
-class RealOutcome:
+class RealOutcome(Struct):
     """How a session in real time went, as this process saw it."""
 
     pump: PumpReport = field(default_factory=PumpReport)

@@ -5,11 +5,11 @@ Packets carry single precision: the controller received the samples rounded to i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
+from msgspec import Struct
 
 from design.controllers import MultiSampleController
 from design.controllers.rendered_wall import WallController
@@ -54,8 +54,7 @@ class HasContact(Protocol):
     def contact(self) -> ContactState: ...
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AvatarPath:
+class AvatarPath(Struct, frozen=True, kw_only=True):
     """The path of the avatar, for every slot that the controller answered from a sample.
 
     Args:

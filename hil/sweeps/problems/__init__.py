@@ -5,13 +5,13 @@ A problem is a plant, a network, an objective and seeds, with the best controlle
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec import Struct
 
 from design.errors import DesignError
 from design.monte_carlo.confidence import mean_interval
@@ -64,8 +64,7 @@ class Problem(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         return load_experiment(self.named, sets)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reached:
+class Reached(Struct, frozen=True, kw_only=True):
     """What a controller reaches on a problem.
 
     Args:
