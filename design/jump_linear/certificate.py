@@ -296,6 +296,8 @@ def observed_part(system: MJLS, shown: Array) -> tuple[MJLS, int]:
         shown: more of what has to be stable, (l, n).
     """
     A, B, C, _, transition = system.matrices
+    if (unit := like_units(A)) is not None:  # what is small in its own unit may lead back
+        A, B, C, shown = A * unit / unit[:, None], B / unit[:, None], C * unit, shown * unit
     n, basis = system.order, np.zeros((0, system.order))
     front = np.vstack([shown, C.reshape(-1, n)])
     while len(front) and len(basis) < n:

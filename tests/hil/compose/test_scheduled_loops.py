@@ -205,6 +205,15 @@ def test_an_offset_that_nothing_sees_is_left_out_and_one_that_grows_is_not() -> 
     assert part.radius() == pytest.approx(1.001**2)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e8])
+def test_what_acts_back_is_seen_in_any_unit(unit: float) -> None:
+    """The sum of an output in units of 1e-8 of the state, in a loop that it makes unstable."""
+    A = np.array([[0.46, -0.68 / unit], [unit, 1.0]])
+    system = MJLS(A=A, B=np.ones((2, 1)), C=np.array([[-10.0, -14.0 / unit]]), transition=[[1.0]])
+    part, count = observed_part(system, np.eye(1, 2))
+    assert count == 0 and part.radius() == pytest.approx(0.46 + 0.68)
+
+
 def test_the_predictor_answers_as_its_matrices_say_and_another_is_not_certified() -> None:
     changes, _ = smith(np.random.default_rng(3))
     loop = composed(changes | {"controller": {"kind": "smith", "gain": [[-0.02]]}})
