@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import http.client
 import json
 import os
@@ -204,6 +205,23 @@ def test_a_url_for_the_arguments_of_a_browser_leads_to_the_page_once(still: Page
     assert status == 200 and f"url={still.url}".encode() in data
     status, data = still.request("GET", path)
     assert status == 410 and still.token.encode() not in data
+
+
+def test_a_url_in_the_arguments_of_a_browser_leads_no_other_user_to_the_page(
+    still: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """Who looks for new programs all the time asks before the browser does."""
+    path, linux = still.once.partition(f":{still.port}")[2], ctypes.CDLL(None)
+    if os.geteuid() == 0:
+        linux.setfsuid(12345)  # of this thread: sockets that it opens are another user's
+    else:
+        monkeypatch.setattr(server.os, "geteuid", lambda: 0)
+    try:
+        assert still.request("GET", path)[0] == 410
+    finally:
+        linux.setfsuid(0)
+        monkeypatch.undo()
+    assert still.request("GET", path)[0] == 200, "it was not spent"
 
 
 def test_the_page_may_load_and_connect_to_itself_alone(still: Page) -> None:
