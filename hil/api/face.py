@@ -98,7 +98,8 @@ def run(
     if clock == "virtual" and (link is not None or external):
         raise HilError("link and external need clock='real': virtual time runs in one process, without a link")
     if log is not None:
-        path = check_output(Path(log), "a log", ".mcap", force=force, remedy="choose another log=..., or add force=True")
+        path = Path(log)
+        check_output(path, "a log", ".mcap", force=force, remedy="choose another log=..., or add force=True")
         return run_session(checked, clock=clock, link=link, path=path, external=external, signals=signals, replace=force)
     with tempfile.TemporaryDirectory(prefix="hilrig-") as folder:
         path = Path(folder) / "run.mcap"
@@ -146,7 +147,8 @@ def report(
     if isinstance(source, Comparison | Sweep | ParameterSweep):
         if output is None:
             raise HilError("report: many runs keep no log to write the page beside; expected output='page.html' alone")
-        target = check_page(Path(output), force=force, remedy="choose another output=..., or add force=True")
+        target = Path(output)
+        check_page(target, force=force, remedy="choose another output=..., or add force=True")
         if isinstance(source, Sweep):
             page = sweep_page(source)
         else:

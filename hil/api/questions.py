@@ -208,7 +208,8 @@ class DesignResult(SingleResult):
         Raises:
             HilError: it is there already, or cannot be written.
         """
-        where = check_output(Path(path), "a design", ".json", force=force, remedy="choose another path, or add force=True")
+        where = Path(path)
+        check_output(where, "a design", ".json", force=force, remedy="choose another path, or add force=True")
         write_output(where, design_text(self.document()), replace=force)
         return where
 

@@ -198,7 +198,8 @@ def probe(
             answer(end)
     if rate * seconds > MOST_FRAMES:
         raise HilError(f"--seconds: {rate * seconds:.0f} frames, at most {MOST_FRAMES}; lower --rate")
-    path = check_output(output or Path("link.mcap"), "a log", ".mcap", force=force)
+    path = output or Path("link.mcap")
+    check_output(path, "a log", ".mcap", force=force)
     standard_output_is_free()
     with answering(link) if both else nullcontext(), open_link(link, "rig") as end, Working(link) as watch:
         trips, one_clock, again = probe(end, rate, seconds, watch.counted)

@@ -56,8 +56,7 @@ def analyse(
     from hil.pages.designs import bus_page
     from transport.can_analysis import ErrorBursts
 
-    if output is not None:
-        check_page(output, force=force)
+    check_page(output, force=force)
     bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round(error_interval * 1e9))
     if target.endswith(_TRAFFIC):
         if sets:

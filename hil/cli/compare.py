@@ -49,8 +49,7 @@ def compare(
     refuse_seed(sets)
     if duration is not None:
         sets = (*sets, f"duration={duration}")
-    if output is not None:
-        check_page(output, force=force)  # now, and not after minutes of work
+    check_page(output, force=force)  # now, and not after minutes of work
     check_named(experiments, f"hil sweep {experiments[0]}", "a copy of its file with changes is another experiment")
     checked = {name: load_experiment(name, list(sets)) for name in experiments}
     with Working("runs", runs) as watch:

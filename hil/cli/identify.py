@@ -77,8 +77,7 @@ def law(
     targets = {} if output is None else files_of(output, records)
     for path in targets.values():
         check_output(path, "a law", ".toml", force=force)
-    if page is not None:
-        check_page(page, force=force)
+    check_page(page, force=force)
     fits = {}
     with Working("fit of network laws"):
         for way, record in records.items():

@@ -115,8 +115,7 @@ def layout(viewer: str, source: str, output: Path | None, force: bool) -> None:
     from hil.log.topics import channels_of, panels
     from hil.pages.viewers import foxglove, plotjuggler
 
-    if output is not None:
-        check_output(output, "a layout", ".xml" if viewer == "plotjuggler" else ".json", force=force)
+    check_output(output, "a layout", ".xml" if viewer == "plotjuggler" else ".json", force=force)
     if Path(source).suffix == ".mcap":
         schemas = read_run(source).schemas
     else:
@@ -188,8 +187,7 @@ def replay(
     for name, given, needed in companions:
         if given and not ways[needed]:
             raise HilError(f"{name}: needs {needed}")
-    if output is not None:
-        check_output(output, "a table", ".csv", remedy="choose another -o")
+    check_output(output, "a table", ".csv", remedy="choose another -o")
     for name, given_key in (("--key", key), ("--auth", auth)):
         if given_key is not None and (controller is not None or onto is not None or process is not None):
             raise HilError(f"{name}: needs --verify")

@@ -101,12 +101,14 @@ def _pages(chapter: str, names: tuple[str, ...], output: Path, force: bool) -> d
     from hil.errors import located
     from hil.files import check_page
 
-    if chapter != ALL:
-        return {chapter: check_page(output, force=force)}
-    with located(f"{output}: cannot be made a folder", OSError):
-        output.mkdir(exist_ok=True)
-    pages = {**{name: output / f"{name}.html" for name in names}, ALL: output / "index.html"}
-    return {name: check_page(path, force=force) for name, path in pages.items()}
+    pages = {chapter: output}
+    if chapter == ALL:
+        with located(f"{output}: cannot be made a folder", OSError):
+            output.mkdir(exist_ok=True)
+        pages = {**{name: output / f"{name}.html" for name in names}, ALL: output / "index.html"}
+    for path in pages.values():
+        check_page(path, force=force)
+    return pages
 
 
 def _show(result: Reproduction) -> None:

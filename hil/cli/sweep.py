@@ -94,6 +94,8 @@ def command(
     workers = Workers(backend="dask", scheduler=scheduler) if backend == "dask" else here(jobs)
     if own:
         sets = (*sets, measures_with(experiment, sets, own))
+    check_page(output, force=force)
+    check_output(table, "a table", ".csv", force=force)  # now, and not after the work
     if grids or ranges or points is not None:
         if until is not None:
             raise HilError("--until: not with --grid or --range, where every point has the same runs")
@@ -102,10 +104,6 @@ def command(
             table=table, force=force,
         )  # fmt: skip
         return
-    if output is not None:
-        check_page(output, force=force)
-    if table is not None:
-        check_output(table, "a table", ".csv", force=force)  # now, and not after the work
     checked = load_experiment(experiment, sets)
     columns = columns_of(checked)
     metrics = columns[1:]
@@ -165,15 +163,11 @@ def run_points(
 ) -> None:
     """Run an experiment at many points; print a table, and write a page and a CSV file, a row per run, where asked to."""
     from hil.experiment import load_experiment
-    from hil.files import check_output, check_page, write_output
+    from hil.files import write_output
     from hil.pages.many_runs import parameter_page
     from hil.sweeps.parameters import load_points, sweep_parameters
     from hil.sweeps.shown import as_plain, interval_of
 
-    if page is not None:
-        check_page(page, force=force)
-    if table is not None:
-        check_output(table, "a table", ".csv", force=force)
     experiments = load_points(lambda changes: load_experiment(experiment, [*sets, *changes]), points)
     begun = time.perf_counter()
     with Working(f"{len(points.values)} points", len(seeds) * len(points.values)) as watch:

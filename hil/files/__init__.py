@@ -178,12 +178,12 @@ def check_ending(path: Path, what: str, *endings: str) -> None:
 
 
 def check_output(
-    path: Path, what: str = "a file", *endings: str, force: bool = False, page: bool = False, remedy: str = REMEDY
-) -> Path:  # fmt: skip
-    """Return ``path`` if a file can be written there.
+    path: Path | None, what: str = "a file", *endings: str, force: bool = False, page: bool = False, remedy: str = REMEDY
+) -> None:  # fmt: skip
+    """Refuse a path at which no file can be written, before the work.
 
     Args:
-        path: file to be written.
+        path: file to be written; None where none is asked for.
         what, endings: as in `check_ending`.
         force: whether a file that is already there may be replaced.
         page: whether a page may, and no other file.
@@ -195,6 +195,8 @@ def check_output(
     """
     import tempfile  # what only reads needs none
 
+    if path is None:
+        return
     check_ending(path, what, *endings)
     try:
         path.lstat()
@@ -219,21 +221,20 @@ def check_output(
                     raise HilError(f"{path}: exists already and is no report; {remedy}")
         with tempfile.TemporaryFile(dir=target.parent):  # root has permission everywhere, and still cannot write in /proc
             pass
-    return path
 
 
-def check_page(path: Path, *, force: bool = False, remedy: str = REMEDY) -> Path:
-    """Return ``path`` if a page can be written there; one of ours that is there is replaced.
+def check_page(path: Path | None, *, force: bool = False, remedy: str = REMEDY) -> None:
+    """Refuse a path at which no page can be written; one of ours that is there is replaced.
 
     Args:
-        path: file to be written.
+        path: file to be written; None where none is asked for.
         force: replace also a file that is no page.
         remedy: what the message about such a file advises.
 
     Raises:
         HilError: if it is not named as a page is, and as `check_output`.
     """
-    return check_output(path, "a page", ".html", ".htm", force=force, page=not force, remedy=remedy)
+    check_output(path, "a page", ".html", ".htm", force=force, page=not force, remedy=remedy)
 
 
 def made_folder(folder: Path) -> Path:

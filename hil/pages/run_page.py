@@ -251,7 +251,8 @@ def report_runs(folder: Path, output: Path | None, *, force: bool) -> tuple[Path
     if len(logs) > MOST_LOGS:
         raise HilError(f"{folder}: holds {len(logs)} logs, at most {MOST_LOGS} stand in one page; move some to another folder")
     remedy = "choose another -o (in Python output=...), or add --force (force=True)"
-    target = check_page(output or folder / "index.html", force=force, remedy=remedy)
+    target = output or folder / "index.html"
+    check_page(target, force=force, remedy=remedy)
     beside = target.resolve().parent == folder.resolve()
     found: list[LoggedRun] = []
     written: list[Path] = []

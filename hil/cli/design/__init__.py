@@ -76,11 +76,10 @@ def command(subject: str, path: Path | None, force: bool, **options: Any) -> Non
                 raise HilError(f"-o: not with {question.name}; --json > FILE.json keeps the answer")
             owner = next((each.name for each in QUESTIONS if name in names_of(each.options)), "")
             raise HilError(f"{param.opts[-1]}: " + (f"not with {question.name}" if question.name else f"belongs to {owner}"))
-    if path is not None:
-        if question.page:  # now, and not after the work
-            check_page(path, force=force)
-        else:
-            check_output(path, "a design", ".json", force=force)
+    if question.page:  # now, and not after the work
+        check_page(path, force=force)
+    else:
+        check_output(path, "a design", ".json", force=force)
     question.answer(**{name: every[name] for name in takes})
 
 
@@ -119,10 +118,8 @@ def wall(
     from hil.files import check_output, write_output
     from plants.omni import Omni
 
-    if path is not None:
-        check_output(path, "a design", ".json", force=force)
-    if header is not None:
-        check_output(header, "a C header", ".h", force=force)
+    check_output(path, "a design", ".json", force=force)
+    check_output(header, "a C header", ".h", force=force)
     beta = (Omni().damping if damping is None else damping) + hand
     delays = [int(d) for d in delay]
     with located("--weight", FieldError), Working("coupler of a wall"):
@@ -228,10 +225,8 @@ def stiffness_map(
         raise HilError(f"--lever: {lever!r}, expected {1.0 / LARGEST:g} to {LARGEST:g} m/rad")
     if max(delay) > 40:
         raise HilError(f"--delay: {max(delay):g}; a coupler for every delay up to it takes minutes, expected at most 40")
-    if output is not None:
-        check_page(output, force=force)
-    if table is not None:
-        check_output(table, "a table", ".csv", force=force)
+    check_page(output, force=force)
+    check_output(table, "a table", ".csv", force=force)
     omni = Omni(hand=Hand(), lever_m=lever)
     device = {"mass_kg": omni.tip_mass_kg, "damping_n_s_per_m": omni.tip_damping_n_s_per_m}
     with Working("stiffness map"):

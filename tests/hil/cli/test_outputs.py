@@ -25,7 +25,8 @@ def test_what_does_not_fit_leaves_the_old_file_and_nothing_else(tmp_path: Path) 
 def test_a_link_is_followed_and_a_name_may_be_as_long_as_names_can_be(tmp_path: Path) -> None:
     real, link = tmp_path / ("n" * 255), tmp_path / "link"
     link.symlink_to(real)
-    write_output(check_output(link, force=True), "text")
+    check_output(link, force=True)
+    write_output(link, "text")
     assert link.is_symlink() and real.read_text() == "text"
 
 
@@ -61,9 +62,9 @@ def test_a_page_replaces_only_a_page(cli: Hil, hil_log: Path, tmp_path: Path, co
     status, out, err = cli(*words, "-o", tmp_path / "notes.md", "--force")
     assert (status, out) == (2, "") and "a page is written here; expected a name that ends in .html" in err
     assert notes.read_text() == "mine" and os.listdir(tmp_path) == ["notes.html"]
-    assert check_page(notes, force=True) == notes
+    check_page(notes, force=True)
     notes.write_text("<!DOCTYPE html>\n")
-    assert check_page(notes) == notes
+    check_page(notes)
 
 
 def test_report_takes_force_and_then_replaces_any_file(cli: Hil, hil_log: Path, tmp_path: Path) -> None:
