@@ -35,6 +35,7 @@ from design.lmi.program import LmiSolution
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
 from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded
+from design.semi_markov_loop.balanced import balanced
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_inner_delay import delayed_decrease
@@ -46,8 +47,8 @@ from design.verdict import State, Verdict
 
 TOLERANCE = 1e-6
 """How far from the limit a number must lie to decide: rounding and quadrature stay below it."""
-MARGIN = 1e-3
-"""The least fall of V per second that counts, for P up to 1e5 I: rounding and quadrature stay below it."""
+MARGIN = 1e-6
+"""The least fall of V in a period that counts, for P up to 1e5 I: rounding and quadrature stay below it."""
 _SLACKS = (2.0, 1.0, 4.0, 0.5, 8.0, 0.25)
 LONG = "in the long run "
 _ASSUMED = ("the rates are as given, within their own bounds", "the periods are exact and no sample or packet is lost")
@@ -84,6 +85,7 @@ def sampled_verdict(
     if why := _not_covered(system, process, gain, random=late is None):
         return _undecided(why)
     system.check(process, gain)
+    system, gain = balanced(system, gain, period_s)
     try:
         if isinstance(system, DelayedJumpSystem):
             if isinstance(process, SemiMarkov) and late is not None:
@@ -191,18 +193,18 @@ def _renewal(system: JumpSystem, process: SemiMarkov, gain: ScheduledGain, perio
     return _decided("undecided", which, both, upper, assumed, modes)
 
 
-def _searched(search: Callable[[], LmiSolution]) -> tuple[bool, float | None, str]:
+def _searched(search: Callable[[], LmiSolution], period_s: float) -> tuple[bool, float | None, str]:
     """Whether a Lyapunov function was found, the largest eigenvalue of its change per second, and what is known, in words."""
     try:
         found = search()
-        return found.margin > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
+        return found.margin * period_s > MARGIN and found.slack >= 0.0, -found.margin, found.explain()
     except TooLarge as error:
         return False, None, str(error)
 
 
 def _uncertain(loop: SampledLoop, bracket: str, assumed: tuple[str, ...]) -> Verdict:
     """The verdict on an uncertain plant that the bounds of its second moments leave open."""
-    proved, number, said = _searched(lambda: uncertain_decrease(loop))
+    proved, number, said = _searched(lambda: uncertain_decrease(loop), loop.period_s)
     return Verdict(
         kind="mean-square stability", state="certified" if proved else "undecided", number=number, limit=0.0,
         reason=f"{'a' if proved else 'no'} Lyapunov function falls within every period and at every sample, however the "
@@ -275,7 +277,7 @@ def _delayed(
 ) -> Verdict:
     undelayed = JumpSystem(a=system.a, b=system.b)
     loop = SampledLoop(system=undelayed, process=process, gain=gain, period_s=period_s, tau=tau, d=d)
-    proved, number, said = _searched(lambda: delayed_decrease(system, loop))
+    proved, number, said = _searched(lambda: delayed_decrease(system, loop), period_s)
     if not proved and least_s > 0.0:
         said += f"; that it is stable without a delay is not asked, as the plant has {least_s:g} s at least"
     elif not proved:
@@ -296,7 +298,7 @@ def _detection(system: JumpSystem, process: FaultDetection, gain: ScheduledGain,
     loop = DetectionLoop.of(system, process, gain, period_s=period_s, tau=tau, d=d)
     found = lyapunov_decrease(loop)
     method = "sampled jump loop: Lyapunov function on failure, detection and section"
-    if found.holds and found.margin > MARGIN:
+    if found.holds and found.margin * period_s > MARGIN:
         return Verdict(
             kind="mean-square stability", state="certified", number=-found.margin, limit=0.0, method=method,
             quantity="largest eigenvalue of the change of V per second, P >= I", assumptions=_ASSUMED,
