@@ -211,14 +211,9 @@ def sweep(
     jobs: int = -1, **changes: Any,
 ) -> Sweep: ...
 @overload
-def sweep(
-    source: Source, *, grid: Mapping[str, Sequence[Any]], runs: int = 100, first_seed: int = 0, jobs: int = -1, **changes: Any
-) -> ParameterSweep: ...
+def sweep(source: Source, *, grid: Mapping[str, Sequence[Any]], **options: Any) -> ParameterSweep: ...
 @overload
-def sweep(
-    source: Source, *, range: Mapping[str, Sequence[Any]], points: int, runs: int = 100, first_seed: int = 0, jobs: int = -1,
-    **changes: Any,
-) -> ParameterSweep: ...
+def sweep(source: Source, *, range: Mapping[str, Sequence[Any]], points: int, **options: Any) -> ParameterSweep: ...
 @checked_arguments
 def sweep(
     source: Source,

@@ -64,7 +64,7 @@ def check_measure(measure: Any, view: RunView) -> list[str]:
         raise AssertionError(f"with {measure.topics} alone, its topics, it gives other numbers: a sweep keeps no others")
     said = [f"{name} is a Measure: its numbers stand in summary, page, sweep and comparison"]
     if isinstance(measure, BatchMeasure):
-        said.append(f"{name} is a BatchMeasure: a sweep asks it for all runs at once")
+        said.append(f"{name} is a BatchMeasure: a sweep asks it for all runs at once, and compares two with of(view)")
     else:
         said.append(f"{name} is no BatchMeasure (no of_batch): a sweep runs seed by seed")
     return said

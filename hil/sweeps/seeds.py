@@ -131,19 +131,19 @@ def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
 
 def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
-    found = _of_all(measure, view)
-    names = view.signals.tracked
+    """Return what `of_batch` gives of all outputs and, where several are tracked, of each.
+
+    Raises:
+        HilError: it raised.
+    """
+    names, views = view.signals.tracked, {"": view}
     for c, name in enumerate(names if len(names) > 1 else ()):
-        alone = msgspec.structs.replace(
+        views[f".{name}"] = msgspec.structs.replace(
             view, outputs=(view.outputs[c],), reference=view.reference[:, c : c + 1], signals=view.signals.only(name)
         )
-        found |= {f"{key}.{name}": value for key, value in _of_all(measure, alone).items()}
-    return found
-
-
-def _of_all(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.float64]]:
     try:
-        return {name: np.asarray(each, dtype=np.float64) for name, each in measure.of_batch(view).items()}
+        found = {of: measure.of_batch(each) for of, each in views.items()}
+        return {f"{key}{of}": np.asarray(value, dtype=np.float64) for of in found for key, value in found[of].items()}
     except Exception as error:  # whatever an author's measure raises
         raise HilError(f"{type(measure).__name__}: of_batch(view): {words(error)}") from error
 

@@ -219,7 +219,8 @@ def test_a_measure_that_fails_behind_its_check_leaves_the_log_and_the_other_numb
 def test_a_check_says_what_the_measure_has_earned() -> None:
     for name in ("dc-motor-hinf", "vtol-fault"):
         view = view_of(run_of(name, "duration=1"))
-        assert check_measure(Tracking(), view)[1] == "Tracking is a BatchMeasure: a sweep asks it for all runs at once"
+        told = "Tracking is a BatchMeasure: a sweep asks it for all runs at once, and compares two with of(view)"
+        assert check_measure(Tracking(), view)[1] == told
         assert check_measure(Effort(), view)[1] == "Effort is no BatchMeasure (no of_batch): a sweep runs seed by seed"
 
 
