@@ -129,6 +129,9 @@ def check_law(law: NetworkLaw) -> list[str]:
     if states is not None:
         p_value = asked("transition_matrix() and mode_ages", law_p_value, law, modes)
         assert not p_value < DIFFERS, f"the drawn modes do not follow the stated chain: p = {p_value:.2g}"
+        again = float((states.matrix**2).sum(axis=1).max()) ** (len(modes) - 1)  # at most: that two runs draw the same
+        random = again > DIFFERS or not np.array_equal(modes, _check_drawn(cast(AgeLaw, law), seed=6))
+        assert random, f"{name}.start(rng): two starts with two seeds draw the same modes; draw from rng alone"
         if states.has_gaps:
             said.append(f"{name}: the age may grow by more than one per slot; what runs is min(age, last + 1), certified so")
     return said
@@ -170,9 +173,9 @@ def _whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def _check_drawn(law: AgeLaw) -> NDArray[np.int64]:
+def _check_drawn(law: AgeLaw, seed: int = 5) -> NDArray[np.int64]:
     """Return the modes of a run; every age must be a whole number within the bound, and that of its mode."""
-    draw = law.start(np.random.default_rng(5)).draw
+    draw = law.start(np.random.default_rng(seed)).draw
     served = slots_served(law)
     drawn = [draw() for _ in range(SLOTS if served is None else min(SLOTS, served))]
     bound, ages = law.max_age, list[int]()

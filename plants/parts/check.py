@@ -44,7 +44,8 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
 
     Signals have distinct names and units; the model has as many inputs and outputs as the plant; state, measurement and
     applied input are tuples of finite floats of their lengths; the same seed gives the same bits; measuring changes
-    nothing; and two advances are one of their sum, within the tolerance.
+    nothing; two advances are one of their sum, within the tolerance; and a plant with nothing beyond its model is moved by a
+    disturbance as by a command.
 
     Args:
         plant: the plant with the parameters to be checked.
@@ -75,12 +76,13 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
 
     dt_ns = round(period_s * 1e9)
     _takes(plant.start, f"{name}.start(rng)", None)
-    runs = [plant.start(np.random.default_rng(_SEED)) for _ in range(3)]
+    runs = [plant.start(np.random.default_rng(_SEED)) for _ in range(4)]
     for what, meaning in _RUN.items():
         _demand(hasattr(runs[0], what), f"what {name}.start(rng) returns needs `{what}` ({meaning})")
     for given in (("dt_ns", "u"), ("dt_ns", "u", "w")):
         _takes(runs[0].advance, f"what {name}.start(rng) returns: advance(dt_ns, u, w=()) must work with and without w", *given)
-    first, second, cut = runs
+    first, second, cut, disturbed = runs
+    alike = not (isinstance(plant, BeyondModel) and plant.beyond_model())
     commands = np.random.default_rng(_SEED + 1).uniform(-0.01, 0.01, (100, m)).tolist()
     for k, u in enumerate(commands):
         first.advance(dt_ns, u)
@@ -99,6 +101,10 @@ def check_plant(plant: Plant, *, period_s: float = 0.01, tolerance: float = 1e-6
         steps = "integrate in short steps inside, by Runge-Kutta (hil guide own-plant-law-controller)"
         said = f"{name}.advance: a slot in one step and in two ends in states that differ by {apart:.3g} (slot {k}); {steps}"
         _demand(apart <= tolerance * size, said)
+        disturbed.advance(dt_ns, [0.0] * m, u)
+        apart = max(abs(a - b) for a, b in zip(disturbed.state, state))
+        said = f"{name}.advance: w moves the state by {apart:.3g} otherwise than u (slot {k}); hold u + w, or name beyond_model()"
+        _demand(apart <= tolerance * size or not alike, said)
     return [f"{name} is a Plant: a rig can run it, and a design can be made for its model", *_further(plant, name)]
 
 

@@ -82,6 +82,11 @@ class NoRow(Coin):
         return [[0.7, 0.2], [0.7, 0.3]]
 
 
+class OwnSeed(Coin):
+    def start(self, rng: np.random.Generator) -> Any:
+        return super().start(np.random.default_rng(1))
+
+
 def leaves(k: int) -> Any:
     if k > 9:
         raise SystemExit(0)
@@ -102,6 +107,7 @@ def leaves(k: int) -> Any:
         (Coin(draw=lambda k: {}["x"]), r"draw\(\): KeyError: 'x' \(.*test_own_laws\.py, line \d+\)"),
         (Coin(draw=leaves), r"draw\(\) of slot \d+: SystemExit: 0"),
         (Coin(draw=lambda k: (k % 2, k % 2)), r"the drawn modes do not follow the stated chain"),
+        (OwnSeed(), r"OwnSeed\.start\(rng\): two starts with two seeds draw the same modes; draw from rng alone"),
         (OneRow(), r"transition_matrix\(\) of shape \(1, 2\), expected \(2, 2\)"),
         (NoRow(), r"transition_matrix\(\): row 0 sums to 0\.9"),
         (object(), r"object, a network law, needs `family` .* `start`"),

@@ -70,6 +70,16 @@ class Unseeded(Integrator):
         return LinearRun(self.model(), (np.random.default_rng().normal(),))
 
 
+class Deaf(LinearRun):
+    def advance(self, dt_ns, u, w=()):
+        super().advance(dt_ns, u)
+
+
+class Undisturbed(Integrator):
+    def start(self, rng):
+        return Deaf(self.model(), (0.0,))
+
+
 class Twins(Integrator):
     states = (Signal("x", "1"), Signal("x", "1"))
 
@@ -121,6 +131,7 @@ def test_what_a_plant_with_delayed_states_and_a_cost_earns_is_said():
         (Vague(), r"Vague.departures\(\): \('wind',\), expected a tuple of plants.Departure"),
         (Costly(), r"Costly.cost_weights\(\): Xi has the eigenvalue -1"),
         (Unseeded(), "Unseeded.start: same seed, another state"),
+        (Undisturbed(), r"Undisturbed.advance: w moves the state by .* otherwise than u \(slot 0\); hold u \+ w"),
         (Twins(), "Twins.states: a name comes twice"),
         (Wide(), "Wide.model: 1 inputs, expected 2"),
         (jumps(delay_slopes=(0.1,)), "Jumps.jump_system: 1 delay_slopes, expected 3"),
