@@ -201,8 +201,7 @@ def _departed(departures: Sequence[Departure], unit_name: str, unit: Array, name
         which, u = each.signal
         moved, foretold = _distinct(each.found, each.foretold)
         amount = f"{moved} {u} where the model has {foretold} {u}" if np.isfinite(each.found) else "it is not finite"
-        reached = f"the difference reaches {_percent(each.share)}"
-        return f"inputs up to {size} move its {which} by {amount}, first in slot {each.slot} ({reached})"
+        return f"inputs up to {size} move its {which} by {amount}, first in slot {each.slot} (at worst by {_percent(each.share)})"
 
     shares = [each.share for each in departures]
     if non_linear := by_size(shares, "the plant moves as its model says under {} inputs", described(worst)):
