@@ -149,18 +149,9 @@ SLOWEST = 1e-6  # of --onto: below it a second takes eleven days
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.csv", help="With --controller: write the series.")
 @json_option()
 def replay(
-    file: Path,
-    do_verify: bool,
-    key: Path | None,
-    auth: Path | None,
-    controller: str | None,
-    sets: tuple[str, ...],
-    onto: str | None,
-    process: str | None,
-    speed: float,
-    folder: str | None,
-    output: Path | None,
-) -> None:
+    file: Path, do_verify: bool, key: Path | None, auth: Path | None, controller: str | None, sets: tuple[str, ...],
+    onto: str | None, process: str | None, speed: float, folder: str | None, output: Path | None,
+) -> None:  # fmt: skip
     """Replay the log FILE. Without an option: --verify.
 
     It says "same bits", "same within 1e-9" (a log of another machine, where something is not exact), or "different", with

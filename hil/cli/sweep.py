@@ -150,17 +150,9 @@ def command(
 
 
 def run_points(
-    experiment: str,
-    points: Points,
-    *,
-    sets: Sequence[str],
-    seeds: range,
-    workers: Workers,
-    resume: Path | None,
-    page: Path | None,
-    table: Path | None,
-    force: bool,
-) -> None:
+    experiment: str, points: Points, *, sets: Sequence[str], seeds: range, workers: Workers, resume: Path | None,
+    page: Path | None, table: Path | None, force: bool,
+) -> None:  # fmt: skip
     """Run an experiment at many points; print a table, and write a page and a CSV file, a row per run, where asked to."""
     from hil.experiment import load_experiment
     from hil.files import write_output

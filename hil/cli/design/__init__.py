@@ -128,11 +128,9 @@ def wall(
             delays, period_s=period, damping_n_s_per_m=beta, taps=taps, stiffness_n_per_m=stiffness, varying=varying,
             weight=asked,
         )  # fmt: skip
-        plain = (
-            found
-            if asked is None
-            else stiffest_coupler(delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying)
-        )
+        plain = found if asked is None else stiffest_coupler(
+            delays, period_s=period, damping_n_s_per_m=beta, taps=taps, varying=varying
+        )  # fmt: skip
     document = {
         "kind": "coupler",
         "period_s": period,
@@ -146,20 +144,19 @@ def wall(
         "damping_needed_n_s_per_m": damping_needed(found.coupler, period, delays, varying=varying).damping_n_s_per_m,
         "proof": VARYING if varying else HELD,
     }
+    weighed: tuple[tuple[str, str, str], ...] = ()
     if asked is not None:
+        largest, before = (asked.peak(each.coupler) for each in (found, plain))
         document["weight"] = {
-            "numerator": list(asked.numerator), "denominator": list(asked.denominator),
-            "largest_m_per_n": asked.peak(found.coupler), "of_the_stiffest_m_per_n": asked.peak(plain.coupler),
+            "numerator": list(asked.numerator), "denominator": list(asked.denominator), "largest_m_per_n": largest,
+            "of_the_stiffest_m_per_n": before,
         }  # fmt: skip
+        weighed = (("weight", f"largest |W C| {largest:.6g} m/N, {before:.6g} of the stiffest", ""),)
     text = json.dumps(document, indent=2) + "\n"
     if path is not None:
         write_output(path, text)
     if header is not None:
         write_output(header, _header(found))
-    weighed: tuple[tuple[str, str, str], ...] = ()
-    if asked is not None:
-        largest, before = (f"{asked.peak(each.coupler):.6g}" for each in (found, plain))
-        weighed = (("weight", f"largest |W C| {largest} m/N, {before} of the stiffest", ""),)
     moves = ", varying" if varying else ""
     compliance = found.coupler.static_compliance_m_per_n
     facts = (
