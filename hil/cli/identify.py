@@ -254,7 +254,7 @@ def _print(said: dict[str, Any], units: Mapping[str, str]) -> None:
         *facts,
         ("dry friction", _friction_in_words(said["friction"], said["residuals"]["verdict"]), ""),
         ("plain least squares", f"{text}, for comparison", ""),
-        ("noise", f"{said['noise_sd']:.3g} (standard deviation), {samples}", ""),
+        ("noise", f"{said['noise_sd']:.3g} rad (standard deviation), {samples}", ""),
         ("residuals", WORDS[test["verdict"]] + ("" if test["verdict"] == "exact" else tested), ""),
     ))  # fmt: skip
     click.echo("\n[plant]\nkind = " + json.dumps(said["plant"]))

@@ -48,6 +48,7 @@ def test_the_motor_of_a_session_over_a_network_is_found_with_its_disturbance(cli
     assert said["logged"] == {"gain": 172.38, "pole": 3.5287}
     text = cli("identify", "plant", "motor.mcap")[1]
     assert "residuals            none: the model fits to rounding\n" in text and "(Q = " not in text
+    assert " rad (standard deviation), 700 samples" in text
     assert "gain                 172.38 rad/(V s²), 95 %: " in text
 
 
