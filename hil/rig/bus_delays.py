@@ -8,12 +8,12 @@ number in the cycle and the age, and from each state all ages follow that some r
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from math import lcm
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from hil.rig import RigSpec
 from hil.rig.can_bus import analysed, can_bus_of, frame_of, own_packets, rates_of

@@ -10,18 +10,18 @@ Real-Time Systems 35 (2007), sections 3 and 4; errors: section 5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 from typing import Final
+
+from msgspec import Struct
 
 from transport.can_bus_model import BitRates, CanFrame, FrameLength, arbitration_key
 from transport.can_bus_model.bits import INTERMISSION, frame_bounds
 from transport.errors import FieldError
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PeriodicMessage:
+class PeriodicMessage(Struct, frozen=True, kw_only=True):
     """A message that a node sends again and again, and queues by priority.
 
     Args:
@@ -99,8 +99,7 @@ MOST_INSTANCES: Final = 100_000
 """A busy period with more instances of one message than this is given up."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ErrorBursts:
+class ErrorBursts(Struct, frozen=True, kw_only=True):
     """At most ``burst`` errors at once, and one more in every ``interval_ns``.
 
     Args:
@@ -125,8 +124,7 @@ class ErrorBursts:
         return self.burst + max(-(-units // rates.units(self.interval_ns)) - 1, 0)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ResponseTime:
+class ResponseTime(Struct, frozen=True, kw_only=True):
     """The bound of one message.
 
     Args:

@@ -8,10 +8,11 @@ ages are fitted, as a Markov or a semi-Markov chain, the better by BIC; and only
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -32,8 +33,7 @@ STREAM = (0x72657369, 0x6475616C)
 NO_PARAMETERS = 0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Candidate:
+class Candidate(Struct, frozen=True, kw_only=True):
     """One law that was tried: what it was fitted to, BIC (comparable among what was fitted to the same), and its tests."""
 
     name: str
@@ -43,8 +43,7 @@ class Candidate:
     fitness: Fitness | None = None
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LawFit:
+class LawFit(Struct, frozen=True, kw_only=True, eq=False):
     """What a record says of its network law.
 
     Attributes:

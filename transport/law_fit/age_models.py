@@ -5,10 +5,10 @@ Both likelihoods are of the same slots, from the first change of age to the last
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy import optimize, special
 
@@ -23,8 +23,7 @@ STRONG = 6.0
 """Difference of BIC that is strong evidence (Raftery 1995): of laws that nearly tie, the one with less memory is taken."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AgeFit:
+class AgeFit(Struct, frozen=True, kw_only=True, eq=False):
     """A law of ages.
 
     Attributes:

@@ -8,9 +8,9 @@ The product of 2 x 2 matrices is taken eight packets at a time: there are 256 su
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -40,8 +40,7 @@ FEWEST_LOSSES = 10
 """Of fewer losses no channel is estimated."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class LossFit:
+class LossFit(Struct, frozen=True, kw_only=True, eq=False):
     """A law of losses.
 
     Attributes:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy import stats
 
@@ -20,8 +20,7 @@ LEAST = 299
 """Of fewer packets, what happens to one in 100 may not have been seen at all, with more than 5 %: 0.99^299 = 0.0495."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PacketRecord:
+class PacketRecord(Struct, frozen=True, kw_only=True, eq=False):
     """Packets in the order in which they were sent, one in every slot.
 
     Args:

@@ -12,10 +12,10 @@ which are monotone in every h_i. Of a Markov chain of ages the intervals are tho
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from scipy import special, stats
 
@@ -213,8 +213,7 @@ def _thirds(u: Array) -> float:
 MISS = 0.05
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class AgeRegion:
+class AgeRegion(Struct, frozen=True, kw_only=True, eq=False):
     """A chain of ages, and bounds of its transition probabilities.
 
     Attributes:
@@ -232,8 +231,7 @@ class AgeRegion:
     bound: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Arrivals:
+class Arrivals(Struct, frozen=True, kw_only=True):
     """How many packets came at each age, of those that had not come before.
 
     Attributes:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal, cast
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from transport.draws import DELIVERED, NO_MODE, OVERFLOW, SLOT_TOLERANCE
@@ -23,8 +23,7 @@ NEGLIGIBLE = 1e-12
 LONGEST = 100_000
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LawAnalysis:
+class LawAnalysis(Struct, frozen=True, kw_only=True):
     """A law in the long run.
 
     Attributes:

@@ -15,10 +15,11 @@ from __future__ import annotations
 import os
 import re
 import socket
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, Final
+
+from msgspec import Struct
 
 from transport.links import Role, TransportError
 from transport.links.authentication import check_certificate, refuse_revoked, revoked_names
@@ -34,8 +35,7 @@ OPTIONS: Final = ("keys", "ca", "cert", "key", "rig", "controller", "users")
 _PASSED: Final = {"ca": "{keys}/ca.pem", "cert": "{keys}/{name}.pem", "key": "{keys}/{name}.key"}
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Access:
+class Access(Struct, frozen=True, kw_only=True):
     """Who this end is, and whose packets it accepts.
 
     Args:

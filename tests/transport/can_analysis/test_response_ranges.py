@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.transport.can_analysis.sae import SAE
 from transport.can_analysis import PeriodicMessage, response_times

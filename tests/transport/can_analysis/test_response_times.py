@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from tests.transport.can_analysis.sae import BOUNDS_250_MS, BOUNDS_MS, SAE
 from transport.can_analysis import ErrorBursts, PeriodicMessage, bus_load, response_times
