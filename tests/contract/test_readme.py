@@ -77,6 +77,12 @@ def test_the_readme_is_short_and_no_page_is_wide() -> None:
         assert max(map(len, text.splitlines())) <= 130, name
 
 
+def test_a_command_in_a_block_has_the_prompt_by_which_the_tests_find_it() -> None:
+    for name, text in TEXT.items():
+        shown = [line for block in blocks(text, "(?:console|sh|bash)") for line in block.splitlines()]
+        assert not [line for line in shown if line.startswith("hil ")], name
+
+
 @pytest.mark.parametrize("name", sorted(set(TEXT) - {PLUGINS}))
 def test_python_of_a_page_runs(name: str, hil: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = blocks(TEXT[name], "python")
