@@ -137,8 +137,11 @@ def can_priority_page(
 
 
 def _set_in(each: Judged) -> str:
-    """Return the identifiers of a place as an experiment sets them."""
-    return f"can_id = {each.place.can_id:#x}, links.control_can_id = {each.place.control_can_id:#x}"
+    """Return the identifiers of a place, of every node, as `--set` takes them."""
+    at = each.place.experiment
+    ids = {f"network.nodes.{name}.can_id": node.can_id for name, node in at.network.nodes.items()}
+    ids["links.control_can_id"] = at.links.control_can_id
+    return ", ".join(f"{key}={value:#x}" for key, value in ids.items() if value is not None)
 
 
 def norm_trade_off_page(name: str, found: Sequence[Compromise]) -> Page:

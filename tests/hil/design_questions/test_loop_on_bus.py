@@ -132,6 +132,7 @@ def test_the_command_runs_every_place_and_writes_a_page(tmp_path: Path) -> None:
         and found["with_others_moved"] in found["places"]
         and "Cost over priority" in page.read_text()
         and "squared error (rad² s)" in page.read_text()
+        and "network.nodes.motor.can_id=0x41, links.control_can_id=0x51" in page.read_text()
     )
 
 

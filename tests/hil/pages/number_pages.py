@@ -119,9 +119,9 @@ def designs() -> dict[str, list[str]]:
                                     assumes="nodes queue by priority", disturbed=disturbed)).html()  # fmt: skip
 
     def place(above: int, cost: float | None, state: str, bounds: tuple[float | None, float | None], moved: int = 0) -> Judged:
-        at = Place(
-            above=above, can_id=16 + above, control_can_id=32 + above, moved=moved, experiment=load_experiment("dc-motor-h2")
-        )
+        ids = (f"network.nodes.motor.can_id={16 + above}", f"links.control_can_id={32 + above}")
+        own = load_experiment("dc-motor-busy-can", ids)
+        at = Place(above=above, can_id=16 + above, control_can_id=32 + above, moved=moved, experiment=own)
         return Judged(place=at, cost=cost, state=state, bounds_ms=bounds, in_time=None not in bounds)
 
     def trigger(kind: str, several: Sequence[TriggerPoint], open_points: Sequence[OpenPoint] = ()) -> str:
