@@ -286,7 +286,6 @@ def _loop(design: Design, plants: PlantSet) -> tuple[LoopStructure, Array, Array
     return design.problem.structure(), design.gains, plants.M, plants.N1, plants.N2
 
 
-
 UNCERTAIN = (
     statement(
         f"(7.41), Remark 7.6: gains for norm-bounded plants are proved for what the nominal ones are not, gain +-{WIDE} %",

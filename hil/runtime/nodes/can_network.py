@@ -87,8 +87,6 @@ class CanNetwork:
         way = TimedBusWay(self._slots, [channel], [self._control_frames], first=len(self._own) - 1, back=True)
         return OneWay(way)
 
-
-
     def _control_frames(self, packet: object) -> list[CanFrame]:
         rows = cast(ControlPacket, packet).rows
         return value_frames(self._own[-1].first, [value for row in rows for value in row], fd=self._fd)

@@ -115,8 +115,6 @@ class Child:
         if self.poll() is None:
             self._process.terminate()
 
-
-
     def wait(self, timeout_s: float) -> bool:
         """Return whether it has ended within ``timeout_s``, as soon as it has."""
         if self._pidfd is not None:

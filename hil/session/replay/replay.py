@@ -275,6 +275,3 @@ class _Recent:
             if len(self._packets) > self._slots:
                 del self._packets[next(iter(self._packets))]
         return self._packets.get(g)
-
-
-
