@@ -123,25 +123,10 @@ def session_options(command: Callable[..., None]) -> Callable[..., None]:
 @foxglove_option
 @click.option("--live", is_flag=True, help="Show the run on a page in the browser, too; virtual time is paced.")
 def run(
-    experiment: str,
-    sets: tuple[str, ...],
-    clock: str,
-    link: str | None,
-    seed: int | None,
-    duration: str | None,
-    output: Path | None,
-    force: bool,
-    log_mode: str,
-    index: str,
-    sign: Path | None,
-    signals: str | None,
-    external: bool,
-    wait: float | None,
-    require_valid_timing: bool,
-    quiet: bool,
-    live: bool,
-    foxglove: int | None,
-) -> None:
+    experiment: str, sets: tuple[str, ...], clock: str, link: str | None, seed: int | None, duration: str | None,
+    output: Path | None, force: bool, log_mode: str, index: str, sign: Path | None, signals: str | None, external: bool,
+    wait: float | None, require_valid_timing: bool, quiet: bool, live: bool, foxglove: int | None,
+) -> None:  # fmt: skip
     """Run EXPERIMENT (a shipped name or a TOML file), log it to MCAP, print its summary.
 
     Exit status: 0 done; 1 the rig died or the log is not whole; 2 bad input, nothing started or written; 3 stopped by
