@@ -122,7 +122,7 @@ def target_of(
 
 def _target(plant: Plant, name: str, period: float, sc: DelayChain, ca: DelayChain) -> TrackingTarget:
     if not (np.isfinite(period) and period > 0):
-        raise HilError(f"--period: {period:g} s, expected a number > 0")
+        raise HilError(f"period: {period:g} s, expected a number > 0")
     try:
         discrete = plant.model().discretise(float(period))
     except (AttributeError, NotImplementedError) as error:

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from numbers import Integral
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
 from hil.plugins import OUR_FOLDERS, is_ours, text_of
@@ -127,6 +127,10 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
 
 
+FORM_ERRORS: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error)
+"""What our own code raises of an answer that has another form than its author's part promises."""
+
+
 def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
     """Return what an exception says that came of a class of the user's own, or of what it returned; None for any other.
 
@@ -137,7 +141,7 @@ def user_failure(error: BaseException, objects: Iterable[object]) -> str | None:
     own = dict.fromkeys(type(made).__qualname__ for made in objects if not is_ours(made))
     if own and _frames_elsewhere(error):
         return words(error)
-    if own and isinstance(error, (ArithmeticError, LookupError, TypeError, ValueError, struct.error)):
+    if own and isinstance(error, FORM_ERRORS):
         return f"{', '.join(own)}: it returned something of another form than in its check: {words(error)}"
     return None
 

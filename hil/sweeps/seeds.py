@@ -17,7 +17,7 @@ from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
 from hil.compose import compose
 from hil.compose.judged import caution
-from hil.errors import HilError, exit_status
+from hil.errors import HilError, exit_status, located
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
@@ -27,7 +27,7 @@ from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins import is_ours
-from hil.plugins.user_plugins import words
+from hil.plugins.user_plugins import FORM_ERRORS, words
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps import Sweep, SweepStore
@@ -236,10 +236,8 @@ def run_sweep(
     ends = list(dict.fromkeys((seeds[0], seeds[-1])))
     alone = run_one_by_one(replace(loop, watched=None), ends) if foreign_parts(loop) else []
     if alone:
-        try:
+        with located(f"{', '.join(foreign_parts(loop))}: as a sweep runs it", *FORM_ERRORS):
             swept = run_seeds(copied(replace(loop, watched=None)), ends)
-        except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever a class of the user's own gives it
-            raise HilError(f"{', '.join(foreign_parts(loop))}: as a sweep runs it: {words(error)}") from error
         refuse_other_numbers(loop, alone, swept)
     together = swept_at_once(loop)
     if together and workers.backend == "loky" and len(seeds) * experiment.slots <= WORTH_WORKERS:

@@ -50,6 +50,16 @@ def test_a_plant_that_inherits_start_many_and_moves_otherwise_is_refused() -> No
         hil.compare(loop.experiment, "dc-motor-hinf", runs=3, jobs=1)
 
 
+class Unformed(DCMotor):
+    def start_batch(self, runs: int) -> Any:
+        return object()
+
+
+def test_a_batch_that_is_none_is_one_message() -> None:
+    with pytest.raises(HilError, match=r"Unformed: as a sweep runs it: 'object' object has no attribute 'state'"):
+        hil.sweep("dc-motor-h2", runs=2, jobs=1, duration=1, plant=motor(Unformed))
+
+
 def test_one_that_moves_as_ours_has_the_numbers_of_ours() -> None:
     ours, own = (
         hil.sweep("dc-motor-h2", runs=3, jobs=1, duration=2, **changes) for changes in ({}, {"plant": motor(PlainMotor)})
