@@ -70,9 +70,7 @@ class LivePage(ThreadingHTTPServer):
         HilError: the port is taken.
     """
 
-    daemon_threads = True
     block_on_close = False  # a browser that keeps its connection open keeps nothing else open
-    allow_reuse_address = True
 
     def __init__(self, desk: Desk, about: Callable[[], dict[str, Any]], port: int) -> None:
         self.desk, self.about = desk, about
@@ -136,9 +134,6 @@ class LivePage(ThreadingHTTPServer):
         self.server_close()
         self._thread.join()
 
-    def __enter__(self) -> LivePage:
-        return self
-
     def __exit__(self, *_: object) -> None:
         self.close()
 
@@ -181,7 +176,6 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server_version = "hil"
     sys_version = ""
-    timeout = TIMEOUT_S
 
     def setup(self) -> None:
         """Bound the time of a whole request, not of each of its bytes."""
