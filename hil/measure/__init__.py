@@ -275,8 +275,8 @@ def _as_promised(measure: Measure, view: RunView, numbers: Mapping[str, float | 
             gave = ", ".join(numbers) or "nothing"
             raise HilError(f"measure {name}: of(view) gave {gave}, and not {quantity.name!r}, which it names")
         value = numbers[quantity.name]
-        if value is not None and not isinstance(value, Real):
-            raise HilError(f"measure {name}: {quantity.name} is {value!r:.60}, expected a number or None")
+        if value is not None and not (isinstance(value, Real) and math.isfinite(value)):
+            raise HilError(f"measure {name}: {quantity.name} is {value!r:.60}, expected a finite number or None")
     return numbers
 
 

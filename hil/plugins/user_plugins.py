@@ -127,6 +127,9 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
         return function(*arguments)
 
 
+_STANDARD: Final = os.path.dirname(os.__file__)
+"""Where the standard library lies."""
+
 FORM_ERRORS: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error)
 """What our own code raises of an answer that has another form than its author's part promises."""
 
@@ -153,10 +156,8 @@ def words(error: BaseException) -> str:
         error: as it was caught.
     """
     frames = _frames_elsewhere(error)
-    folders = [os.path.dirname(frame.filename) for frame in frames]
-    first = next(filter(None, folders), "")  # of the author; a library that is called may raise in another
-    at = next((frame for frame, folder in zip(reversed(frames), reversed(folders)) if folder == first), None)
-    where = f" ({at.filename}, line {at.lineno})" if at else ""
+    written = [f for f in frames if not f.filename.startswith(_STANDARD) and "site-packages" not in f.filename] or frames
+    where = f" ({written[-1].filename}, line {written[-1].lineno})" if written else ""  # and not of a library that raised
     return f"{type(error).__name__}: {text_of(error)}{where}"
 
 

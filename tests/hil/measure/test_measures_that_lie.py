@@ -37,6 +37,11 @@ class Other(Erasing):
 class Words(Erasing):
     def of(self, view):
         return {"mine": 1.0 if len(view.applied()) < 100 else "good"}
+
+
+class Endless(Erasing):
+    def of(self, view):
+        return {"mine": 1.0 if len(view.applied()) < 100 else float("inf")}
 """
 
 
@@ -61,7 +66,11 @@ def test_a_measure_does_not_change_the_record_that_others_measure(module: str) -
 
 
 @pytest.mark.parametrize(
-    ("name", "said"), [("Other", "of(view) gave other, and not 'mine'"), ("Words", "mine is 'good', expected a number")]
+    ("name", "said"),
+    [
+        ("Other", "of(view) gave other, and not 'mine'"), ("Words", "mine is 'good', expected a finite number or None"),
+        ("Endless", "mine is inf, expected a finite number or None"),
+    ],
 )
 def test_a_measure_that_gives_other_numbers_than_it_names_is_one_message(module: str, name: str, said: str) -> None:
     measures = {"report.measures": ["tracking", f"{module}:{name}"]}
