@@ -126,20 +126,33 @@ def plants_between(target: TrackingTarget, intervals: Sequence[Interval]) -> Pla
     points = [_discrete(target, dict(zip(names, values)), names) - nominal for values in product(*axes)]
     n, width = nominal.shape
     changes = np.array(points)
-    left, row_size, _ = np.linalg.svd(changes.transpose(1, 0, 2).reshape(n, -1), full_matrices=False)
-    _, column_size, right = np.linalg.svd(changes.reshape(-1, width), full_matrices=False)
-    if row_size[0] == 0.0:
+    if not changes.any():
         raise HilError(f"--uncertainty: {', '.join(names)}: the plant's model does not depend on it")
+    down, across = _alike(np.abs(changes).max(axis=0))  # what is small in its unit is not rounding
+    alike = changes / down[:, None] / across
+    left, row_size, _ = np.linalg.svd(alike.transpose(1, 0, 2).reshape(n, -1), full_matrices=False)
+    _, column_size, right = np.linalg.svd(alike.reshape(-1, width), full_matrices=False)
     rows, columns = row_size > 1e-12 * row_size[0], column_size > 1e-12 * column_size[0]
     M = left[:, rows] * np.sqrt(row_size[rows])
     N = np.sqrt(column_size[columns])[:, None] * right[columns]
-    delta = np.linalg.pinv(M) @ changes @ np.linalg.pinv(N)
+    delta = np.linalg.pinv(M) @ alike @ np.linalg.pinv(N)
     grid = delta.reshape(*[count] * len(names), *delta.shape[1:])
     between = sum(float(np.linalg.norm(np.diff(grid, 2, axis=axis), 2, axis=(-2, -1)).max()) for axis in range(len(names)))
     largest = float(np.linalg.norm(delta, 2, axis=(-2, -1)).max()) + between
     spread = changes.reshape(*[count] * len(names), n, width)
     bends = tuple(np.diff(spread, 2, axis=axis).reshape(-1, n, width) for axis in range(len(names)))
-    return PlantSet(M * largest, N[:, :n], N[:, n:], changes, bends)
+    N = N * across
+    return PlantSet(down[:, None] * M * largest, N[:, :n], N[:, n:], changes, bends)
+
+
+def _alike(sizes: Array) -> tuple[Array, Array]:
+    """Units of rows and columns in which the largest entries of every row and column that are not 0 are 1, nearly."""
+    down, across = np.ones(len(sizes)), np.ones(sizes.shape[1])
+    for _ in range(30):
+        left = np.sqrt(sizes / down[:, None] / across)
+        rows, columns = left.max(axis=1), left.max(axis=0)
+        down, across = down * np.where(rows > 0.0, rows, 1.0), across * np.where(columns > 0.0, columns, 1.0)
+    return down, across
 
 
 def _discrete(target: TrackingTarget, values: dict[str, float], names: Sequence[str]) -> Array:
