@@ -178,7 +178,7 @@ def leaving(
                 slots = last + later
                 break
             rest = backward(A, transition, rest)
-    kept = tuple(d for d in DEGREES if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2)
+    kept = [d for d in DEGREES if N * count(n, d) ** 2 <= MOST_PRODUCTS or d == 2]
     with np.errstate(over="ignore", invalid="ignore"):
         every = [(d, *_of_degree(A, transition, scaled, S, pushes, d, max(slots, 1))) for d in kept]
     found = [each for each in every if np.isfinite(each[1]).all() and np.isfinite(each[2]).all()]  # a power may be too large

@@ -113,11 +113,10 @@ def certify_historical(loop: CertificationProblem) -> Verdict | None:
     verdict = certify_cost(plant, each.gains, start, each.transition, history=history, deviation=noise, renewed=each.renewed)
     lossy = nodes.turns is not None and nodes.turns.loss
     lost = "packets are lost on the medium as it states, and nowhere else" if lossy else "no packet is lost"
+    calm = ["the cost is without disturbances"] * bool(loop.disturbance)
     known = msgspec.structs.replace(
         verdict, digest=loop.digest, details={**verdict.details, **least},
-        assumptions=(
-            *verdict.assumptions, *(["the cost is without disturbances"] * bool(loop.disturbance)), lost, "no limit trips",
-        ),
+        assumptions=(*verdict.assumptions, *calm, lost, "no limit trips"),
     )  # fmt: skip
     return limited_to_model(loop.plant, known, knows_state_delays=True)
 

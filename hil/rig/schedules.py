@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Final
+from itertools import accumulate
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
 from msgspec import Struct
 
 from hil.errors import nearest
@@ -232,17 +234,13 @@ def disturbance_changes(e: Experiment) -> dict[int, tuple[float, ...]]:
     """
     from fractions import Fraction  # loaded where there is a disturbance
 
-    turns: dict[int, list[Fraction]] = {}
+    turns: dict[int, Any] = {}
     for pulse in e.disturbance:
-        first = round(pulse.at / e.period)
-        for slot, sign in ((first, 1), (first + pulse.samples, -1)):
-            before = turns.get(slot, [Fraction(0)] * len(pulse.value))
-            turns[slot] = [a + sign * Fraction(b) for a, b in zip(before, pulse.value)]
-    found, now = {}, [Fraction(0)] * len(e.plant.inputs)
-    for slot in sorted(turns):
-        now = [a + b for a, b in zip(now, turns[slot])]
-        found[slot] = tuple(map(float, now))
-    return found
+        first, exact = round(pulse.at / e.period), np.array([Fraction(each) for each in pulse.value])
+        for slot, turn in ((first, exact), (first + pulse.samples, -exact)):
+            turns[slot] = turns.get(slot, 0) + turn
+    slots = sorted(turns)
+    return {slot: tuple(map(float, now)) for slot, now in zip(slots, accumulate(turns[slot] for slot in slots))}
 
 
 class Piecewise:
