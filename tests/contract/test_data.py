@@ -12,8 +12,8 @@ import msgspec
 from tests.changed import PACKAGES
 
 FILLED_IN = {
-    "CanNode", "Content", "Draft", "LinkCounters", "LmiProgram", "PumpReport", "RealOutcome", "Recovery", "Refusals", "Samples",
-    "Trip", "Waiting", "_Packet", "_Packets",
+    "CanNode", "Content", "Draft", "LinkCounters", "LmiProgram", "Participant", "PumpReport", "RealOutcome", "Recovery",
+    "Refusals", "Samples", "Trip", "Waiting", "_Packet", "_Packets",
 }  # fmt: skip
 """As it comes, by those who gather it."""
 

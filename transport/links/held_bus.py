@@ -59,7 +59,7 @@ class StateChange(NamedTuple):
     rec: int
 
 
-class Participant(Struct, array_like=True):
+class Participant(Struct, kw_only=True, array_like=True):
     """Whose a node is, and what its owner has yet to learn.
 
     Attributes:
@@ -161,7 +161,7 @@ class HeldBus:
         """Take a node onto the bus; return its number."""
         owners = self.owners
         place = self.living.join(node, owners.index(0) if 0 in owners else None)
-        self.participants[place : place + 1] = [Participant(owner)]
+        self.participants[place : place + 1] = [Participant(owner=owner)]
         return place
 
     def advance(self, now_ns: int) -> set[int]:
