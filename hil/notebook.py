@@ -10,6 +10,7 @@ import io
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, chdir
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,10 +44,10 @@ def drawn(paint: Callable[[Figure], None], path: str | Path | None, width_mm: fl
     class PaperFigure(Figure):  # of matplotlib's own a notebook shows only those that pyplot made
         _repr_svg_ = svg_of
 
-    if path is not None and Path(path).suffix not in FORMATS:
+    if path is not None and Path(str(path)).suffix not in FORMATS:
         raise HilError(f"plot: {str(path)!r}; expected a name that ends in {', '.join(FORMATS)}")
-    if not (10.0 <= width_mm <= 2000.0 and 10.0 <= height_mm <= 2000.0):
-        raise HilError(f"plot: {width_mm:g} mm x {height_mm:g} mm; expected 10 to 2000 mm")
+    if not all(isinstance(size, Real) and 10.0 <= size <= 2000.0 for size in (width_mm, height_mm)):
+        raise HilError(f"plot: {width_mm!r:.20} mm x {height_mm!r:.20} mm; expected 10 to 2000 mm")
     with context:
         sheet = PaperFigure(figsize=(width_mm / MM_PER_INCH, height_mm / MM_PER_INCH), layout="constrained")
         paint(sheet)

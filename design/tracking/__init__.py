@@ -17,6 +17,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass
+from numbers import Integral, Real
 from typing import Literal, get_args
 
 import numpy as np
@@ -131,6 +132,10 @@ OBJECTIVES: tuple[str, ...] = get_args(Objective)
 METHODS: tuple[str, ...] = get_args(Method)
 DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
 MOST_STARTS = 10_000
+KINDS = (
+    ("starts", Integral, "a whole number"), ("seed", Integral, "a whole number"), ("samples", Integral, "a whole number"),
+    ("integral", Real, "a number"), ("gain_bound", Real | None, "a number"), ("hinf_bound", Real | None, "a number"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -185,6 +190,15 @@ class TrackingProblem:
         if self.hinf_bound is not None and self.objective != "mixed":
             raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
         check_above_zero(hinf_bound=self.hinf_bound)
+        for field, kinds, expected in KINDS:
+            value = getattr(self, field)
+            if not isinstance(value, kinds):
+                raise FieldError(field, f"{value!r:.40}, expected {expected}")
+        for field in ("Q", "R", "initial"):
+            try:
+                np.asarray(getattr(self, field), dtype=np.float64)
+            except (TypeError, ValueError):
+                raise FieldError(field, f"{getattr(self, field)!r:.40}, expected numbers") from None
         if not 0 <= self.starts <= MOST_STARTS:
             raise FieldError("starts", f"{self.starts}, expected a number from 0 to {MOST_STARTS}")
         if self.seed < 0:

@@ -77,7 +77,10 @@ def assert_probability(
     loop = compose(checked_experiment(source, None, None, changes))
     failed, decided, runs = list[int](), None, 0
     while decided is None and runs < most_runs:
-        if not holds(simulated_session(loop, first_seed + runs)):
+        held = holds(simulated_session(loop, first_seed + runs))
+        if held is None:
+            raise HilError(f"assert_probability: holds: returned None of seed {first_seed + runs}; expected True or False")
+        if not held:
             failed.append(first_seed + runs)
         runs += 1
         decided = test.decide(runs - len(failed), runs)

@@ -38,7 +38,7 @@ R = TypeVar("R")
 
 WORDS: dict[Any, str] = {
     str: "text", Path: "a path", int: "a whole number", float: "a number", bool: "True or False", NoneType: "None",
-    Mapping: "a dict", Sequence: "a list", Callable: "a function",
+    Mapping: "a dict with keys of text", Sequence: "a list", Callable: "a function",
 }  # fmt: skip
 SOURCE: dict[Any, str] = {
     str: "the name of an experiment", Path: "the path of its file", Experiment: "what load_experiment returned",
@@ -125,7 +125,7 @@ def _fits(value: Any, hint: Any) -> bool:
             fits = isinstance(value, Sequence | np.ndarray) and not isinstance(value, str | bytes)
             fits = fits and (get_args(each) != (str,) or all(isinstance(one, str) for one in value))
         else:
-            fits = isinstance(value, kind)
+            fits = isinstance(value, kind) and (kind is not Mapping or all(isinstance(key, str) for key in value))
         if fits:
             return True
     return False

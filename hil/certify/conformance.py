@@ -34,6 +34,7 @@ from hil.certify.motion_test import (
 )
 from hil.certify.stated_controller import answers_of
 from hil.plugins import is_ours
+from hil.plugins.user_plugins import user_failure, words
 from hil.rig.loop import EQUAL, FreeMotion, OneStep
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
 
@@ -72,8 +73,9 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
     for what, check in checks or (("plant", of_plant), ("controller", answers_of)):
         try:
             state, said = check(loop)
-        except Exception as error:  # whatever an author's plant or controller does when it is driven
-            state, said = "undecided", f"the {what} could not be compared with what it says: {type(error).__name__}: {error}"
+        except (Exception, SystemExit) as error:  # whatever an author's plant or controller does when it is driven
+            raised = user_failure(error, (loop.plant if what == "plant" else loop.controller,)) or words(error)
+            state, said = "undecided", f"the {what} could not be compared with what it says: {raised}"
         if state == "refused" or (state is not None and verdict.state != "undecided"):
             return replace(verdict, state=state, reason=str(said), details={**verdict.details, "stable": False})
         assumptions += said if state is None else ()

@@ -76,14 +76,11 @@ def answers_of(loop: CertificationProblem) -> Check:
     nodes = model.nodes
     if isinstance(controller, WallController):
         return _wall(starts, excitation, loop)
-    try:
-        apart = drift_at_zero(starts[0], _at_zero(excitation), nodes)
-        at_zero = answers(starts[0](), excitation, 0.0, nodes), answers(starts[1](), excitation, 0.0, nodes)
-        differences = mismatches(*starts, at_zero, excitation, nodes, SIZES)
-        growing = growing_feedforward(at_zero, excitation)
-        shared = not is_ours(controller) and shares_memory(starts[0], at_zero[0], excitation, nodes)
-    except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # whatever an author's controller does when it runs
-        return "refused", f"{NAME}: asked for an answer it raises {type(error).__name__}: {error}"
+    apart = drift_at_zero(starts[0], _at_zero(excitation), nodes)
+    at_zero = answers(starts[0](), excitation, 0.0, nodes), answers(starts[1](), excitation, 0.0, nodes)
+    differences = mismatches(*starts, at_zero, excitation, nodes, SIZES)
+    growing = growing_feedforward(at_zero, excitation)
+    shared = not is_ours(controller) and shares_memory(starts[0], at_zero[0], excitation, nodes)
     said = _departed(differences)
     if said is not None:
         return said

@@ -160,7 +160,7 @@ def in_words_of_parts(experiment: Experiment) -> Iterator[None]:
         yield
     except HilError:
         raise
-    except Exception as error:  # whatever an author's part raises when it is asked
+    except (Exception, SystemExit) as error:  # whatever an author's part raises when it is asked
         from traceback import walk_tb  # where a part fails
 
         text = user_failure(error, _parts(experiment).values())

@@ -68,6 +68,11 @@ def test_numbers_that_mean_nothing_are_reported_by_the_users_own_name(wrong: dic
         hil.assert_probability("dc-motor-hinf", lambda s: True, **wrong)
 
 
+def test_a_condition_without_an_answer_is_no_failed_run() -> None:
+    with pytest.raises(hil.HilError, match=r"^assert_probability: holds: returned None of seed 0; expected True or False$"):
+        hil.assert_probability("dc-motor-hinf", lambda s: None, at_least=0.9, duration=1)
+
+
 def test_a_session_of_it_has_the_numbers_of_a_run_with_a_log() -> None:
     loop = compose(hil.load_experiment("dc-motor-hinf", duration=3))
     light, logged = simulated_session(loop, 4), hil.run("dc-motor-hinf", seed=4, duration=3)

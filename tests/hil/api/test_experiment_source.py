@@ -66,12 +66,26 @@ def test_an_option_of_another_kind_is_one_error(changes: dict[str, Any], said: s
     assert str(reported.value).startswith(said)
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("R", "x", "numbers"), ("Q", object(), "numbers"), ("initial", [["a"]], "numbers"), ("starts", "a", "a whole number"),
+        ("seed", None, "a whole number"), ("samples", 1.5, "a whole number"), ("integral", "a", "a number"),
+        ("gain_bound", "a", "a number"),
+    ],
+)  # fmt: skip
+def test_an_option_of_a_design_is_named_with_what_it_expects(option: str, value: object, expected: str) -> None:
+    with pytest.raises(hil.HilError, match=f"^design: {option}: .*, expected {expected}$"):
+        hil.design("dc-motor", **{option: value})
+
+
 def test_numbers_that_cannot_run_are_refused() -> None:
     for call in (
         lambda: hil.sweep("dc-motor-h2", runs=10**30), lambda: hil.sweep("dc-motor-h2", runs=2, jobs=0),
         lambda: hil.compare("dc-motor-h2", "dc-motor-hinf", runs=10**30), lambda: hil.sweep("dc-motor-h2", jobs=10**30),
         lambda: hil.design("dc-motor", sojourns=0), lambda: hil.design("dc-motor", period=10**30),
         lambda: hil.sweep("dc-motor-h2", grid=3), lambda: hil.load_experiment("dc-motor-h2", [3]),  # type: ignore[arg-type, list-item]
+        lambda: hil.sweep("dc-motor-h2", grid={3: [1]}),  # type: ignore[dict-item]
         lambda: hil.load_experiment("dc-motor-h2", "seed=3"), lambda: hil.simulate("dc-motor-h2", topics=["/plant/measurment"]),
     ):  # fmt: skip
         with pytest.raises(hil.HilError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from typing import Any
@@ -24,7 +25,7 @@ from hil.compose import compose
 from hil.errors import ExperimentError
 from plants import LinearPlant, Signal, SwitchedExample
 from plants.switched_example import SwitchedExampleRun
-from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Run, Table
+from tests.hil.compose.lying_plugins import ANSWERS, CONDITIONS, HONEST, PLANT_LIES, TABLE_LIES, Plant, Rowed, Run, Table
 
 
 def verdict_on(name: str = "dc-motor-h2", **changes: Any) -> Verdict:
@@ -99,7 +100,37 @@ def test_a_plant_that_departs_from_its_model_and_then_raises_is_refused_for_the_
     assert found is not None and found.state == "refused" and "your plant does not move as its model() says" in found.reason
     found = on_own_plant(Fragile(), Table())
     assert found is not None and found.state == "undecided"
-    assert found.reason == "the plant could not be compared with what it says: RuntimeError: it broke"
+    assert re.fullmatch(rf"the plant could not be compared .*: RuntimeError: it broke \({__file__}, line \d+\)", found.reason)
+
+
+class LateTable(Table):
+    """It fails in a slot behind those in which a check asks it."""
+
+    def __init__(self, late: Callable[[], Any]) -> None:
+        super().__init__()
+        object.__setattr__(self, "late", late)
+
+    def start(self, model: LoopModel) -> Rowed:
+        return LateRun(self, model)
+
+
+class LateRun(Rowed):
+    def rows(self, k: int, tau: int, y: Sequence[float], r: Sequence[float]) -> Any:
+        return self.table.late() if k > 300 else super().rows(k, tau, y, r)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("late", "said"),
+    [
+        (lambda: ((1.0, 2.0), (1.0,)), "LateTable: it returned something of another form than in its check: ValueError: "),
+        (lambda: int("a"), rf"ValueError: .*'a' \({__file__}, line \d+\)"),
+        (lambda: sys.exit(0), rf"SystemExit: 0 \({__file__}, line \d+\)"),
+    ],
+)
+def test_a_controller_that_fails_in_late_slots_is_undecided_with_its_line(late: Callable[[], Any], said: str) -> None:
+    found = on_own_plant(Plant(), LateTable(late))
+    assert found is not None and found.state == "undecided"
+    assert re.match(f"the controller could not be compared with what it says: {said}", found.reason)
 
 
 @pytest.mark.parametrize("lie", TABLE_LIES)

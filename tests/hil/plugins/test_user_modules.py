@@ -96,6 +96,10 @@ class Seedless(Cart):
     def start(self):
         return super().start(None)
 
+class Asserting(Cart):
+    def start(self, rng):
+        assert False, "at rest"
+
 class Base(BaseException):
     pass
 
@@ -182,7 +186,7 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
     ("plant", "reported"),
     [
         ("kart:Cart", r"plant\.kind: 'kart:Cart': there is no kart\.py in .*"),
-        ("cart:Car", r"has no 'Car'; it has Base, Cart, Failing, Half, Leaving, Lying, "),
+        ("cart:Car", r"has no 'Car'; it has Asserting, Base, Cart, Failing, Half, Leaving, Lying, "),
         ("cart:NoDataclass", r"plant\.kind: 'cart:NoDataclass' is no dataclass"),
         ("cart:Proportional", r"plant: 'cart:Proportional': check_plant: Proportional, a plant, needs `inputs` \(.*`outputs`"),
         ("cart:Lying", r"plant: 'cart:Lying': check_plant: "),
@@ -193,6 +197,7 @@ def test_a_text_that_two_folders_hold_is_found_where_it_was_read_last(tmp_path: 
         ("cart:Seedless", r"check_plant: Seedless\.start\(rng\): too many positional arguments"),
         ("cart:Raising", r"plant: 'cart:Raising': Base: not today \(.*cart\.py, line \d+\)"),
         ("cart:Metaclass", r"plant: 'cart:Metaclass': Base: no instance \(.*cart\.py, line \d+\)"),
+        ("cart:Asserting", r"check_plant: AssertionError: at rest \(.*cart\.py, line \d+\)"),
         ("cart:Leaving", r"plant: 'cart:Leaving': check_plant: .*SystemExit: 0 \(.*cart\.py, line \d+\)"),
         ("raising:Cart", r"raising\.py, line 2: Base: at the door"),
         ("broken:Cart", r"broken\.py, line 2: ZeroDivisionError: division by zero"),

@@ -6,6 +6,7 @@ import pickle
 import re
 import sys
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -85,9 +86,12 @@ def test_several_inputs_stand_on_one_axis_with_their_names() -> None:
 
 @pytest.mark.parametrize(
     "path, size, said",
-    [("step.tiff", 85.0, "plot: "), (None, 1.0, "plot: "), ("nowhere/step.svg", 85.0, "cannot be written: No such file")],
-)
-def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: str | None, size: float, said: str) -> None:
+    [
+        ("step.tiff", 85.0, "plot: "), (None, 1.0, "plot: "), ("nowhere/step.svg", 85.0, "cannot be written: No such file"),
+        (3, 85.0, "plot: '3'; expected a name"), (None, "a", "plot: 'a' mm x "),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_drawn_is_reported(session: hil.Session, path: Any, size: Any, said: str) -> None:
     with pytest.raises(hil.HilError, match=said):
         session.plot(path, width_mm=size)
 
