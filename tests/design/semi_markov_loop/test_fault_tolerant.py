@@ -244,6 +244,22 @@ def test_decay_of_a_certificate_is_one_that_the_process_keeps() -> None:
         assert 0.0 < certificate.decay_rate < exact < -held[0]
 
 
+def test_rates_that_no_section_allows_together_refuse_nothing() -> None:
+    # the bad gain is left to 0 in its first 0.1 s and to 1 after it, at 10/s always: both rates are never 0 at once
+    def step(before: float, after: float) -> PiecewiseLinearRate:
+        return PiecewiseLinearRate(times_s=(0.0, 0.1, 0.1), values=(before, before, after))
+
+    slow = constant_rate(1.0)
+    detection = SemiMarkov(rates=((None, None, slow), (None, None, slow), (step(10.0, 0.0), step(0.0, 10.0), None)))
+    failure = SemiMarkov(rates=((None, slow), (slow, None)))
+    process = FaultDetection(failure=failure, detection=(detection,) * 2, failure_restarts_detection_clock=False)
+    one = np.ones((2, 1, 1))
+    system, gain = JumpSystem(a=0.0 * one, b=one, c=one, e=one), constant_gain(np.array([-2.0, -2.0, 1.0]).reshape(3, 1, 1))
+    certificate = analyse_fault_tolerant(system, gain, process, r_nodes=((0.0,), (0.0,), (0.0, 0.1)))
+    assert certificate.certified and certificate.gamma == pytest.approx(0.7047, rel=1e-3)
+    assert analyse_fault_tolerant(system, gain, process).verdict == "refused"
+
+
 SEEN = chapter4_seen_gain(partitioned=False)
 WIDE = JumpSystem(a=np.zeros((3, 1, 1)), b=np.ones((3, 1, 1)), c=np.ones((3, 1, 1)), e=np.ones((3, 1, 1)))
 
