@@ -72,7 +72,7 @@ class DelayedStates:
         B: n rows of m entries.
         initial_state: x(0), n entries.
         period_s: length of a slot, s; the experiment's period must be the same.
-        weight: Xi of the cost, sum of x' Xi x + u' Xi_u u, n rows of n entries; the unit matrix if left out for another A.
+        weight: Xi of the cost, sum of x' Xi x + u' Xi_u u, n rows of n entries; that of the example if left out.
         input_weight: Xi_u, m rows of m entries; zero if left out.
         initial_history: x(-1), x(-2), ..., at most tau rows of n entries; what is left out was zero.
         noise_sd: standard deviation of white noise on every measured state, n entries, at least 0; none if left out.

@@ -176,11 +176,19 @@ def cost_from(
     Raises:
         NotStable: J is infinite.
     """
+    loop, start = run_from(plant, gains, history, transition, renewed)
+    return float(np.einsum("i,a,iab,b->", phases, start, loop.stable_cost_to_go(), start))
+
+
+def run_from(
+    plant: DelayedPlant, gains: Array, history: npt.ArrayLike, transition: Array | None = None, renewed: Renewed = None
+) -> tuple[LiftedLoop, Array]:
+    """Return the loop of `close_received` and its state in slot 0; arguments as of `cost_from`."""
     loop, known = close_received(plant, gains, transition, renewed), np.asarray(history, dtype=float)
     size, n = loop.L.shape[-1] - gains.shape[1] * gains.shape[3], known.shape[1]
     start = np.zeros(loop.L.shape[-1])
     start[: known.size], start[size : size + n] = known.ravel(), known[0]
-    return float(np.einsum("i,a,iab,b->", phases, start, loop.stable_cost_to_go(), start))
+    return loop, start
 
 
 def stationary_cost(

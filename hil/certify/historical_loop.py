@@ -24,15 +24,17 @@ if TYPE_CHECKING:
     from design.historical_data import DelayedPlant
     from design.historical_data.gapped_history import PhaseGains
     from design.historical_data.guaranteed_cost import Start
+    from design.processes.delay_chain import DelayChain
 
 
 KIND: Kind = "guaranteed cost"
 
 
-def delayed_plant_of(plant: Plant, model: LoopModel) -> DelayedPlant | None:
+def delayed_plant_of(plant: Plant, model: LoopModel, ca: DelayChain | None = None) -> DelayedPlant | None:
     """Return a plant as Chapter 5 takes it; None for one that jumps, or does not measure its state.
 
-    A plant that states no cost is weighed by the unit matrix, its input by zero.
+    A plant that states no cost is weighed by the unit matrix, its input by zero. Commands that are all as old when they act, by
+    the chain of their ages, are delayed in the plant.
     """
     from design.historical_data import DelayedPlant
 
@@ -41,7 +43,10 @@ def delayed_plant_of(plant: Plant, model: LoopModel) -> DelayedPlant | None:
         return None
     delayed = plant.state_delays() if isinstance(plant, HasStateDelays) else np.zeros((0, n, n))
     weight, input_weight = plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
-    return DelayedPlant(A=model.A, delayed=delayed, B=model.B, weight=weight, input_weight=input_weight)
+    late = 0 if ca is None or ca.delay.min() < ca.max_delay else ca.max_delay
+    return DelayedPlant(
+        A=model.A, delayed=delayed, B=model.B, weight=weight, input_weight=input_weight, input_delay=late
+    )  # fmt: skip
 
 
 def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
@@ -158,9 +163,11 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     from design.historical_data import close
     from design.historical_data.cost_bounds import arrivals_of, causal_bound, cost_moments, mean_full_state_bound
     from design.historical_data.gapped_history import phase_gains
+    from design.historical_data.guaranteed_cost import run_from
+    from hil.rig.loop_chains import loop_chains
 
     controller, nodes, name = loop.controller, loop.model.nodes, loop.experiment.name
-    plant = delayed_plant_of(loop.experiment.plant, loop.model)
+    plant = delayed_plant_of(loop.experiment.plant, loop.model, loop_chains(loop.rig, loop.chains, controller, loop.model).ca)
     if not isinstance(controller, HistoryGains) or plant is None:
         raise HilError(
             f"{name}: hil design judges gains over historical data of a plant that measures its state; "
@@ -176,7 +183,7 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     start, each = _any_start(nodes, controller.uses, K)
     closed = close(plant, each.gains, each.transition, renewed=each.renewed)
     found["mean_cost"] = start.mean(closed.stable_cost_to_go())
-    found["bound_full_state"] = mean_full_state_bound(plant, start.moment)
+    found["bound_full_state"] = mean_full_state_bound(replace(plant, input_delay=0), start.moment)
     arrivals = arrivals_of(nodes)
     if arrivals is not None:
         found["bound_causal"] = causal_bound(plant, arrivals, start.moment)
@@ -187,7 +194,10 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
         found["cost_sd"] = 0.0
         if each.transition is not None:
             phases = phase_gains(K, nodes, controller.uses).start  # of the run: the schedule's first phase
-            found["cost_sd"] = float(np.sqrt(cost_moments(closed, known_past(loop.experiment.plant), phases).variance))
+            history = known_past(loop.experiment.plant)
+            if history[1:].any():  # which no sensor has seen
+                closed, history = run_from(plant, each.gains, history, each.transition)
+            found["cost_sd"] = float(np.sqrt(cost_moments(closed, history, phases).variance))
     if orders:
         found["orders"] = _orders(plant, nodes, K, name)
     return found

@@ -215,7 +215,7 @@ def _task(e: Experiment, rig: RigSpec, chains: Chains, model: LoopModel) -> Desi
             jumps = {"jump_system": system_of(plant.jump_system()), "jump_process": process_of(plant.jump_process())}
         except ValueError as error:
             raise FieldError("kind", f"no design covers this plant: {error}") from error
-    delayed = delayed_plant_of(plant, model)
+    delayed = delayed_plant_of(plant, model, ca)
     initial = None if delayed is None else known_past(plant)[0]
     return DesignTask(
         model=model, sc=sc, sc_nodes=chains.nodes or (), ca=ca, folder=rig.folder, delayed_plant=delayed, initial_state=initial,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +51,75 @@ def test_gains_over_history_of_the_only_node_are_judged_and_others_are_designed(
     (tmp_path / "motor.toml").write_text(motor)
     assert tracking_target(str(tmp_path / "motor.toml")).plant == "dc-motor"
     assert not is_over_history({"subject": str(tmp_path / "motor.toml")})
+
+
+LATE = """
+name = "late"
+period = "50 ms"
+duration = "1 s"
+[plant]
+kind = "delayed-states"
+A = [[1.1]]
+delayed = []
+B = [[1.0]]
+initial_state = [1.0]
+weight = [[1.0]]
+[network]
+sc.law = { kind = "constant", age = 0 }
+ca.law = { kind = "constant", age = 1 }
+[limits]
+input = [100.0]
+watchdog_slots = 10
+[controller]
+"""
+
+
+def test_what_is_designed_and_its_mean_cost_are_of_commands_that_come_late(tmp_path: Path) -> None:
+    """From x(0) = 1 the cost is 1 + 1.1^2 + (1.21 + k)^2 + ...: the least of a grid of k."""
+    (tmp_path / "late.toml").write_text(f"{LATE}kind = 'historical-designed'\nmemory = 0\n")
+    found = judge_historical(compose(load_experiment(str(tmp_path / "late.toml"))))
+
+    def summed(k: float) -> float:
+        x, late, total = 1.0, 0.0, 0.0
+        for _ in range(400):
+            x, late, total = 1.1 * x + late, k * x, total + x * x
+        return total
+
+    assert found["gains"][0][0][0][0] == pytest.approx(min(np.arange(-0.9, -0.1, 1e-3), key=summed), abs=2e-3)
+    assert found["mean_cost"] == pytest.approx(summed(found["gains"][0][0][0][0]), rel=1e-9)
+    assert found["mean_cost"] == pytest.approx(found["cost"], rel=1e-9) and found["bound_causal"] == pytest.approx(1 + 1.1**2)
+
+
+UNSEEN = LATE.replace("1.1", "0.1").replace("age = 1", "age = 0").replace("[]", "[[[0.3]]]\ninitial_history = [[2.0]]")
+LOSSY = """
+kind = "historical"
+uses = "current-packet"
+gains = [[[[0.2]], [[-0.3]]]]
+[network.nodes.only]
+outputs = ["x1"]
+buffer = 2
+[network.media.bus]
+kind = "round-robin"
+nodes = ["only"]
+loss = 0.4
+"""
+
+
+def test_the_spread_is_of_runs_whose_first_past_no_sensor_has_seen(tmp_path: Path) -> None:
+    """Over all 2^10 outcomes of ten slots; what follows is below 1e-5 of it."""
+    (tmp_path / "unseen.toml").write_text(UNSEEN + LOSSY)
+    found = judge_historical(compose(load_experiment(str(tmp_path / "unseen.toml"))), spread=True)
+    costs, chances = [], []
+    for came in product((0, 1), repeat=10):
+        x, before, seen, total = 1.0, 2.0, 0.0, 0.0
+        for received in came:
+            total += x * x
+            x, before, seen = 0.1 * x + 0.3 * before + received * (0.2 * x - 0.3 * seen), x, x
+        costs.append(total)
+        chances.append(0.6 ** sum(came) * 0.4 ** (10 - sum(came)))
+    mean = np.dot(chances, costs)
+    assert found["cost"] == pytest.approx(mean, rel=1e-5)
+    assert found["cost_sd"] == pytest.approx(np.sqrt(np.dot(chances, (np.array(costs) - mean) ** 2)), rel=1e-4)
 
 
 def test_every_order_of_the_turns_is_tried() -> None:
