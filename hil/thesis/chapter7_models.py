@@ -73,7 +73,7 @@ def norm_of(plant: Plant, gains: Array, objective: str) -> float:
 def models(report_progress: ReportProgress) -> dict[str, Any]:
     """The printed matrices against the plants, and statements of Section 7.3 that do not hold as printed."""
     A, right = PRINTED_MOTOR[0], motor()
-    printed = np.sort(np.linalg.eigvals(A))
+    printed = np.sort(np.linalg.eigvals(A).real)
     exact = VTOL().model().discretise(0.01)
     A_v, B_v, _ = vtol()
     pair = np.linalg.eigvals(np.asarray(exact.A))
@@ -82,7 +82,7 @@ def models(report_progress: ReportProgress) -> dict[str, Any]:
     P2 = 10.0 * np.array([[1.0, 0.0], [0.0, 5.0]])
     P1 = P2 + np.eye(2)
     gammas = [jump.T @ P @ jump - P for P in (P1, P2)]
-    modal = np.linalg.inv(np.linalg.eig(right.A)[1])
+    modal = np.linalg.inv(np.linalg.eig(right.A)[1].real)
     idle = modal.T @ modal
     loop = loop_structure(*right, *NETWORK, "generated", output="sum").system(H2)
     energy, mean = h2_norm(loop), h2_norm(loop, definition="mean")

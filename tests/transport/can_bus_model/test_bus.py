@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import random
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.transport.can_analysis.sae import BOUNDS_MS, SAE
 from transport.can_analysis import PeriodicMessage, bus_load, response_times
