@@ -17,7 +17,7 @@ from design.monte_carlo import Workers, spread
 from design.monte_carlo.confidence import StopRule
 from hil.compose import compose
 from hil.compose.judged import caution
-from hil.errors import HilError, exit_status, located
+from hil.errors import HilError, exit_status
 from hil.experiment import Experiment
 from hil.log.records import EVENTS_TOPIC
 from hil.log.run import Run
@@ -27,7 +27,8 @@ from hil.measure.batch_protocols import BatchMeasure, BatchView
 from hil.measure.signals import signals_of
 from hil.measure.summary import run_metrics, withdrawal
 from hil.plugins import is_ours
-from hil.plugins.user_plugins import FORM_ERRORS, words
+from hil.plugins.user_plugins import words
+from hil.rig import in_words_of_parts
 from hil.rig.loop import Loop
 from hil.runtime.virtual import rehearsal, simulate
 from hil.sweeps import Sweep, SweepStore
@@ -102,10 +103,11 @@ def run_seeds(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
 
     Where the loop can be run in lockstep, all seeds are computed at once; the numbers are the same, bit for bit.
     """
-    if swept_at_once(loop):
-        size = runs_per_batch(loop)
-        return [row for i in range(0, len(seeds), size) for row in _in_one_chunk(loop, seeds[i : i + size])]
-    return run_one_by_one(loop, seeds)
+    with in_words_of_parts(loop.experiment):
+        if swept_at_once(loop):
+            size = runs_per_batch(loop)
+            return [row for i in range(0, len(seeds), size) for row in _in_one_chunk(loop, seeds[i : i + size])]
+        return run_one_by_one(loop, seeds)
 
 
 def _in_one_chunk(loop: Loop, seeds: Sequence[int]) -> list[dict[str, float]]:
@@ -144,7 +146,7 @@ def _of_many(measure: BatchMeasure, view: BatchView) -> dict[str, NDArray[np.flo
     try:
         found = {of: measure.of_batch(each) for of, each in views.items()}
         return {f"{key}{of}": np.asarray(value, dtype=np.float64) for of in found for key, value in found[of].items()}
-    except Exception as error:  # whatever an author's measure raises
+    except (Exception, SystemExit) as error:  # whatever an author's measure raises
         raise HilError(f"{type(measure).__name__}: of_batch(view): {words(error)}") from error
 
 
@@ -236,7 +238,7 @@ def run_sweep(
     ends = list(dict.fromkeys((seeds[0], seeds[-1])))
     alone = run_one_by_one(replace(loop, watched=None), ends) if foreign_parts(loop) else []
     if alone:
-        with located(f"{', '.join(foreign_parts(loop))}: as a sweep runs it", *FORM_ERRORS):
+        with in_words_of_parts(experiment):  # of one that cannot be pickled, too
             swept = run_seeds(copied(replace(loop, watched=None)), ends)
         refuse_other_numbers(loop, alone, swept)
     together = swept_at_once(loop)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -55,9 +56,18 @@ class Unformed(DCMotor):
         return object()
 
 
-def test_a_batch_that_is_none_is_one_message() -> None:
-    with pytest.raises(HilError, match=r"Unformed: as a sweep runs it: 'object' object has no attribute 'state'"):
-        hil.sweep("dc-motor-h2", runs=2, jobs=1, duration=1, plant=motor(Unformed))
+class Leaving(DCMotor):
+    def start_batch(self, runs: int) -> Any:
+        sys.exit(0)
+
+
+@pytest.mark.parametrize(
+    ("plant", "said"),
+    [(Unformed, r"Unformed: it returned .*'object' object has no attribute 'state'"), (Leaving, rf"Exit: 0 \({__file__}, line")],
+)
+def test_a_batch_that_is_none_is_one_message(plant: type[DCMotor], said: str) -> None:
+    with pytest.raises(HilError, match=said):
+        hil.sweep("dc-motor-h2", runs=2, jobs=1, duration=1, plant=motor(plant))
 
 
 def test_one_that_moves_as_ours_has_the_numbers_of_ours() -> None:
@@ -113,6 +123,7 @@ AT_ONCE = {
     "one number": ("{'energy': e[0]}", r"of_batch\(view\): energy has shape \(\); expected shape \(2,\)"),
     "a column": ("{'energy': e[:, None]}", r"of_batch\(view\): energy has shape \(2, 1\); expected shape \(2,\)"),
     "another name": ("{'energie': e}", r"of_batch\(view\): energy is missing; expected shape \(2,\)"),
+    "an exit": ("{'energy': __import__('sys').exit(0)}", r"Energy: of_batch\(view\): SystemExit: 0 \(.*measured\.py, line 16\)"),
     "no number": ("{'energy': np.linalg.inv(e)}", r"Energy: of_batch\(view\): LinAlgError: .*measured\.py, line 16\)"),
 }
 
