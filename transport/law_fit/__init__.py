@@ -4,6 +4,7 @@ Latencies come first, ages second: independent latencies give dependent ages, so
 A packet law (independent latencies, with independent loss or a channel of two modes) is kept unless its residuals say that
 latencies or losses depend on what was before, and so do the slots in which packets come, which is all that a loop sees. Only then
 ages are fitted, as a Markov or a semi-Markov chain, the better by BIC; and only if its residuals are independent is it the law.
+Of packets that depend on each other, and come more often than slots, the first of every slot is fitted.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from transport.errors import FieldError
 from transport.law_fit.age_models import AgeFit, fit_ages
 from transport.law_fit.latency_families import LatencyFit, bic, fit_latencies
 from transport.law_fit.loss_models import LossFit, fit_loss
-from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots
+from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots, one_per_slot
 from transport.law_fit.proportions import LAGS, REJECT, Fitness, fitness
 from transport.laws.packet import OLDEST
 
@@ -98,6 +99,11 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
     chosen = next((f for f in latencies if checks[id(f)].shaped), next((f for f in latencies if f.name == "table"), latencies[0]))
     tested = checks[id(chosen)]
     in_slots = 1.0 if tested.independent else _slots_independent(record, period, deadline)
+    independent = tested.independent or in_slots > REJECT
+    if not independent or losses[0].kind == "gilbert-elliott":  # then how far apart packets are counts
+        slotted = one_per_slot(record, period)
+        if slotted is not record:
+            return fit_law(slotted, period, deadline)
     n, ordered = len(came), sorted(latencies, key=lambda f: f is not chosen)
     tried = [_candidate(f.name, "latencies", f, n, checks[id(f)]) for f in ordered]
     tried += [_candidate(f"loss: {f.kind}", "losses", f, n) for f in losses]
@@ -107,7 +113,7 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
         losses=losses[0], ages=None, candidates=tuple(tried), tested=tested, in_slots=in_slots, record=record, period_s=period,
         deadline_s=deadline,
     )  # fmt: skip
-    if tested.independent or in_slots > REJECT:
+    if independent:
         if losses[0].kind == "gilbert-elliott":
             return replace(found, law_class="gilbert-elliott")
         alone = chosen.name == "constant" and losses[0].kind == "none"

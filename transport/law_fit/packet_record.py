@@ -21,7 +21,7 @@ LEAST = 299
 
 
 class PacketRecord(Struct, frozen=True, kw_only=True, eq=False):
-    """Packets in the order in which they were sent, one in every slot.
+    """Packets in the order in which they were sent.
 
     Args:
         sent_s: (n,) instants, s, not falling.
@@ -75,6 +75,32 @@ class PacketRecord(Struct, frozen=True, kw_only=True, eq=False):
     def period_s(self) -> float:
         """Median of the time between two packets, s."""
         return float(np.median(np.diff(self.sent_s)))
+
+
+JITTER = 1.05
+"""Packets whose time apart differs by less than this factor from a slot come one in every slot."""
+
+
+def one_per_slot(record: PacketRecord, period_s: float) -> PacketRecord:
+    """Return the first packet of every slot, where packets come more often than slots; else the record itself.
+
+    Args:
+        record: packets.
+        period_s: length of a slot, s.
+
+    Raises:
+        FieldError: too few slots.
+    """
+    if period_s < JITTER * record.period_s:
+        return record
+    slots = np.floor((record.sent_s - record.sent_s[0] + 0.5 * record.period_s) / period_s)
+    first = np.unique(slots, return_index=True)[1]
+    if len(first) == len(slots):
+        return record
+    if len(first) < LEAST:
+        said = f"{len(first)} slots of {period_s:g} s, in which packets depend on each other, expected at least {LEAST}"
+        raise FieldError("packets", f"{said}: measure for longer")
+    return PacketRecord(sent_s=record.sent_s[first], latency_s=record.latency_s[first], until_s=record.censored_s[first])
 
 
 def delays_in_slots(record: PacketRecord, period_s: float, deadline_s: float) -> Ages:

@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
-from transport.errors import NotKnown
+from transport.errors import FieldError, NotKnown
 from transport.law_fit import fit_law
 from transport.law_fit.age_models import fit_ages
 from transport.law_fit.loss_models import ALL, _channel, _likelihood_of, fit_loss
@@ -249,3 +249,24 @@ def test_the_loss_that_a_channel_predicts_is_that_of_all_paths_of_its_states() -
     first = lost[:7].tolist()
     expected = [likelihood([*first[:k], True]) / (likelihood(first[:k]) if k else 1.0) for k in range(7)]
     np.testing.assert_allclose(fit.predicted[:7], expected, rtol=1e-9)
+
+
+def test_packets_more_often_than_slots_say_what_slots_do() -> None:
+    """A link that is late for 0.4 s in the mean, seen every 10 ms, is left five times as soon by slots of 50 ms: the region holds
+    the chain of slots, of this record, and not that of packets."""
+    rng, n = np.random.default_rng(1), 6000
+    late = MarkovAge(matrix=((0.99, 0.01), (0.025, 0.975))).ages_of_batch([rng], 1, n)[:, 0] == 1
+    latency_s = np.where(late, 0.045, 0.005) + 0.01 * rng.random(n)
+    fit = fit_law(PacketRecord(sent_s=np.arange(n) * T, latency_s=latency_s), 5 * T, 3 * T)
+    region = confidence_region(fit, 1)
+    assert (fit.law_class, region.ages, len(fit.record.sent_s)) == ("markov", (0, 1), n // 5)
+    slots = np.linalg.matrix_power(np.array([[0.99, 0.01], [0.025, 0.975]]), 5)
+    assert ((region.low <= slots) & (slots <= region.high)).all()
+    assert region.low[0, 1] > 0.01 and region.low[1, 0] > 0.025
+
+
+def test_packets_that_depend_on_each_other_in_too_few_slots_are_refused() -> None:
+    late = np.arange(2000) // 40 % 2 == 1
+    record = PacketRecord(sent_s=np.arange(2000) * T, latency_s=np.where(late, 0.045, 0.005) + 1e-6 * np.arange(2000))
+    with pytest.raises(FieldError, match=r"packets: 200 slots of 0.1 s, in which packets depend on each other, expected"):
+        fit_law(record, 10 * T, 0.04)
