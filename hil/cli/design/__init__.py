@@ -113,6 +113,7 @@ def wall(
     Exit status 2 where the stiffness cannot be reached; the message has the number that decides it.
     """
     from design.errors import FieldError
+    from design.passivity.certificate import lags
     from design.passivity.condition import damping_needed
     from design.passivity.synthesis import Weight, ceiling_n_per_m, stiffest_coupler
     from hil.files import check_output, write_output
@@ -122,6 +123,8 @@ def wall(
     check_output(header, "a C header", ".h", force=force)
     beta = (Omni().damping if damping is None else damping) + hand
     delays = [int(d) for d in delay]
+    if varying:  # from sample to sample it rises by one at most
+        delays = [*lags(delays, [0])]
     with located("--weight", FieldError), Working("coupler of a wall"):
         asked = None if weight is None else Weight(*weight)
         found = stiffest_coupler(
@@ -157,13 +160,12 @@ def wall(
         write_output(path, text)
     if header is not None:
         write_output(header, _header(found))
-    moves = ", varying" if varying else ""
+    safe = f"delays {', '.join(map(str, found.delays))} samples{', varying' if varying else ''}"
     compliance = found.coupler.static_compliance_m_per_n
     facts = (
         ("stiffness", f"{found.stiffness_n_per_m:.6g} N/m, {document['ceiling_n_per_m']:.6g} N/m is the ceiling", ""),
         ("static compliance", f"{compliance:.6g} m/N, at least {found.bound_m_per_n:.6g} m/N for these delays", ""),
-        ("certified", f"delays {found.delays[0]} to {found.delays[-1]} samples{moves}, any passive hand, "
-                      f"{beta:g} N s/m of damping", ""),
+        ("certified", f"{safe}, any passive hand, {beta:g} N s/m of damping", ""),
         *weighed,
         ("taps", f"{len(found.coupler.taps_m_per_n)}, m/N: {_listed(found.coupler.taps_m_per_n)}", ""),
     )  # fmt: skip

@@ -204,3 +204,13 @@ def test_a_weight_and_a_delay_that_varies_reach_the_design() -> None:
     assert moving["static_compliance_m_per_n"] > plain["static_compliance_m_per_n"] and "sum" in moving["proof"]
     assert moving["damping_needed_n_s_per_m"] <= moving["damping_n_s_per_m"] * (1 + 1e-9)
     assert "largest |W C|" in designed(*WALL, "--weight", "1,-1").stdout
+
+
+def test_a_delay_between_those_asked_for_is_certified_only_where_the_coupler_is_safe_at_it() -> None:
+    """Made for 1 and 3 samples it misses the condition at 2, which a delay that varies passes from 1 to 3."""
+    gap = ("wall", "--delay", "1,3", "--hand", "5")
+    assert "delays 1, 3 samples, any passive hand" in " ".join(designed(*gap).stdout.split())
+    held, moving = (json.loads(designed(*gap, *more, "--json").stdout) for more in ((), ("--varying",)))
+    taps, beta = Coupler(taps_m_per_n=tuple(moving["taps_m_per_n"])), held["damping_n_s_per_m"]
+    assert held["delays"] == [1, 3] and not is_passive_over(Coupler(taps_m_per_n=tuple(held["taps_m_per_n"])), 0.001, beta, 2)
+    assert moving["delays"] == [1, 2, 3] and is_passive_over(taps, 0.001, beta, 1, 2, 3)
