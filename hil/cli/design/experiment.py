@@ -134,7 +134,7 @@ def answer_can_id(subject: str, path: Path | None) -> None:
     """Run an experiment with its packets in every place: what the loop's place on its CAN bus costs, and which to take.
 
     Raises:
-        HilError: no CAN bus with time, recorded traffic, or a file that cannot be written.
+        HilError: no CAN bus with time, recorded traffic, outputs of several units, or a file that cannot be written.
     """
     from msgspec.structs import replace
 
@@ -142,10 +142,12 @@ def answer_can_id(subject: str, path: Path | None) -> None:
     from hil.experiment import load_experiment
     from hil.experiment.table import Seconds
     from hil.measure.signals import signals_of
-    from hil.measure.tracking import squared_unit
+    from hil.measure.tracking import squared_unit, without_sense
     from hil.pages.designs import can_priority_page
 
-    experiment = load_experiment(subject, ("allow_uncertified=true",))
+    experiment = load_experiment(subject, ("allow_uncertified=true", 'report.measures=["tracking"]'))
+    if "sse" in without_sense(signals_of(experiment.plant)):
+        raise HilError(f"{experiment.name}: --can-id: its outputs have several units, so that their squared errors have no sum")
     seconds = min(float(experiment.duration), LONGEST_S)
     places, judged = places_of(replace(experiment, duration=Seconds(seconds))), []
     for i, place in enumerate(places):
@@ -181,10 +183,8 @@ def _judge_place(place: Place) -> Judged:
     bounds = {last[b.message.identifier].sender: b for b in own_bounds}
     ms = {name: None if b.response_ns is None else b.response_ns / 1e6 for name, b in bounds.items()}
     summary = summarise(view_of(simulate(loop, place.experiment.seed), loop.experiment, loop.rig))
-    costs = [value for name, value in summary["metrics"].items() if name == "sse" or name.startswith("sse.")]
-    stopped = bool(summary["safety"]) or not costs or any(value is None for value in costs)
     return Judged(
-        place=place, cost=None if stopped else float(sum(costs)), state=loop.verdict.state,
+        place=place, cost=None if summary["safety"] else summary["metrics"]["sse"], state=loop.verdict.state,
         bounds_ms=(ms.get(own[0].sender), ms.get(CONTROLLER)), in_time=bool(bounds) and all(b.in_time for b in bounds.values()),
     )  # fmt: skip
 

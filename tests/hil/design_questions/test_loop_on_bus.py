@@ -113,13 +113,36 @@ def test_the_place_that_leaves_the_others_theirs_is_said_apart_from_a_better_one
     assert found["recommended"]["cost"] == 14.0 > found["with_others_moved"]["cost"] == 10.0
 
 
+TWO_UNITS = """
+name = "two"
+period = "50 ms"
+duration = "1 s"
+plant = { kind = "state-space", A = [[-1]], B = [[1]], C = [[1], [2]], outputs = [["y", "rad"], ["z", "m"]] }
+controller = { kind = "local", gain = [[0, 0]] }
+network.sc.law = { kind = "constant", age = 0 }
+network.ca.law = { kind = "constant", age = 0 }
+network.nodes.both.outputs = ["y", "z"]
+network.media.bus = { kind = "can", nodes = ["both"], bitrate = 125_000 }
+limits = { input = [10.0], watchdog_slots = 10 }
+"""
+
+
+def test_squared_errors_of_several_units_are_no_cost_of_a_place(tmp_path: Path) -> None:
+    (tmp_path / "two.toml").write_text(TWO_UNITS)
+    with pytest.raises(HilError, match="two: --can-id: its outputs have several units"):
+        CliRunner().invoke(design, ["--can-id", str(tmp_path / "two.toml")], catch_exceptions=False)
+
+
+OTHER_MEASURES = '\n[report]\nmeasures = ["cost"]\n'
+
+
 def test_the_command_runs_every_place_and_writes_a_page(tmp_path: Path) -> None:
     file = tmp_path / "own.toml"
     shown = load_experiment("dc-motor-busy-can").text
     head, _, rest = shown.partition("traffic = [")
     traffic = 'traffic = [{ name = "a", can_id = 0x40, length = 8, period = "2 ms" }'
     file.write_text(head.replace('duration = "50 s"', 'duration = "3 s"').partition("[[disturbance]]")[0] + "[network]"
-                    + head.partition("[network]")[2] + traffic + rest[rest.index("]") :])  # fmt: skip
+                    + head.partition("[network]")[2] + traffic + rest[rest.index("]") :] + OTHER_MEASURES)  # fmt: skip
     page = tmp_path / "place.html"
     done = CliRunner().invoke(design, ["--can-id", str(file), "--json", "-o", str(page)], catch_exceptions=False)
     found = json.loads(done.output)
