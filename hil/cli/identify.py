@@ -65,6 +65,8 @@ def law(
     Two tables are the two directions; -o law.toml then writes law.sc.toml and law.ca.toml. Exit status 1: none of
     the laws explains the packets, and no law is written.
     """
+    from msgspec.structs import replace
+
     from hil.files import check_output, check_page, write_output
     from hil.log.recordings import fit_document, law_text, packet_records
     from hil.log.recordings.read import read_recording
@@ -85,7 +87,10 @@ def law(
             if not slot > 0.0:
                 raise HilError(f"{recording.source}: {way}: half of the packets or more have one time stamp; add --period")
             with located(f"{recording.source}: {way}", FieldError):
-                fits[way] = fit_law(record, slot, deadline * slot)
+                timed = record if recording.clocks else replace(record, sent_s=record.sent_s * slot)  # one a slot
+                fits[way] = fit_law(timed, slot, deadline * slot)
+            if fits[way].sparse:
+                raise HilError(f"{recording.source}: {way}: {fits[way].sparse}")
     said = {way: fit_document(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():

@@ -21,7 +21,6 @@ from hil.experiment import parse_table
 from hil.rig.delay_chains import chain_of
 from hil.rig.receiver import Receiver, received
 from transport.errors import NotKnown
-from transport.law_fit.packet_record import JITTER
 from transport.law_fit.proportions import AgeRegion, behind_late, confidence_region, seen_correlations
 from transport.laws import ChainLaw, NetworkLaw, PacketAges, SemiMarkovLaw
 
@@ -81,10 +80,8 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
     """
     if fit.law_class == "none":
         raise HilError("none of the laws explains the record: there is nothing to design for; measure for longer")
-    apart, slot = fit.record.period_s, fit.period_s
-    if fit.law_class not in ("constant", "independent") and apart > JITTER * slot:
-        said = f"packets that depend on each other were sent {apart:.4g} s apart, and a slot has {slot:.4g} s: how slots do"
-        raise HilError(f"{said} is not in the record; measure with --rate {1.0 / slot:.4g}")
+    if fit.sparse:
+        raise HilError(fit.sparse)
     law: NetworkLaw = parse_table("hil.laws", fit.spec, "law")
     at = Receiver(fit.period_s, fit.deadline_s, 0, holds_input)
     if isinstance(law, PacketAges):

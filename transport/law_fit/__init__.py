@@ -21,7 +21,7 @@ from transport.errors import FieldError
 from transport.law_fit.age_models import AgeFit, fit_ages
 from transport.law_fit.latency_families import LatencyFit, bic, fit_latencies
 from transport.law_fit.loss_models import LossFit, fit_loss
-from transport.law_fit.packet_record import PacketRecord, ages_of, delays_in_slots, one_per_slot
+from transport.law_fit.packet_record import JITTER, PacketRecord, ages_of, delays_in_slots, one_per_slot
 from transport.law_fit.proportions import LAGS, REJECT, Fitness, fitness
 from transport.laws.packet import OLDEST
 
@@ -70,6 +70,15 @@ class LawFit(Struct, frozen=True, kw_only=True, eq=False):
     record: PacketRecord
     period_s: float
     deadline_s: float
+
+    @property
+    def sparse(self) -> str:
+        """Why it is no law of slots: packets that depend on each other were sent further apart; empty where it is one."""
+        apart, slot = self.record.period_s, self.period_s
+        if self.law_class in ("constant", "independent", "none") or apart <= JITTER * slot:
+            return ""
+        said = f"packets that depend on each other were sent {apart:.4g} s apart, and a slot has {slot:.4g} s"
+        return f"{said}: how slots do is not in the record; measure with --rate {1.0 / slot:.4g}"
 
 
 def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: float | None = None) -> LawFit:

@@ -48,7 +48,7 @@ class Recording(Struct, frozen=True, kw_only=True, eq=False):
     Args:
         source: the files, for messages.
         ways: "sc", "ca" or "round trip" to its packets.
-        clocks: clocks that took the time stamps: 1, or 2 that may run apart.
+        clocks: clocks that took the time stamps: 1, or 2 that may run apart; 0 where none says when packets were sent.
         notes: what the reader found worth a line.
     """
 

@@ -169,7 +169,8 @@ def read_latencies(path: Path, *, one_clock: bool) -> Recording:
         slot = f"one a slot (of {NOMINAL_S:g} s without --period)"
         notes = () if sent is not None else (f"{path}: no column sent_s: the lines are taken as packets in order, {slot}",)
         instants = sent if sent is not None else np.arange(len(found), dtype=np.float64) * NOMINAL_S
-        return Recording(source=str(path), ways={name: Way(sent_s=instants, difference_s=found)}, clocks=1, notes=notes)
+        way = Way(sent_s=instants, difference_s=found)
+        return Recording(source=str(path), ways={name: way}, clocks=0 if sent is None else 1, notes=notes)
     if sent is None or "received_s" not in columns:
         wanted = f"{', '.join(VALUES)}, or sent_s and received_s"
         raise HilError(f"{path}: the first line names no column of latencies: {', '.join(header)[:200]!r}; expected {wanted}")

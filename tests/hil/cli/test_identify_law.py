@@ -112,6 +112,18 @@ def test_latencies_that_depend_on_each_other_within_a_slot_are_not_called_indepe
     assert "independent latencies, as far as slots show; 1000 packets" in out and "losses is rejected" in out
 
 
+def test_bursts_are_of_slots_only_where_every_slot_has_a_packet(cli: Hil, tmp_path: Path) -> None:
+    """A second apart they say nothing of slots of 10 ms; a table without instants has one in every slot, however long it is."""
+    lost = np.isin(np.arange(2000) // 8, np.random.default_rng(0).integers(0, 250, 25))
+    latency = np.where(lost, "nan", "0.001").tolist()
+    (tmp_path / "ping.csv").write_text("\n".join(["sent_s,latency_s", *(f"{k},{each}" for k, each in enumerate(latency))]))
+    (tmp_path / "order.csv").write_text("\n".join(["latency_s", *latency]))
+    status, out, err = cli("identify", "law", "ping.csv", "--period", "10ms")
+    assert (status, out) == (2, "") and "sent 1 s apart, and a slot has 0.01 s: how slots do is not in the record" in err
+    spec = [json.loads(cli("identify", "law", "order.csv", "--period", each, "--json")[1]) for each in ("10ms", "5s")]
+    assert spec[0]["sc"]["law"]["loss"] == spec[1]["sc"]["law"]["loss"] and spec[0]["sc"]["fit"]["packets"] == 2000
+
+
 def test_what_comes_at_an_age_has_no_interval_where_losses_come_in_bursts(cli: Hil, tmp_path: Path) -> None:
     lost = np.isin(np.arange(2000) // 8, np.random.default_rng(0).integers(0, 250, 25))
     (tmp_path / "bursts.csv").write_text("\n".join(["latency_s", *np.where(lost, "nan", "0.001").tolist()]))
