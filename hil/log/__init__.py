@@ -166,6 +166,8 @@ PLANT_FAILED: Final = "plant failed"
 """Kind of the event that says that a plant could not go on."""
 PLUG_IN_FAILED: Final = "plug in failed"
 """The same of a part of the user's own that raised what no plant raises, with file and line."""
+REFUSED: Final = "control refused"
+"""Kind of the event that says why the rig refused the first control packet that it did not apply."""
 
 _NUMBERS: Final = struct.Struct("<dq")
 _LENGTH: Final = struct.Struct("<I")

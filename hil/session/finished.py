@@ -14,7 +14,7 @@ from msgspec.structs import force_setattr
 
 from hil.errors import HilError
 from hil.experiment import Experiment
-from hil.log import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, decode_event, to_json
+from hil.log import DEPARTED, PLANT_FAILED, PLUG_IN_FAILED, REFUSED, WITHDRAWN, decode_event, to_json
 from hil.log.records import TIME_FIELD
 from hil.log.run import Run, StructuredArray
 from hil.log.topics import BUS, CA, SC, channels_of
@@ -220,7 +220,7 @@ def summary_of(run: Run, loop: Loop, sink: McapSink, outcome: dict[str, Any], wa
         outcome["measure_failed"] = "; ".join(failed.values())
     summary["wall_s"] = round(wall_s, 3)
     summary["log"] = {"path": str(sink.path), "sha256": "", "messages": sink.messages, "dropped": sink.dropped}
-    problems = messages_of(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, WITHDRAWN, DEPARTED})
+    problems = messages_of(run, {*INTRUSIONS, PLANT_FAILED, PLUG_IN_FAILED, REFUSED, WITHDRAWN, DEPARTED})
     summary["link_counters"] = link_counters(run)
     summary["controller_counters"] = controller_counters(run)
     problems |= not_admitted(summary["link_counters"] or {})

@@ -8,6 +8,7 @@ from math import isinf, isnan
 from typing import Final, Literal
 
 from design.controllers import row_count
+from hil.log import REFUSED
 from hil.runtime.nodes.journal import Journal
 from transport.packets import SELECTIONS, ControlPacket, decode
 from transport.wire import HELLO, echo
@@ -165,7 +166,7 @@ class AnswerMatcher:
             fault = f"{shape}, expected {expected} of {self._inputs} for {SELECTIONS[packet.selection]!r}"
         self.refused += 1
         if self.refused == 1:
-            self._journal.event(self._t_ns, "refused", f"control packet refused: {fault}", slot=self._k, severity="error")
+            self._journal.event(self._t_ns, REFUSED, f"control packet refused: {fault}", slot=self._k, severity="error")
         return False
 
     def _answers_some(self, echoed: int) -> bool:

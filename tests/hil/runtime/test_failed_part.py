@@ -65,6 +65,18 @@ def test_an_answer_without_its_form_is_one_problem_and_a_whole_log(path: str) ->
         hil.sweep("dc-motor-h2", runs=2, jobs=1, **changes)
 
 
+@pytest.mark.parametrize(
+    ("rows", "said"), [(((np.nan,), (0.0,)), "a row is not finite"), (((0.0,),), "1 rows of 1, expected 2 of 1 for 'applied'")]
+)
+def test_a_packet_that_the_rig_refuses_is_a_problem_with_its_reason(
+    monkeypatch: pytest.MonkeyPatch, rows: object, said: str
+) -> None:
+    monkeypatch.setitem(GIVEN, "controller", rows)
+    session = hil.run("dc-motor-h2", controller=PARTS["controller"], duration=60, allow_uncertified=True)
+    assert session.status == 7 and "watchdog" in session.summary["safety"]  # its certificate is withdrawn, too
+    assert session.summary["problems"]["control_refused"] == f"control packet refused: {said}"
+
+
 def test_a_list_of_outputs_is_sent_as_a_tuple_is(monkeypatch: pytest.MonkeyPatch) -> None:
     sent = []
     for given in ((0.5,), [0.5], np.array([0.5])):

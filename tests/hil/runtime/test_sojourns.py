@@ -309,4 +309,4 @@ def test_an_answer_has_a_row_for_every_d_and_stay(loop: Loop, rows: int, refused
     applied = SELECTIONS.index("applied")
     sink = drive(loop, lambda k: encode_control(ControlPacket(k, 0, 0, 0, applied, ((0.1,),) * rows)), 3)
     taken = statuses(loop, sink)
-    assert (OK in taken) is not refused and ("refused" in kinds(sink)) is refused
+    assert (OK in taken) is not refused and ("control refused" in kinds(sink)) is refused

@@ -110,13 +110,13 @@ def test_controller_that_comes_back_after_a_trip_stays_locked_out(loop: Loop) ->
 @pytest.mark.parametrize("value", [math.nan, math.inf])
 def test_rows_that_are_not_finite_are_refused_and_count_as_missing(loop: Loop, value: float) -> None:
     sink = drive(loop, lambda k: answer(k, ((0.1,), (value,))), 40)
-    assert kinds(sink)[:2] == ["refused", "safety"]
+    assert kinds(sink)[:2] == ["control refused", "safety"]
     assert OK not in statuses(loop, sink)
 
 
 @pytest.mark.parametrize("rows", [((0.1,),), ((0.1,), (0.1,), (0.1,)), ((0.1, 0.1), (0.1, 0.1)), ()])
 def test_packets_of_another_shape_are_refused(loop: Loop, rows: tuple[tuple[float, ...], ...]) -> None:
-    assert "refused" in kinds(drive(loop, lambda k: answer(k, rows), 10))
+    assert "control refused" in kinds(drive(loop, lambda k: answer(k, rows), 10))
 
 
 def test_command_beyond_its_limit_leads_to_zero_input(loop: Loop) -> None:
