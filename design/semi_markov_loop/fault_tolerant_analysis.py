@@ -15,7 +15,7 @@ References: thesis (4.6), (4.14), (4.23); ERRATA 11, 12 and 13.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -31,7 +31,7 @@ from design.processes.semi_markov import FaultDetection
 from design.semi_markov_loop import FloatArray, JumpSystem
 from design.semi_markov_loop.certificate import JumpCertificate, attenuation_certificate
 from design.semi_markov_loop.period_moments import gain_mode, moment_operators
-from design.semi_markov_loop.sojourn_grid import pair_cells, pair_corners
+from design.semi_markov_loop.sojourn_grid import cells, pair_cells, pair_corners
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -189,8 +189,7 @@ def analyse_fault_tolerant(
             gains starts.
 
     Returns:
-        The certificate. Gains without sections whose second moments grow at constant rates within the bounds of a section are
-        ``refused``.
+        The certificate. Without sections, gains whose second moments grow at constant rates within the bounds are ``refused``.
 
     Raises:
         ValueError: data that do not fit.
@@ -211,7 +210,8 @@ def analyse_fault_tolerant(
         program.inequalities = rebuild(scale, None)
         return program
 
-    growth = worst_growth(system, gain, process, eta, r) if gain.gain.shape[1] == 1 else None
+    alone = max(gain.gain.shape[1], *map(len, (*eta, *r))) == 1  # else no section may allow the rates of that growth together
+    growth = worst_growth(system, gain, process) if alone else None
     if growth is not None and growth[0] >= 0:
         reason = f"second moments grow like e^({growth[0]:.4g} t) at constant rates within the bounds: {growth[1]}"
         return JumpCertificate(
@@ -235,57 +235,40 @@ def analyse_fault_tolerant(
     return replace(certificate, decay_rate=proved_decay(system, process, gain, eta, r, certificate.matrices))
 
 
-MOST_VERTICES = 4096
-
-
-def _held_rates(
-    process: FaultDetection, eta_nodes: Partition, r_nodes: Partition
-) -> Iterator[dict[tuple[int, ...], tuple[float, ...]]]:
-    """Vertices of the rates of every eta (i,), and of every r under it (i, k), in one section of every mode."""
-    for sections in itertools.product(*(range(len(row)) for row in r_nodes)):
-        options: dict[tuple[int, ...], set[tuple[float, ...]]] = {}
-        for eta, r in pair_cells(process, eta_nodes, r_nodes):
-            if r.index == sections[r.mode]:
-                options.setdefault((eta.mode,), set()).update(eta.rates)
-                options.setdefault((eta.mode, r.mode), set()).update(r.rates)
-        yield from (dict(zip(options, choice)) for choice in itertools.product(*map(sorted, options.values())))
-
-
 def worst_growth(
-    system: JumpSystem,
-    gain: ScheduledGain,
-    process: FaultDetection,
-    eta_nodes: Partition | None = None,
-    r_nodes: Partition | None = None,
+    system: JumpSystem, gain: ScheduledGain, process: FaultDetection
 ) -> tuple[float, dict[str, tuple[float, ...]]] | None:
-    """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds of a section, held constant, with these rates.
+    """The fastest growth of E|x|^2 (1/s) over all vertices of the rate bounds held constant, with these rates.
 
         d/dt vec M_i = (A_i (+) A_i) vec M_i + sum_j lambda_ji vec M_j - lambda_i vec M_i,     M_i = E x x' 1{mode = i}
 
-    If the spectral abscissa of this generator is positive at constant rates that one section of every mode allows, no certificate
-    over the sections can exist: its P of these sections would be one at these rates, as no jump lands where P is smaller. If
-    it is negative at all corners, nothing is proved about rates that vary.
+    If the spectral abscissa of this generator is positive at constant rates that the bounds allow, no certificate over these
+    bounds can exist; if it is negative at all corners, nothing is proved about rates that vary.
 
     Exact at every vertex (spectral abscissa of the second-moment generator), for gains without sections. None if there are
-    more than `MOST_VERTICES`.
+    more than 4096 vertices.
     """
     n_eta, n_r = system.modes, process.detection[0].modes
-    choices = _held_rates(process, eta_nodes or ((0.0,),) * n_eta, r_nodes or ((0.0,),) * n_r)
-    held = list(itertools.islice(choices, MOST_VERTICES + 1))
-    if len(held) > MOST_VERTICES:
+    one = ((0.0,),)
+    eta = {cell.mode: cell.rates for cell in cells(process.failure, one * n_eta)}
+    r = {(i, c.mode): c.rates for i in range(n_eta) for c in cells(process.detection[i], one * n_r)}
+    keys: list[tuple[int, ...]] = [*((i,) for i in eta), *r]
+    options = [eta[key[0]] if len(key) == 1 else r[key[0], key[1]] for key in keys]
+    if np.prod([len(option) for option in options]) > 4096:
         return None
     acting = [[gain.gain[gain_mode(gain.measured, process, i, k), 0] @ system.shown(i) for k in range(n_r)] for i in range(n_eta)]
     loops = np.array([system.a[i] + system.b[i] @ each for i, row in enumerate(acting) for each in row])
     alone = block_diag(*moment_operators(loops))
     worst: tuple[float, dict[str, tuple[float, ...]]] = (-np.inf, {})
-    for rates in held:
+    for choice in itertools.product(*options):
+        rates = dict(zip(keys, choice))
         generator = np.zeros((n_eta, n_r, n_eta, n_r))
         for i, k in itertools.product(range(n_eta), range(n_r)):
             generator[i, k, :, k] += rates[(i,)]
             generator[i, k, i, :] += rates[i, k]
         growth = _abscissa(alone, generator.reshape(n_eta * n_r, -1))
         if growth > worst[0]:
-            worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rate for key, rate in rates.items()}
+            worst = growth, {f"eta={key[0]}" + (f", r={key[1]}" if len(key) > 1 else ""): rates[key] for key in keys}
     return worst
 
 
