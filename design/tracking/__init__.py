@@ -132,10 +132,7 @@ OBJECTIVES: tuple[str, ...] = get_args(Objective)
 METHODS: tuple[str, ...] = get_args(Method)
 DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
 MOST_STARTS = 10_000
-KINDS = (
-    ("starts", Integral, "a whole number"), ("seed", Integral, "a whole number"), ("samples", Integral, "a whole number"),
-    ("integral", Real, "a number"), ("gain_bound", Real | None, "a number"), ("hinf_bound", Real | None, "a number"),
-)  # fmt: skip
+KINDS = dict.fromkeys(("starts", "seed", "samples"), Integral) | dict.fromkeys(("integral", "gain_bound", "hinf_bound"), Real)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -190,10 +187,10 @@ class TrackingProblem:
         if self.hinf_bound is not None and self.objective != "mixed":
             raise FieldError("hinf_bound", f"only a mixed design takes one, objective is {self.objective!r}")
         check_above_zero(hinf_bound=self.hinf_bound)
-        for field, kinds, expected in KINDS:
+        for field, kind in KINDS.items():
             value = getattr(self, field)
-            if not isinstance(value, kinds):
-                raise FieldError(field, f"{value!r:.40}, expected {expected}")
+            if not isinstance(value, kind) and not (value is None and field.endswith("_bound")):
+                raise FieldError(field, f"{value!r:.40}, expected a {'whole ' * (kind is Integral)}number")
         for field in ("Q", "R", "initial"):
             try:
                 np.asarray(getattr(self, field), dtype=np.float64)
