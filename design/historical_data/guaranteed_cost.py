@@ -105,7 +105,8 @@ def certify_cost(
             details["cost"] = start.mean(S)
             details["residual"] = _residual(loop, S)
             if history is not None:
-                details["cost"] = cost_from(plant, gains, history, start.phases, transition, renewed)
+                run, first = run_from(plant, gains, history, transition, renewed)
+                details["cost"] = Start(moment=np.outer(first, first), phases=start.phases).mean(run.stable_cost_to_go())
             if noisy and deviation is not None:
                 details["noise_cost_per_slot"] = stationary_cost(plant, gains, deviation, transition, start.phases, renewed)
         except NotStable:
@@ -155,35 +156,18 @@ def close_received(plant: DelayedPlant, gains: Array, transition: Array | None =
     return LiftedLoop(L=F, Q=Q, transition=cycle(phases) if transition is None else np.asarray(transition, dtype=float))
 
 
-def cost_from(
-    plant: DelayedPlant,
-    gains: Array,
-    history: npt.ArrayLike,
-    phases: Array,
-    transition: Array | None = None,
-    renewed: Renewed = None,
-) -> float:
-    """Return J of a stable loop without noise, from a known x(0) and a history that acts on the plant and was not received.
+def run_from(
+    plant: DelayedPlant, gains: Array, history: npt.ArrayLike, transition: Array | None = None, renewed: Renewed = None
+) -> tuple[LiftedLoop, Array]:
+    """Return the loop of `close_received` and (X, Y) in slot 0, from a history that acts on the plant and was not received.
 
     Args:
         plant: the plant and its weights.
         gains: (phases, memory + 1, p, n).
         history: x(0), x(-1), ..., at most as many as the plant has delayed states and one, (h, n).
-        phases: probability of each phase in slot 0.
         transition: chain of the phases; default the cycle.
         renewed: (phases, n), as of `design.historical_data.close`.
-
-    Raises:
-        NotStable: J is infinite.
     """
-    loop, start = run_from(plant, gains, history, transition, renewed)
-    return float(np.einsum("i,a,iab,b->", phases, start, loop.stable_cost_to_go(), start))
-
-
-def run_from(
-    plant: DelayedPlant, gains: Array, history: npt.ArrayLike, transition: Array | None = None, renewed: Renewed = None
-) -> tuple[LiftedLoop, Array]:
-    """Return the loop of `close_received` and its state in slot 0; arguments as of `cost_from`."""
     loop, known = close_received(plant, gains, transition, renewed), np.asarray(history, dtype=float)
     size, n = loop.L.shape[-1] - gains.shape[1] * gains.shape[3], known.shape[1]
     start = np.zeros(loop.L.shape[-1])

@@ -44,9 +44,7 @@ def delayed_plant_of(plant: Plant, model: LoopModel, ca: DelayChain | None = Non
     delayed = plant.state_delays() if isinstance(plant, HasStateDelays) else np.zeros((0, n, n))
     weight, input_weight = plant.cost_weights() if isinstance(plant, HasCost) else (np.eye(n), np.zeros((m, m)))
     late = 0 if ca is None or ca.delay.min() < ca.max_delay else ca.max_delay
-    return DelayedPlant(
-        A=model.A, delayed=delayed, B=model.B, weight=weight, input_weight=input_weight, input_delay=late
-    )  # fmt: skip
+    return DelayedPlant(A=model.A, delayed=delayed, B=model.B, weight=weight, input_weight=input_weight, input_delay=late)
 
 
 def mask_faults(controller: HistoryGains, nodes: SensorNodes) -> list[str]:
@@ -176,18 +174,15 @@ def judge_historical(loop: Loop, *, orders: bool = False, spread: bool = False) 
     if loop.verdict is None or not loop.verdict.certified:
         raise HilError(f"{name}: {'no verdict' if loop.verdict is None else loop.verdict.reason}")
     K = controller.history()
-    found: dict[str, Any] = {
-        "experiment": name, "uses": controller.uses, "cost": loop.verdict.details["cost"], "mean_cost": None,
-        "bound_full_state": None, "bound_causal": None, "gap": None, "verdict": loop.verdict.to_json(), "gains": K.tolist(),
-    }  # fmt: skip
     start, each = _any_start(nodes, controller.uses, K)
-    closed = close(plant, each.gains, each.transition, renewed=each.renewed)
-    found["mean_cost"] = start.mean(closed.stable_cost_to_go())
-    found["bound_full_state"] = mean_full_state_bound(replace(plant, input_delay=0), start.moment)
-    arrivals = arrivals_of(nodes)
-    if arrivals is not None:
-        found["bound_causal"] = causal_bound(plant, arrivals, start.moment)
-        found["gap"] = found["mean_cost"] / found["bound_causal"] - 1.0
+    closed, arrivals = close(plant, each.gains, each.transition, renewed=each.renewed), arrivals_of(nodes)
+    mean = start.mean(closed.stable_cost_to_go())
+    bound = None if arrivals is None else causal_bound(plant, arrivals, start.moment)
+    found: dict[str, Any] = {
+        "experiment": name, "uses": controller.uses, "cost": loop.verdict.details["cost"], "mean_cost": mean,
+        "bound_full_state": mean_full_state_bound(replace(plant, input_delay=0), start.moment), "bound_causal": bound,
+        "gap": None if bound is None else mean / bound - 1.0, "verdict": loop.verdict.to_json(), "gains": K.tolist(),
+    }  # fmt: skip
     if spread:
         if each.renewed is not None:
             raise HilError(f"{name}: --spread: not over a history with lost packets: its {len(each.gains)} phases are too many")

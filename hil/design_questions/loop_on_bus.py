@@ -136,14 +136,13 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
     experiment = loop.experiment
     bus = _bus(loop.rig, experiment.name)
     (delays, no_bound), period, slots = _delays(loop, bus), float(experiment.period), experiment.slots
-    log, found, deadline = run[BUS.name], {}, experiment.timing.deadline * float(experiment.period)
+    log, found, deadline, clock = run[BUS.name], {}, experiment.timing.deadline * period, loop.rig.sensors[0].clock
     for packet in own_packets(loop.rig, bus, loop.rows):
         way = "ca" if packet.sender == CONTROLLER else "sc"
         last = packet.first + len(packet.sizes(fd=bus.table.dbitrate is not None)) - 1
         own = log[(log["can_id"] == last) & (log["operation"] == 0) & (log["flags"] & 1 == 0)]
-        sent: NDArray[np.float64] = np.arange(slots, dtype=np.float64) * period + (deadline if way == "ca" else 0.0)
-        every = loop.rig.sensors[0].clock.every if way == "sc" else 1
-        sent = sent[loop.rig.sensors[0].clock.phase if way == "sc" else 0 :: every]
+        phase, every = (0, 1) if way == "ca" else (clock.phase, clock.every)
+        sent: NDArray[np.float64] = np.arange(phase, slots, every, dtype=np.float64) * period + (deadline if way == "ca" else 0.0)
         latency = np.full(len(sent), np.nan)
         at = np.searchsorted(sent, own["queued_ns"] / 1e9 - 1e-9)
         kept = at < len(sent)
@@ -159,18 +158,16 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         source = f"{experiment.name}, seed {experiment.seed}, {slots} slots"
         said = fit_document(fit, way, source, notes)
         said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": no_bound}
-        spec, seeded = fit.spec, f"a run with seed {experiment.seed}"
+        spec, seeded, text = fit.spec, f"a run with seed {experiment.seed}", ""
         how = f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}"
         if fit.law_class == "none":
             ages = (run[ROWS.name]["tau"] if way == "sc" else run[APPLIED.name]["d"])[slots // 10 :]
             spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}
             how = f"recorded: no law explains its {len(sent)} packets; the ages of {seeded} stand here"
-        text = law_text(fit, said) if fit.law_class != "none" else (
-            f"# {how}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines({'source': source, 'way': way, 'class': 'none'})}"
-        )  # fmt: skip
+            text = f"# {how}\n\n{toml_lines(spec)}\n[fit]\n{toml_lines({'source': source, 'way': way, 'class': 'none'})}"
         found[way] = BusLaw(
             spec=spec, how=how, exact=False, packets=len(sent), worst_ms=worst, largest_age=largest,
-            no_bound=no_bound, text=text,
+            no_bound=no_bound, text=text or law_text(fit, said),
         )  # fmt: skip
     return found
 

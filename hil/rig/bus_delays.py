@@ -75,12 +75,20 @@ def bus_delays(rig: RigSpec, bus: SharedMedium, rows: int | None = None, *, long
     if len({each.key() for each in timed}) < len(timed):
         raise NotKnown(f"two messages of network.media.{bus.name} have one identifier")
     try:
-        found = response_ranges(timed, rates)
+        ranges = response_ranges(timed, rates)
     except NotKnown as why_none:
         if longest:
             raise NotKnown(f"network.media.{bus.name}: {why_none}") from None
-        return _from_any_offset(rig, bus, rows, timed, str(why_none))
-    return _by_slot(rig, bus, rows, found)
+        found = _from_any_offset(rig, bus, rows, timed, str(why_none))
+    else:
+        found = _by_slot(rig, bus, rows, ranges)
+    for sender, worst_ns, apart in zip(("sensor", "control"), found.worst_ns, (rig.sensors[0].clock.every, 1)):
+        if bus.table.buffer == "overwritten" and worst_ns > apart * rig.period_ns:
+            raise NotKnown(
+                f"network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; "
+                'buffer = "fifo", or less traffic above it'
+            )
+    return found
 
 
 def _require_bounded(rig: RigSpec, bus: SharedMedium) -> None:
@@ -162,19 +170,8 @@ def _by_slot(rig: RigSpec, bus: SharedMedium, rows: int | None, ranges: Response
     slots = range(begin, begin + cycle)
     sensor = [late(0, (k - phase) // every) if k >= phase and (k - phase) % every == 0 else None for k in slots]
     control = [late(1, k) for k in slots] if len(ends) > 1 else []
-    if bus.table.buffer == "overwritten":
-        for way, packets, apart in ((0, sensor, every), (1, control, 1)):
-            if worst[way] > apart * BitRates.ns(slot) and packets:
-                raise _replaced(bus, ("sensor", "control")[way])
     return BusDelays(
         sensor=tuple(sensor), control=tuple(each for each in control if each), worst_ns=(worst[0], worst[1])
-    )
-
-
-def _replaced(bus: SharedMedium, sender: str) -> NotKnown:
-    return NotKnown(
-        f"network.media.{bus.name}: a {sender} packet may still wait when the next one takes its place; buffer = \"fifo\", or "
-        "less traffic above it"
     )
 
 
@@ -192,8 +189,6 @@ def _from_any_offset(
         bound = bounds[own.name]
         if bound is None:
             raise NotKnown(f"network.media.{bus.name}: {own.name!r} has no bound: {why}")
-        if bus.table.buffer == "overwritten" and bound > own.period_ns:
-            raise _replaced(bus, ("sensor", "control")[way])
         worst[way] = bound
         found.append((_late(rates.duration(own.least_length()), within, slot), _late(BitRates.units(bound), within, slot)))
     sensor = tuple(found[0] if k == clock.phase else None for k in range(clock.every))

@@ -18,7 +18,7 @@ from design.historical_data.block_diagonal import (
     tangent_scheme,
 )
 from design.historical_data.cost_bounds import arrivals_of, causal_bound, mean_full_state_bound
-from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, cost_from, start_at, stationary_cost
+from design.historical_data.guaranteed_cost import average_start, certify_cost, cost, start_at, stationary_cost
 from design.historical_data.least_cost import cyclic_orders, match_peak, orders_by_cost, synthesise
 from design.historical_data.sensor_schedule import mask_of, round_robin
 from design.jump_linear.second_moment import operator_matrix
@@ -152,10 +152,8 @@ def test_two_inputs_a_late_command_and_a_long_memory_cost_what_literal_runs_do()
         weight=np.diag([1.0, 3.0]), input_weight=np.array([[0.5, 0.1], [0.1, 0.2]]), input_delay=1,
     )  # fmt: skip
     K, history = 0.1 * rng.normal(size=(3, 4, 2, 2)), rng.normal(size=(2, 2))
-    begins = np.eye(3)[1]
     assert cost(close(plant, K), start_at(history[0], 3, 1)) == pytest.approx(literal_cost(plant, K, [history[0]], 1, {}))
     known = literal_cost(plant, K, [*history], 1, {})
-    assert cost_from(plant, K, history, begins) == pytest.approx(known)
     said = certify_cost(plant, K, start_at(history[0], 3, 1), history=history, deviation=np.array([0.3, 0.1])).details
     every = [literal_cost(plant, K, [np.zeros(2)], 0, {6 + i: sd}) for i in range(3) for sd in ([0.3, 0.0], [0.0, 0.1])]
     assert said["cost"] == pytest.approx(known) and said["noise_cost_per_slot"] == pytest.approx(sum(every) / 3)
