@@ -93,12 +93,12 @@ watchdog_slots = 300
 """
 
 
-def real_time(folder: Path, link: str, **lies: str) -> tuple[int, dict[str, Any], str]:
-    """Exit status, problems and standard error of a run whose plant or controller is another one from slot 250 on."""
+def real_time(folder: Path, link: str, experiment: str = "own.toml", **lies: str) -> tuple[int, dict[str, Any], str]:
+    """Exit status, problems and standard error of a run; plant or controller of ours are other ones from slot 250 on."""
     body = OWN.replace("{plant}", lies.get("plant", "pass")).replace("{controller}", lies.get("controller", "pass"))
     (folder / "tank.py").write_text(body)
     (folder / "own.toml").write_text(EXPERIMENT)
-    words = ["run", "own.toml", "--clock", "real", "--link", link, "--quiet", "--json", "-o", "a.mcap"]
+    words = ["run", experiment, "--duration", "1.6", "--clock", "real", "--link", link, "--quiet", "--json", "-o", "a.mcap"]
     path = os.pathsep.join(filter(None, (str(folder), os.environ.get("PYTHONPATH"))))
     done = hil_command(*words, cwd=folder, env={**os.environ, "PYTHONPATH": path})
     return done.returncode, json.loads(done.stdout)["problems"], done.stderr
@@ -161,7 +161,7 @@ def opened(uri, role):
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: torn\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[hil.links]\ntorn = torn:opened\n")
-    status, problems, errors = real_time(tmp_path, "torn:x")
+    status, problems, errors = real_time(tmp_path, "torn:x", "dc-motor-1khz")
     assert status == 1 and "Traceback" not in errors, errors
     assert problems["plug_in_failed"].startswith(f"ConnectionError: the cable is torn ({tmp_path}/torn.py, line ")
     assert len(read_run(tmp_path / "a.mcap").arrays["/plant/state"]) > 10

@@ -181,7 +181,7 @@ def test_a_plant_that_takes_back_what_it_has_beyond_its_model_is_tested() -> Non
             asked.append(0)
             return () if len(asked) <= begins else ("friction",)
 
-    for begins in range(4):
+    for begins in range(6):
         asked: list[int] = []
         found = on_own_plant(Coy("unstable, always"), Table())
         assert found is None or not found.certified, begins
