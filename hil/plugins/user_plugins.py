@@ -15,7 +15,7 @@ from numbers import Integral
 from typing import TYPE_CHECKING, Any, Final, Protocol, runtime_checkable
 
 from design.controllers import Controller, LoopModel, RunningController, SeveralSamples
-from hil.plugins import OUR_FOLDERS, is_ours, text_of
+from hil.plugins import OUR_FOLDERS, OURS, is_ours, text_of
 from hil.plugins.registry import Group
 from plants.errors import PlantError
 
@@ -130,6 +130,9 @@ def asked(what: str, function: Callable[..., Any], *arguments: Any) -> Any:
 _STANDARD: Final = os.path.dirname(os.__file__)
 """Where the standard library lies."""
 
+_FILES: Final = (*OUR_FOLDERS, *(f"{name}/" for name in ("hil", *OURS)))
+"""How the names of our files begin in a traceback; those of compiled ones are relative."""
+
 FORM_ERRORS: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error)
 """What our own code raises of an answer that has another form than its author's part promises."""
 
@@ -165,7 +168,7 @@ def _frames_elsewhere(error: BaseException) -> list[FrameSummary]:
     """Return where an exception was raised, outermost first, without the frames of our packages."""
     from traceback import extract_tb
 
-    return [frame for frame in extract_tb(error.__traceback__) if not frame.filename.startswith(OUR_FOLDERS)]
+    return [frame for frame in extract_tb(error.__traceback__) if not frame.filename.startswith(_FILES)]
 
 
 PLANT = {
@@ -222,7 +225,7 @@ def in_own_words(call: str = "") -> Iterator[None]:
     except BaseException as error:
         from traceback import extract_tb
 
-        if type(error) is AssertionError and extract_tb(error.__traceback__)[-1].filename.startswith(OUR_FOLDERS):
+        if type(error) is AssertionError and extract_tb(error.__traceback__)[-1].filename.startswith(_FILES):
             raise  # a rule of ours that is broken
         said = text_of(error) if isinstance(error, PlantError) else words(error)
         raise AssertionError(f"{call}{said}") from error
