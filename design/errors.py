@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from numbers import Real
 from typing import Any
 
 
@@ -110,5 +111,5 @@ def check_at_least_zero(**values: float) -> None:
 
 def _check(values: Mapping[str, float | None], fits: Callable[[float], bool], expected: str) -> None:
     for field, value in values.items():
-        if value is not None and not (math.isfinite(value) and fits(value)):
+        if value is not None and not (isinstance(value, Real) and math.isfinite(value) and fits(value)):
             raise FieldError(field, f"{value!r}, expected {expected}")

@@ -132,7 +132,7 @@ OBJECTIVES: tuple[str, ...] = get_args(Objective)
 METHODS: tuple[str, ...] = get_args(Method)
 DEFAULT_STARTS = {"h2": 2, "hinf": 4, "mixed": 2}
 MOST_STARTS = 10_000
-KINDS = dict.fromkeys(("starts", "seed", "samples"), Integral) | dict.fromkeys(("integral", "gain_bound", "hinf_bound"), Real)
+KINDS = dict.fromkeys(("starts", "seed", "samples"), Integral) | dict.fromkeys(("integral", "gain_bound"), Real)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

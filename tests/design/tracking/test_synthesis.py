@@ -217,6 +217,7 @@ def test_infeasible_mixed_bound_is_refused_with_the_smallest_norm():
         ({"gain_bound": np.nan}, "gain_bound: nan"),
         ({"hinf_bound": 17.5}, "hinf_bound: only a mixed design"),
         ({"objective": "mixed", "hinf_bound": -1.0}, "hinf_bound: -1"),
+        ({"objective": "mixed", "hinf_bound": "a"}, "hinf_bound: 'a', expected a finite number above 0"),
         ({"starts": -1}, "starts: "),
         ({"initial": [0.5, 0.5]}, r"initial: shape \(2,\), expected \(6,\)"),
         ({"sc": [[0.5, 0.48], [0, 1]]}, r"Lambda\[0\]: row sums to 0.98"),
