@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import resource
 import sys
 
 TYPE_CHECKING = False  # the import of typing takes longer than all of this
@@ -14,6 +15,10 @@ if TYPE_CHECKING:
 def main() -> Any:
     """Entry point of the console command ``hil``."""
     try:
+        if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
+            # CPython keeps what it could write of a module's bytecode (ulimit -f), and no later import gets over it.
+            sys.dont_write_bytecode = True
+            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
         from hil.errors import heed_signals
 
         heed_signals()

@@ -6,7 +6,6 @@ import atexit
 import errno
 import io
 import os
-import resource
 import sys
 from contextlib import suppress
 from importlib import import_module
@@ -164,10 +163,6 @@ def main(args: list[str] | None = None) -> Any:
     # Our matrices are small: a second BLAS thread costs time on a quiet machine and minutes on a busy one.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    if resource.getrlimit(resource.RLIMIT_FSIZE)[0] != resource.RLIM_INFINITY:
-        # CPython keeps what it could write of a module's bytecode (ulimit -f), and no later import gets over it.
-        sys.dont_write_bytecode = True
-        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
     words = sys.argv[1:] if args is None else args
     if sys.stdout is None and "--json" in words[: words.index("--") if "--" in words else None]:  # `hil ... --json >&-`
         print("hil: --json writes to standard output, which is closed; nothing was run", file=sys.stderr)
