@@ -89,8 +89,6 @@ def law(
             with located(f"{recording.source}: {way}", FieldError):
                 timed = record if recording.clocks else replace(record, sent_s=record.sent_s * slot)  # one a slot
                 fits[way] = fit_law(timed, slot, deadline * slot)
-            if fits[way].sparse:
-                raise HilError(f"{recording.source}: {way}: {fits[way].sparse}")
     said = {way: fit_document(fit, way, recording.source, notes) for way, fit in fits.items()}
     found = {way: fit for way, fit in fits.items() if fit.law_class != "none"}
     for way, path in targets.items():

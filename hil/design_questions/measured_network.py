@@ -76,12 +76,10 @@ def measured(fit: LawFit, *, holds_input: bool) -> Measured:
     """Return a fitted direction as its receiver sees it.
 
     Raises:
-        HilError: no class of law explains the record, or it has no packet in many slots and they depend on each other.
+        HilError: no class of law explains the record.
     """
     if fit.law_class == "none":
         raise HilError("none of the laws explains the record: there is nothing to design for; measure for longer")
-    if fit.sparse:
-        raise HilError(fit.sparse)
     law: NetworkLaw = parse_table("hil.laws", fit.spec, "law")
     at = Receiver(fit.period_s, fit.deadline_s, 0, holds_input)
     if isinstance(law, PacketAges):

@@ -71,15 +71,6 @@ class LawFit(Struct, frozen=True, kw_only=True, eq=False):
     period_s: float
     deadline_s: float
 
-    @property
-    def sparse(self) -> str:
-        """Why it is no law of slots: packets that depend on each other were sent further apart; empty where it is one."""
-        apart, slot = self.record.period_s, self.period_s
-        if self.law_class in ("constant", "independent", "none") or apart <= JITTER * slot:
-            return ""
-        said = f"packets that depend on each other were sent {apart:.4g} s apart, and a slot has {slot:.4g} s"
-        return f"{said}: how slots do is not in the record; measure with --rate {1.0 / slot:.4g}"
-
 
 def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: float | None = None) -> LawFit:
     """Fit a network law.
@@ -90,7 +81,8 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
         deadline_s: when a slot closes; by default after 0.6 of it, as in an experiment.
 
     Raises:
-        FieldError: a period or deadline that is none, or latencies of more slots than a law covers.
+        FieldError: a period or deadline that is none, latencies of more slots than a law covers, or packets that depend on each
+            other, sent further apart than slots.
     """
     period = record.period_s if period_s is None else period_s
     deadline = 0.6 * period if deadline_s is None else deadline_s
@@ -110,6 +102,9 @@ def fit_law(record: PacketRecord, period_s: float | None = None, deadline_s: flo
     in_slots = 1.0 if tested.independent else _slots_independent(record, period, deadline)
     independent = tested.independent or in_slots > REJECT
     if not independent or losses[0].kind == "gilbert-elliott":  # then how far apart packets are counts
+        if record.period_s > JITTER * period:
+            said = f"they depend on each other, sent {record.period_s:.4g} s apart; expected one in every slot of {period:.4g} s"
+            raise FieldError("packets", f"{said}: hil probe --rate {1.0 / period:.4g}, or a sensor's clock of one slot")
         slotted = one_per_slot(record, period)
         if slotted is not record:
             return fit_law(slotted, period, deadline)

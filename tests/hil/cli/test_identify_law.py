@@ -12,8 +12,6 @@ import pytest
 from hil.design_questions.measured_network import measured
 from hil.errors import HilError
 from hil.experiment import load_experiment
-from hil.log.recordings import packet_records
-from hil.log.recordings.read import read_recording
 from hil.pages import Figure
 from hil.pages.analyses import _section
 from tests.hil.cli.conftest import Hil
@@ -100,9 +98,9 @@ def test_none_of_these_is_status_1_and_writes_no_law(cli: Hil, tmp_path: Path) -
     assert status == 1
     assert "none of the laws" in out and "rejected" in out
     assert not (tmp_path / "law.toml").exists()
-    way = packet_records(read_recording([tmp_path / "rhythm.csv"]))[0]
+    record = PacketRecord(sent_s=0.01 * np.arange(8000), latency_s=values)
     with pytest.raises(HilError, match="there is nothing to design for; measure for longer"):
-        measured(fit_law(*way.values(), 0.01), holds_input=False)
+        measured(fit_law(record, 0.01), holds_input=False)
 
 
 def test_latencies_that_depend_on_each_other_within_a_slot_are_not_called_independent(cli: Hil, tmp_path: Path) -> None:
@@ -119,7 +117,7 @@ def test_bursts_are_of_slots_only_where_every_slot_has_a_packet(cli: Hil, tmp_pa
     (tmp_path / "ping.csv").write_text("\n".join(["sent_s,latency_s", *(f"{k},{each}" for k, each in enumerate(latency))]))
     (tmp_path / "order.csv").write_text("\n".join(["latency_s", *latency]))
     status, out, err = cli("identify", "law", "ping.csv", "--period", "10ms")
-    assert (status, out) == (2, "") and "sent 1 s apart, and a slot has 0.01 s: how slots do is not in the record" in err
+    assert (status, out) == (2, "") and "ping.csv: sc: packets: they depend on each other, sent 1 s apart" in err
     spec = [json.loads(cli("identify", "law", "order.csv", "--period", each, "--json")[1]) for each in ("10ms", "5s")]
     assert spec[0]["sc"]["law"]["loss"] == spec[1]["sc"]["law"]["loss"] and spec[0]["sc"]["fit"]["packets"] == 2000
 

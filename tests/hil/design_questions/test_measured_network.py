@@ -5,12 +5,9 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-
 from design.requests.tracking import solve_tracking
 from hil.design_questions import problem_for, tracking_target
 from hil.design_questions.measured_network import measured, over_network, region_verdict
-from hil.errors import HilError
 from hil.experiment import load_experiment
 from tests.hil.cli.conftest import Hil
 from tests.hil.cli.conftest import cli as cli
@@ -40,13 +37,6 @@ def test_from_a_log_to_a_certified_controller(cli: Hil, tmp_path: Path) -> None:
     region = json.loads(out)["network"]["region"]
     assert region["state"] == "undecided"
     assert 400 < int(region["reason"].partition("about ")[2].split()[0]) < 6000
-
-
-def test_packets_further_apart_than_slots_do_not_say_how_slots_depend() -> None:
-    record = record_of(LAWS[13][1], 3000, [1])
-    fit = fit_law(record, T / 5.0, DEADLINE / 5.0)
-    with pytest.raises(HilError, match=r"sent 0\.01 s apart, and a slot has 0\.002 s: .*; measure with --rate 500"):
-        measured(fit, holds_input=False)
 
 
 def test_ages_that_never_came_and_friction_are_named_beside_a_region() -> None:

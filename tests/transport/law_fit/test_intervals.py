@@ -15,6 +15,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 
+from tests.transport.law_fit.synthetic_laws import LAWS, record_of
 from transport.errors import FieldError, NotKnown
 from transport.law_fit import fit_law
 from transport.law_fit.age_models import fit_ages
@@ -270,3 +271,9 @@ def test_packets_that_depend_on_each_other_in_too_few_slots_are_refused() -> Non
     record = PacketRecord(sent_s=np.arange(2000) * T, latency_s=np.where(late, 0.045, 0.005) + 1e-6 * np.arange(2000))
     with pytest.raises(FieldError, match=r"packets: 200 slots of 0.1 s, in which packets depend on each other, expected"):
         fit_law(record, 10 * T, 0.04)
+
+
+def test_packets_further_apart_than_slots_do_not_say_how_slots_depend() -> None:
+    record = record_of(LAWS[13][1], 3000, [1])
+    with pytest.raises(FieldError, match=r"sent 0\.01 s apart; expected one in every slot of 0\.002 s: hil probe --rate 500, or"):
+        fit_law(record, T / 5.0, DEADLINE / 5.0)
