@@ -49,18 +49,24 @@ class LiveView:
         experiment: what runs.
         clock: "virtual" or "real".
         link: URI of the link; the experiment's own by default.
+        waits: for whom the rig waits; a line that is written when the run begins, and no earlier: then nothing refuses it.
+        drawn: whether to draw; otherwise that line is all.
         console: where to draw; standard error by default.
 
     Use it as a context manager around `hil.session.run_session`, whose onlooker it is; leaving it, also by an exception or
     Ctrl-C, stops the drawing, removes the view and shows the cursor again.
     """
 
-    def __init__(self, experiment: Experiment, clock: str, *, link: str | None = None, console: Console | None = None) -> None:
+    def __init__(
+        self, experiment: Experiment, clock: str, *, link: str | None = None, waits: str = "", drawn: bool = True,
+        console: Console | None = None,
+    ) -> None:  # fmt: skip
         from rich.console import Console
 
         self._console = console or Console(stderr=True)
         self._begun = self._console.get_time()
-        self._on = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._waits = visible(waits)
+        self._on = drawn and self._console.is_terminal and not self._console.is_dumb_terminal
         self._experiment = experiment
         self._where = "virtual time" if clock == "virtual" else f"real time · {link or experiment.links.uri}"
         plant = experiment.plant
@@ -79,6 +85,8 @@ class LiveView:
 
     def begin(self, loop: Loop, channels: Mapping[str, Channel]) -> Mapping[str, PayloadWriter]:
         """Take the records that are shown; none where there is no terminal to draw on."""
+        if self._waits:
+            self._console.print(self._waits, markup=False, highlight=False, soft_wrap=True)
         if not self._on:
             return {}
         schemas = {topic: channels[topic].schema for topic in SHOWN if topic in channels}

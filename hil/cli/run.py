@@ -151,11 +151,12 @@ def run(
         raise HilError(f"--wait: {wait:g}; expected more than 0 s and at most {LONGEST_WAIT_S:g} s")
     on = link_of(rig_of(checked), link) if clock == "real" else None
     uri = None if on is None else on.uri
-    if external and uri is not None and sys.stderr is not None:
+    waits = ""
+    if external:
         from hil.runtime.real.supervisor import EXTERNAL_TIMEOUT_S
 
         limit = "until Ctrl-C" if wait == LONGEST_WAIT_S else f"up to {wait or EXTERNAL_TIMEOUT_S:g} s"
-        print(f"waiting {limit} for your controller on {visible(uri)}", file=sys.stderr)
+        waits = f"waiting {limit} for your controller on {uri}"
     signer = None
     if sign is not None:
         from hil.files.signature import Signer
@@ -177,11 +178,12 @@ def run(
                 onlooker = views.enter_context(watched(clock, lambda page: click.echo(f"open {page.url}", err=True)))  # type: ignore[arg-type]
             if foxglove is not None:
                 onlooker = views.enter_context(foxglove_beside(onlooker, foxglove))
-            if not (wants_json() or quiet or sys.stderr is None or not sys.stderr.isatty()):
+            drawn = not (wants_json() or quiet) and sys.stderr is not None and sys.stderr.isatty()
+            if drawn or waits:
                 from hil.cli.live_view import LiveView
                 from hil.pages.viewers import Beside
 
-                view = views.enter_context(LiveView(checked, clock, link=uri))
+                view = views.enter_context(LiveView(checked, clock, link=uri, waits=waits, drawn=drawn))
                 onlooker = view if onlooker is None else Beside(onlooker, view)
             session = run_session(
                 checked, clock=clock, link=uri, path=path, external=external, wait_s=wait,  # type: ignore[arg-type]

@@ -83,13 +83,13 @@ def solved_gains(experiment: Experiment) -> tuple[NamedController, str] | None:
     asked: Any = experiment.controller
     if not isinstance(asked, Designer) or (isinstance(asked, GivesGains) and asked.gains_given):
         return None
-    from hil.compose.stored_gains import problem_digest
+    from hil.compose.stored_gains import problem_digest, solve
 
     with _small_matrices():
         experiment, rig, model = _modelled(experiment)
         try:
             task = _task(experiment, rig, chains_for(rig, asked), model)
-            return asked.solve(task), problem_digest(asked, task)
+            return solve(asked, task), problem_digest(asked, task)
         except (ValueError, DesignError) as e:
             raise ExperimentError(experiment.name, [fault_at("controller", e)]) from e
 

@@ -17,6 +17,7 @@ import msgspec
 import numpy as np
 
 from design.controllers import Controller
+from design.errors import FieldError
 from design.verdict import digest
 from hil.errors import ExperimentError, HilError
 from hil.experiment import Experiment, parse_table
@@ -43,6 +44,21 @@ def gains_file(experiment: Experiment) -> Path:
     return Path(experiment.folder) / "gains" / f"{experiment.name}.json"
 
 
+def solve(request: Designer, task: DesignTask) -> NamedController:
+    """Return the controller that a designer, of the user's own perhaps, solves to.
+
+    Raises:
+        FieldError: it returned something else.
+        ValueError, DesignError: as `Designer.solve`.
+    """
+    made = request.solve(task)
+    if isinstance(made, NamedController):
+        return made
+    expected = "the controller that runs: `kind` (\"module:Class\" or a plug-in's name), `start(model)`"
+    name, returned = type(request).__qualname__, type(made).__qualname__
+    raise FieldError("kind", f"{name}: solve(task) returned a {returned}, expected {expected}")
+
+
 def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedController, Gains | None]:
     """Return the controller that an experiment asks for, stored or solved, and where its gains come from.
 
@@ -58,17 +74,17 @@ def solve_controller(experiment: Experiment, task: DesignTask) -> tuple[NamedCon
     """
     asked: Any = experiment.controller
     if isinstance(asked, GivesGains) and asked.gains_given:
-        return asked.solve(task), None
+        return solve(asked, task), None
     path = gains_file(experiment)
     try:
         own = problem_digest(asked, task)
     except NoDigest as error:
-        return asked.solve(task), Gains(origin="solved here", note=f"{error}, so that no file can hold them")
+        return solve(asked, task), Gains(origin="solved here", note=f"{error}, so that no file can hold them")
     stored, why = _stored(path, own, experiment.folder, runs_own=written_in(type(asked)) is not None)
     if stored is not None:
         return stored, Gains(origin="stored")
     note = f"{path.parent.name}/{path.name} {why}; `hil solve` stores them, for the same bits on every machine"
-    return asked.solve(task), Gains(origin="solved here", note=note)
+    return solve(asked, task), Gains(origin="solved here", note=note)
 
 
 def fitted(request: GainsOnFile, controller: NamedController, task: DesignTask) -> tuple[NamedController, Gains]:

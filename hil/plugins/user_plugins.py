@@ -36,6 +36,7 @@ class FieldFault(Protocol):
     message: str
 
 
+@runtime_checkable
 class NamedController(Protocol):
     """A controller that says under which plug-in name the log's experiment makes it again."""
 

@@ -69,6 +69,14 @@ def test_nothing_is_drawn_or_tapped_without_a_terminal(recorded: Recorded) -> No
     assert written(console) == ""
 
 
+def test_whom_the_rig_waits_for_is_said_when_the_run_begins(recorded: Recorded) -> None:
+    experiment, sink, loop = recorded
+    console = terminal()
+    with LiveView(experiment, "real", waits="waiting for [you]\x1b", drawn=False, console=console) as view:
+        assert written(console) == "" and feed(view, sink, loop) == {}
+    assert written(console) == "waiting for [you]\\x1b\n"
+
+
 def test_interrupt_restores_the_terminal(recorded: Recorded) -> None:
     experiment, sink, loop = recorded
     console = terminal()

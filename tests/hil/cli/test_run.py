@@ -142,6 +142,12 @@ def test_external_link_that_cannot_be_opened_leaves_no_log(cli: Hil, tmp_path: P
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize("refused", [("-o", "x.html"), ("--set", "network.sc.law={kind='constant', age=9}")])
+def test_a_rig_that_is_refused_waits_for_nobody(cli: Hil, tmp_path: Path, refused: tuple[str, str]) -> None:
+    status, _, err = cli("rig", "dc-motor-hinf", "--link", "can:hil:refused", *refused)
+    assert status == 2 and "waiting" not in err and not list(tmp_path.iterdir())
+
+
 @pytest.mark.slow
 def test_runs_at_the_same_time_get_a_log_each(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "hil", "run", "dc-motor-hinf", "--duration", "2", "--json"]

@@ -36,6 +36,11 @@ class LawThatFails(NoLaw):
         raise RuntimeError("no licence")
 
 
+class NoGains:
+    def solve(self, task: Any) -> Any:
+        return None
+
+
 class Samples:
     selection = "applied"
     table = Table.table
@@ -65,6 +70,7 @@ CALLS: list[int] = []
     [
         (Plant(), NoLaw(), "linear_law(model) returned None, expected a LinearLaw"),
         (Plant(), LawThatFails(), "linear_law(model): RuntimeError: no licence ("),
+        (Plant(), NoGains(), "controller.kind: NoGains: solve(task) returned a NoneType, expected the controller that runs"),
         (Plant(), Samples(), "controller: RuntimeError: no samples ("),
         (ModelOnce(), Table(), "plant: RuntimeError: no more models ("),
     ],
@@ -74,7 +80,7 @@ def test_a_part_that_raises_before_the_run_is_one_message_with_its_line(plant: A
     with pytest.raises(hil.HilError) as reported:
         hil.run("dc-motor-h2", duration=1, plant=plant, controller=controller, allow_uncertified=True, **{"limits.state": {}})
     assert said in str(reported.value)
-    assert "test_parts_that_fail.py, line " in str(reported.value) or "returned None" in said
+    assert "test_parts_that_fail.py, line " in str(reported.value) or "returned" in said
 
 
 def test_a_controller_whose_fields_change_during_its_test_is_refused() -> None:
