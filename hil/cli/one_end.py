@@ -46,6 +46,8 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     """Answer sensor frames on a link with the controller of EXPERIMENT, until Ctrl-C.
 
     The rig is started elsewhere: hil rig EXPERIMENT --link URI.
+
+    Exit status: 1 a control law or link of your own raised, 2 bad input.
     """
     from hil.compose import compose
     from hil.experiment import load_experiment
@@ -61,7 +63,9 @@ def controller(experiment: str, link: str | None, sets: tuple[str, ...]) -> None
     find_link(uri)  # what cannot be a link is said first
     print(f"hil: controller of {loop.experiment.name} on {visible(uri)}; Ctrl-C ends it", file=sys.stderr)
     standard_output_is_free()  # words go to standard error
-    serve(loop, uri, warn=lambda said: print(f"hil: {visible(said)}", file=sys.stderr))
+    raised = serve(loop, uri, warn=lambda said: print(f"hil: {visible(said)}", file=sys.stderr))
+    print(f"hil: {visible(raised)}", file=sys.stderr)
+    raise SystemExit(1)
 
 
 @click.command()

@@ -271,7 +271,7 @@ def run_in_real_time(
     sink.drop(real.pump.dropped)
     out: dict[str, Any] = {"torn_bytes": real.pump.torn_bytes, "malformed_records": real.pump.malformed}
     if real.controller.failed is not None:
-        sink.event(real.controller_lost_ns, PLUG_IN_FAILED, real.controller.failed, severity="error")
+        sink.event(real.controller_lost_ns or real.pump.last_ns, PLUG_IN_FAILED, real.controller.failed, severity="error")
     elif real.controller_lost:
         out["controller_lost"] = real.controller_lost
         sink.event(real.controller_lost_ns, "controller lost", real.controller_lost, severity="error")

@@ -130,8 +130,10 @@ def test_a_part_that_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: 
     assert len(run.arrays["/plant/state"]) > 200 and any(e["kind"] == "outcome" for e in run.events)
 
 
-@pytest.mark.parametrize("role", ["rig", "controller"])
-def test_an_own_link_that_raises_in_the_run_is_one_message_and_a_whole_log(tmp_path: Path, role: str) -> None:
+@pytest.mark.parametrize(("role", "where"), [("rig", "send"), ("controller", "send"), ("rig", "close")])
+def test_an_own_link_that_raises_in_the_run_or_at_its_end_is_one_message_and_a_whole_log(
+    tmp_path: Path, role: str, where: str
+) -> None:
     (tmp_path / "torn.py").write_text(f"""
 from transport.links.opening import open_link
 
@@ -147,12 +149,16 @@ class Torn:
 
     def __exit__(self, *given):
         self.link.close()
+        self.raise_in("close")
 
     def send(self, packet):
         self.sent += 1
-        if self.sent > 150 and self.role == "{role}":
-            raise ConnectionError("the cable is torn")
+        self.raise_in("send")
         self.link.send(packet)
+
+    def raise_in(self, where):
+        if self.sent > 150 and self.role == "{role}" and where == "{where}":
+            raise ConnectionError("the cable is torn")
 
 def opened(uri, role):
     return Torn(role)

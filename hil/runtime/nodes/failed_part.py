@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
 from hil.log import PLANT_FAILED, PLUG_IN_FAILED
 from hil.plugins.user_plugins import user_failure
 from hil.rig.loop import Loop
@@ -21,3 +24,20 @@ def failure_of(loop: Loop, error: BaseException, *others: object) -> tuple[str, 
     parts = (loop.experiment.plant, loop.controller, *loop.rig.laws, *others)
     text = None if isinstance(error, KeyboardInterrupt) else user_failure(error, parts)
     return None if text is None else (PLUG_IN_FAILED, text.encode("utf-8", "backslashreplace").decode())
+
+
+@contextmanager
+def failing(loop: Loop, said: Callable[[str, str], object], *others: object) -> Iterator[None]:
+    """Say which part of a loop raised within, and what; any other exception goes on.
+
+    Args:
+        loop, others: as of `failure_of`.
+        said: called with what that returns.
+    """
+    try:
+        yield
+    except BaseException as error:
+        failure = failure_of(loop, error, *others)
+        if failure is None:
+            raise
+        said(*failure)

@@ -17,12 +17,13 @@ from typing import IO
 from msgspec import DecodeError, Struct, field, structs
 from msgspec.json import decode, encode
 
+from hil.errors import Terminated
 from hil.rig.loop import Loop
 from hil.rig.session_link import SessionLink
 from hil.runtime.changes import ChangeReceiver
 from hil.runtime.clock import monotonic_ns
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failed_part import failure_of
+from hil.runtime.nodes.failed_part import failing
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
 from hil.runtime.real.ending import useless, useless_frames
@@ -63,15 +64,11 @@ class ControllerReport(Struct, frozen=True, kw_only=True):
     silent: int = 0
 
 
-class Stopped(Exception):
-    """Raised by the handler of SIGTERM: unwinds to the end of the process."""
-
-
 def stop_on_sigterm() -> None:
-    """Turn SIGTERM into :class:`Stopped`, and leave Ctrl-C to the parent, which ends everything in order."""
+    """Turn SIGTERM into `Terminated`, and leave Ctrl-C to the parent, which ends everything in order."""
 
-    def handler(_signal: int, _frame: FrameType | None) -> None:
-        raise Stopped
+    def handler(number: int, _frame: FrameType | None) -> None:
+        raise Terminated(number)
 
     signal.signal(signal.SIGTERM, handler)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -81,15 +78,15 @@ def serve(
     loop: Loop, uri: str, before_open: Callable[[], object] = lambda: None, opened: Callable[[], object] = lambda: None,
     at_end: Callable[[ControllerReport], object] = lambda report: None, changes_fd: int = -1,
     warn: Callable[[str], object] | None = None,
-) -> None:  # fmt: skip
-    """Answer sensor frames on a link until stopped.
+) -> str:  # fmt: skip
+    """Answer sensor frames on a link until stopped, or until a law or link of the user's own raises; return what that says.
 
     Args:
         loop: the composed experiment.
         uri: the link.
         before_open: called after the warm-up, which takes long, and before the link opens: its threads inherit priority and CPU.
         opened: called once the link is open.
-        at_end: called with the report.
+        at_end: called with what was counted, and with what a part raised that fails.
         changes_fd: brings changes; the changed loop itself says from which slot on they act.
         warn: called once where `ENOUGH` frames came before the first one that is answered, with the reasons.
 
@@ -99,29 +96,30 @@ def serve(
     warm_up_controller(loop)
     node = ControlNode(loop)
     before_open()
-    failed: str | None = None
+    raised: list[str] = []
     changes = ChangeReceiver(changes_fd)
-    with open_link(uri, "controller", float(loop.experiment.period)) as link:
+
+    def fail(_kind: str, text: str) -> None:
+        raised.append(text)
+        at_end(ControllerReport(failed=text[:2000]))
+
+    link = open_link(uri, "controller", float(loop.experiment.period))
+    with failing(loop, fail, link), link:  # what its close raises, too
         opened()
         try:
-            while not _answer_next(node, link, changes):
-                seen, others = link.counters, node.counts.malformed
-                if warn is not None and useless(seen, others) >= ENOUGH:
-                    warn(useless_frames(uri, seen, others, "no question of a rig: another pad= or wire version"))
-                    warn = None
-            while True:
-                _answer_next(node, link, changes)
-        except Stopped:
-            raise
-        except BaseException as error:  # whatever a control law or a link of the user's own raises
-            failure = failure_of(loop, error, link)
-            if failure is None:
-                raise
-            failed = failure[1]
+            with failing(loop, fail, link):
+                while not _answer_next(node, link, changes):
+                    seen, others = link.counters, node.counts.malformed
+                    if warn is not None and useless(seen, others) >= ENOUGH:
+                        warn(useless_frames(uri, seen, others, "no question of a rig: another pad= or wire version"))
+                        warn = None
+                while True:
+                    _answer_next(node, link, changes)
         finally:
             counters, counts = structs.asdict(link.counters), structs.asdict(node.counts)
             both = {name: counters.get(name, 0) + counts.get(name, 0) for name in counters | counts}
-            at_end(ControllerReport(counts=both, departed=node.departed, failed=failed and failed[:2000]))
+            at_end(ControllerReport(counts=both, departed=node.departed))
+    return raised[0]
 
 
 def _answer_next(node: ControlNode, link: Link, changes: ChangeReceiver) -> bool:
@@ -161,7 +159,7 @@ def read_reports(file: IO[bytes], started: int) -> ControllerReport:
         counts={name: sum(each.counts.get(name, 0) for each in found) for each in found for name in each.counts},
         departed=next((each.departed for each in found if each.departed), None),
         failed=next((each.failed for each in found if each.failed), None),
-        silent=started - len(found),
+        silent=started - sum(bool(each.counts) for each in found),
     )
 
 
@@ -183,7 +181,7 @@ def main(job: Job) -> None:
         serve(
             job.loop, job.link.uri, before_open, partial(is_open, job.meeting_fd), partial(_write, job.report_fd), job.changes_fd
         )
-    except Stopped:
+    except Terminated:
         leave_real_time()
     except TransportError as e:
         sys.exit(f"hil: {e}")

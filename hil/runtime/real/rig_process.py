@@ -11,7 +11,6 @@ import sys
 import threading
 from contextlib import suppress
 from types import FrameType
-from typing import NoReturn
 
 from msgspec import Struct, structs
 
@@ -24,7 +23,7 @@ from hil.runtime.changes import ChangeReceiver, log_change, log_late, take
 from hil.runtime.clock import Kernel, RealClock, monotonic_ns, wall_clock_ns
 from hil.runtime.nodes import KEY_BYTES, Wire, session_wire
 from hil.runtime.nodes.controller_node import ControlNode
-from hil.runtime.nodes.failed_part import failure_of
+from hil.runtime.nodes.failed_part import failing
 from hil.runtime.nodes.rig import STATES, Rig
 from hil.runtime.real import cpu_for, die_with_parent, go_real_time, leave_real_time
 from hil.runtime.real.child import is_open, other_is_open
@@ -155,13 +154,20 @@ def _run(job: Job) -> None:
     die_with_parent(job.parent)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     loops: list[RealLoop] = []
-    stopped = False
+    begun = stopped = failed = False
 
     def stop(_signal: int, _frame: FrameType | None) -> None:
         nonlocal stopped
         stopped = True
         for loop in loops:
             loop.kernel.stop()
+
+    def fail(kind: str, text: str) -> None:
+        nonlocal failed
+        if not begun:
+            sys.exit(f"hil: {text}")
+        failed = True
+        sink.event(max(loops[0].rig.k, 0) * job.loop.experiment.period_ns, kind, text, severity="error")
 
     signal.signal(signal.SIGTERM, stop)
     sink = PipeSink(job.log_fd, channels_of(job.loop, on_can=job.link.on_can), job.loop.experiment.period_ns)
@@ -174,7 +180,8 @@ def _run(job: Job) -> None:
     scheduler = go_real_time(timing.priority, cpu_for(timing.affinity, "rig", job.link.traits), timing.idle == "awake")
     standard_output_is_free()  # results leave through the pipe, words through standard error
     node = ControlNode(job.loop) if local else None
-    with LocalLink(node) if node is not None else open_link(job.link.uri, "rig") as link:
+    link = LocalLink(node) if node is not None else open_link(job.link.uri, "rig")
+    with failing(job.loop, fail, link), link:  # what its close raises, too
         if isinstance(link, Discoverable):
             link.announce(about_rig(job.loop.rig))
         real = RealLoop(job, link, sink, wire, node)  # before the greeting: nothing stands between its last rehearsal and slot 0
@@ -188,21 +195,15 @@ def _run(job: Job) -> None:
                 sys.stderr.write(f"hil: {said}\n")
             sink.close()
             raise SystemExit(NO_CONTROLLER)
+        begun = True
         real.begin()
         sink.event(0, "started", f"rig started: {scheduler}", scheduler=scheduler)
         sink.commit()
-        failed = False
-        if not stopped:
-            try:
+        with failing(job.loop, fail, link):
+            if not stopped:
                 real.run()
-                if not stopped:
-                    real.rig.compare(None if node is None else node.departed)
-            except BaseException as error:  # whatever a part of the user's own raises
-                failure = failure_of(job.loop, error, link)
-                if failure is None:
-                    raise
-                failed = True
-                sink.event(max(real.rig.k, 0) * job.loop.experiment.period_ns, *failure, severity="error")
+            if not stopped:
+                real.rig.compare(None if node is None else node.departed)
         sink.event(
             max(real.rig.k, 0) * job.loop.experiment.period_ns,
             "outcome",
@@ -212,19 +213,16 @@ def _run(job: Job) -> None:
             overruns=real.overruns,
             link=structs.asdict(link.counters),
         )
-        sink.close()
+        sink.commit()
         leave_real_time()
-        _leave(FAILED if failed else STOPPED if stopped else ENDED)
+        end_after(CLOSES_S, FAILED if failed else STOPPED if stopped else ENDED)
+    sink.close()
+    raise SystemExit(FAILED if failed else STOPPED if stopped else ENDED)
 
 
-def _leave(status: int) -> NoReturn:
-    """End this process, all of whose records are written, after `CLOSES_S` even if the link has not closed.
-
-    Raises:
-        SystemExit: with the status.
-    """
-    late = threading.Timer(CLOSES_S, os._exit, (status,))
+def end_after(limit_s: float, status: int) -> None:
+    """End this process, all of whose records are written, after so long, s, even if the link has not closed."""
+    late = threading.Timer(limit_s, os._exit, (status,))
     late.daemon = True
     with suppress(RuntimeError):  # no room for a thread: all is written, and the end of the process closes the link
         late.start()
-    raise SystemExit(status)

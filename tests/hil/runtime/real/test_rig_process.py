@@ -40,10 +40,10 @@ NEVER_CLOSED = """
 import threading
 from contextlib import ExitStack
 from hil.runtime.real.ending import ENDED
-from hil.runtime.real.rig_process import _leave
+from hil.runtime.real.rig_process import end_after
 with ExitStack() as link:
     link.callback(threading.Event().wait)
-    _leave(ENDED)
+    end_after(0.05, ENDED)
 """
 
 
