@@ -20,10 +20,14 @@ from design.controllers import LoopModel
 from design.verdict import State, Verdict
 from hil.certify import CertificationProblem, Check
 from hil.certify.bounded_departures import departure_check
+from hil.certify.device_test import energy_check, measurement_check
 from hil.certify.motion_test import (
     ALIKE,
+    FREE_SIZES,
     SEED,
+    SHORT,
     SLOTS,
+    SMALL,
     Departure,
     by_size,
     departure,
@@ -33,17 +37,9 @@ from hil.certify.motion_test import (
     random_inputs,
 )
 from hil.certify.stated_controller import answers_of
-from hil.plugins import is_ours
 from hil.plugins.user_plugins import user_failure, words
 from hil.rig.loop import EQUAL, FreeMotion, OneStep
 from plants.parts.protocols import BeyondModel, HasDepartures, HasOwnInputs, HasStateDelays, HasStateHistory, JumpPlant, Plant
-
-SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
-"""Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
-LASTS, MOST_SLOTS = 10.0, 5000
-"""Times that damping takes to stop a device, over which its energy is compared; at most so many slots."""
-SHORT = 60
-"""Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
 
 NOISY = "noise acts on it, which scatters the motion around the one that is judged"
 
@@ -70,7 +66,8 @@ def tested(loop: CertificationProblem, verdict: Verdict, checks: Checks = ()) ->
     )
     assumptions: list[str] = []
     of_plant = energy_check if beyond and verdict.kind == "passivity" else departure_check if departs else plant_check
-    for what, check in checks or (("plant", of_plant), ("controller", answers_of)):
+    measured = (("plant", measurement_check),) if verdict.kind == "passivity" else ()
+    for what, check in checks or (("plant", of_plant), *measured, ("controller", answers_of)):
         try:
             state, said = check(loop)
         except (Exception, SystemExit) as error:  # whatever an author's plant or controller does when it is driven
@@ -94,36 +91,6 @@ def without_loop(plant: Plant, model: LoopModel, digest: str = "") -> Certificat
 
     none = OutputFeedback(A=(), B=(), C=(), D=())
     return CertificationProblem(plant=plant, controller=none, model=model, sc=None, ca=None, digest=digest)
-
-
-def energy_check(loop: CertificationProblem) -> Check:
-    r"""Test, with random forces, that a device dissipates at least what the damping of its model dissipates.
-
-    .. math:: \sum_k u_k d_k - b d_k^2 / T \ge -(m v_0^2 + s x_0^2) / 2, \qquad d_k = x_{k+1} - x_k
-
-    What pushes the device from within gives energy, too: such a device is not compared, and neither is one of ours.
-    """
-    plant, port, period_s = loop.plant, loop.port, loop.model.period_s
-    if port is None or port.output is None or is_ours(plant):
-        return None, ()
-    if isinstance(plant, HasOwnInputs) and plant.own_inputs():
-        return None, (f"the energy that it takes is not compared, for it has {', '.join(plant.own_inputs())}",)
-    slots = SLOTS if port.damping <= 0.0 else int(min(max(SLOTS, LASTS * port.mass / (port.damping * period_s)), MOST_SLOTS))
-    sizes = FREE_SIZES[:2] if loop.input_limits is None else (SMALL * loop.input_limits[0], loop.input_limits[0])
-    for size in sizes:
-        track = drive(plant, round(period_s * 1e9), size * random_inputs(slots, 1))
-        moved = np.diff(track.outputs[:, port.output])
-        x, v = (float(each) for each in track.states[0, :2])
-        worked = moved * track.applied[:, 0]
-        taken = np.cumsum(worked - port.damping * moved**2 / period_s)
-        lacks = -taken - 0.5 * (port.mass * v * v + port.stiffness * x * x) - EQUAL * np.cumsum(np.abs(worked))
-        if not lacks.max() <= 0.0:
-            return "refused", (
-                f"your device does not take energy as it says: under forces up to {size:.3g} {plant.inputs[0].unit} it gives "
-                f"{lacks.max():.3g} J more than it had, by slot {int(lacks.argmax())}"
-            )
-    return None, (f"the device takes what its damping takes: compared over {slots} slots, random forces up to {size:.3g} "
-                  f"{plant.inputs[0].unit}",)  # fmt: skip
 
 
 def plant_check(loop: CertificationProblem) -> Check:

@@ -24,6 +24,10 @@ Array = NDArray[np.float64]
 
 SLOTS = 200
 """Slots of every run of the test; fewer where a motion grows beyond what floats resolve."""
+SHORT = 60
+"""Slots in which a second run of one seed is compared with the first, and over which a state's limit is reached."""
+SMALL, FREE_SIZES = 1e-3, (1e-3, 1.0, 1e3, 1e6)
+"""Share of a limit that counts as small; without limits, the sizes of the inputs, in their units."""
 SEED = 20240301
 FIRST = 5
 """Slots in which a motion has begun that is 0 at first."""

@@ -77,8 +77,11 @@ def _touched_by(loop: CertificationProblem) -> tuple[Port, DelayChain, DelayChai
     """Return the device at a wall and both delay chains, or why the loop is not judged."""
     if len(loop.model.nodes.names) > 1:
         return "no certificate covers a wall over several sensor nodes"
-    if loop.port is None:
-        return "a wall is certified for a device with position, speed and one force only"
+    if loop.port is None or loop.port.output != 0:
+        return (
+            "a wall is certified over a passive device: position, speed and one force, x' = v, m above 0, b and k at least 0; "
+            "its first output is the position, in m under N or in rad under N m"
+        )
     return loop.no_chain() if loop.sc is None or loop.ca is None else (loop.port, loop.sc, loop.ca)
 
 

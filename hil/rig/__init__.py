@@ -27,7 +27,7 @@ from hil.rig.receiver import Receiver
 from hil.rig.schedules import FaultSchedule, beyond_the_end, fault_schedule, fault_schedule_faults
 from hil.rig.sensors import Sensor, SharedMedium, node_faults, sensors_of, shared_media
 from hil.rig.slotted_media import sensor_nodes
-from plants.parts import Signal
+from plants.parts import Signal, StateSpace
 from plants.parts.protocols import JumpPlant, MovesOtherwise, Plant
 from transport.laws import NetworkLaw, prepare
 from transport.links.traits import CanFraming, traits_of
@@ -37,11 +37,11 @@ CONJUGATE: Final = (("N", "m"), ("N m", "rad"))
 
 
 class Port(Struct, frozen=True, kw_only=True):
-    """A device under one force: mass x'' + damping x' + stiffness x = force.
+    """A device that only takes energy, under one force: mass x'' + damping x' + stiffness x = force.
 
     Args:
-        mass: in the unit of force per acceleration.
-        damping: what damping takes, per speed.
+        mass: above 0, in the unit of force per acceleration.
+        damping: what damping takes, at least 0, per speed.
         stiffness: of a spring to rest, at least 0; per length.
         output: index of the output that is the position, None if none of them is it.
     """
@@ -53,23 +53,23 @@ class Port(Struct, frozen=True, kw_only=True):
 
 
 def port_of(plant: Plant) -> Port | None:
-    """Return the port of a plant with the state (position, speed) and one input, read from its model; None for others.
+    """Return the port of a plant with the state (position, speed) and one input, read from its motion; None for others.
 
     Args:
         plant: any plant.
     """
-    model = plant.model()
-    if isinstance(plant, JumpPlant) or model.A.shape != (2, 2) or model.B.shape != (2, 1) or model.A[0].tolist() != [0.0, 1.0]:
+    model = plant.motion() if isinstance(plant, MovesOtherwise) else plant.model()
+    if isinstance(plant, JumpPlant) or not isinstance(model, StateSpace) or model.A.shape != (2, 2) or model.B.shape != (2, 1):
         return None
-    if not model.B[1, 0]:
+    if model.A[0].tolist() != [0.0, 1.0] or model.A[1].max() > 0.0 or model.B[0, 0] or not model.B[1, 0] > 0.0:
         return None
     mass = 1.0 / float(model.B[1, 0])
     force, pairs = plant.inputs[0].unit, zip(model.C.tolist(), plant.outputs)
     found = [i for i, (row, y) in enumerate(pairs) if row == [1.0, 0.0] and (force, y.unit) in CONJUGATE]
     return Port(
         mass=mass,
-        damping=-float(model.A[1, 1]) * mass,
-        stiffness=max(-float(model.A[1, 0]) * mass, 0.0),
+        damping=0.0 - float(model.A[1, 1]) * mass,
+        stiffness=0.0 - float(model.A[1, 0]) * mass,
         output=found[0] if found else None,
     )
 
@@ -242,6 +242,6 @@ def _port_faults(e: Experiment, port: Port | None) -> list[str]:
         return []
     taken, measured = ([f"{s.name} in {s.unit}" for s in signals] for signals in (e.plant.inputs, e.plant.outputs))
     return [
-        "limits.passivity: needs a device that takes one force and measures the position that it acts on; "
+        "limits.passivity: needs a passive device that takes one force and measures the position that it acts on; "
         f"this plant takes {', '.join(taken)} and measures {', '.join(measured)}"
     ]

@@ -138,7 +138,7 @@ def _calm(view: RunView) -> str:
 
 def _margin(loop: Loop, controller: WallController) -> Figure | None:
     port = loop.rig.port
-    if port is None:
+    if port is None or port.output != 0:
         return None
     from design.passivity import HapticLoop, HeldDevice
 

@@ -195,5 +195,5 @@ def test_a_passivity_controller_that_cannot_be_is_refused_with_its_place(passivi
 
 
 def test_a_plant_without_a_port_has_no_passivity_controller() -> None:
-    with pytest.raises(ExperimentError, match=r"limits\.passivity: needs a device .* takes voltage in V"):
+    with pytest.raises(ExperimentError, match=r"limits\.passivity: needs a passive device .* takes voltage in V"):
         compose(load_experiment("dc-motor-hinf", ["limits.passivity={damping_n_s_per_m=1}"]))
