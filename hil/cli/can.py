@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from transport.can_analysis import ErrorBursts
 
 _TRAFFIC = (".csv", ".dbc")
+_RECORDED = (".log", ".asc", ".blf")
+_UNBOUNDED = "recorded frames have no period, and no bound follows from them"
 _CODEC = "hilrig"
 
 
@@ -39,13 +41,13 @@ def can() -> None:
 @click.option("--set", "sets", type=CHANGE, multiple=True, metavar="PATH=VALUE", help="Change a field of EXPERIMENT.")
 @click.option("--duration", type=Duration(above=True, most=3600.0), default="10", show_default=True, help="How long to simulate.")
 @click.option("--errors", type=click.IntRange(1), help="Errors that may come at once; the bounds allow for them.")
-@click.option("--error-interval", type=Duration(above=True), default="1s", show_default=True, help="Time between further errors.")
+@click.option("--error-interval", type=Duration(above=True), help="--errors: time between further errors; 1 s by default.")
 @click.option("-o", "--output", type=OUTPUT, metavar="PAGE.html", help="Write a page here.")
 @click.option("--force", is_flag=True, help="Replace a file that is there; a page always is.")
 @json_option()
 def analyse(
     target: str, bitrate: str | None, dbitrate: str | None, sets: tuple[str, ...], duration: float, errors: int | None,
-    error_interval: float, output: Path | None, force: bool,
+    error_interval: float | None, output: Path | None, force: bool,
 ) -> None:  # fmt: skip
     """Show bound, measured response and deadline of every message: hil can analyse car.dbc --bitrate 500k
 
@@ -57,7 +59,11 @@ def analyse(
     from transport.can_analysis import ErrorBursts
 
     check_page(output, force=force)
-    bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round(error_interval * 1e9))
+    if errors is None and error_interval is not None:
+        raise HilError("--error-interval: only with --errors, how many may come at once")
+    bursts = None if errors is None else ErrorBursts(burst=errors, interval_ns=round((error_interval or 1.0) * 1e9))
+    if target.endswith(_RECORDED):
+        raise HilError(f"{target}: {_UNBOUNDED}; expected a .csv or .dbc of messages, or an experiment")
     if target.endswith(_TRAFFIC):
         if sets:
             raise HilError(f"--set: {target} is no experiment")
@@ -144,7 +150,7 @@ def _of_experiment(target: str, sets: tuple[str, ...], seconds: float, errors: E
     if bus is None:
         raise HilError(f"{experiment.name}: no medium of kind 'can', see hil guide can-bus")
     if bus.table.recorded:
-        raise HilError(f"{experiment.name}: recorded frames have no period, and no bound follows from them; hil run measures")
+        raise HilError(f"{experiment.name}: {_UNBOUNDED}; hil run measures")
     measured = bus_of(view_of(simulate(loop, experiment.seed), loop.experiment))
     worst = {} if measured is None else {(each.extended, each.can_id): each.response_worst_ms for each in measured.messages}
     messages, disturbed = analysed(loop.rig, bus, loop.rows), is_disturbed(bus.table, experiment.fault)
@@ -217,6 +223,7 @@ def _decode(database: Any, log: Path) -> None:
 
     from hil.files.can_logs import can_frames
 
+    found = 0
     for frame in can_frames(log):
         try:
             message = database.get_message_by_frame_id(frame.arbitration_id)
@@ -228,6 +235,9 @@ def _decode(database: Any, log: Path) -> None:
             raise HilError(f"{log}: a frame {frame.arbitration_id:#x} is none of {message.name}: {e}") from e
         values = {name: value if isinstance(value, int | float) else str(value) for name, value in signals.items()}
         print(json.dumps({"t_s": round(frame.timestamp, 9), "frame": message.name, **values}))
+        found += 1
+    if not found:
+        raise HilError(f"{log}: no frame has an identifier of this DBC; hil dbc EXPERIMENT --link URI --decode knows other ones")
 
 
 def database_of(text: str) -> Any:

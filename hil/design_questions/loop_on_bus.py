@@ -150,8 +150,9 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         notes: tuple[str, ...] = ()
         if way == "ca":  # it is queued at the deadline and counts until the next slot; a law counts from slot to deadline
             latency = np.maximum(latency + 2.0 * deadline - period, 0.0)
-            less = f"{1e3 * (period - 2.0 * deadline):g} ms"
-            notes = (f"latencies are {less} less than on the bus: a slot of the law closes at the deadline",)
+            shift = period - 2.0 * deadline
+            less = f"{1e3 * abs(shift):g} ms {'less' if shift >= 0.0 else 'more'}"
+            notes = (f"latencies are {less} than on the bus: a slot of the law closes at the deadline",)
         with located(f"{experiment.name}: {way}", FieldError):
             fit = fit_law(PacketRecord(sent_s=sent, latency_s=latency), period, deadline)
         worst, largest = _bounds(loop, delays, way)
@@ -159,7 +160,7 @@ def estimated_laws(loop: Loop, run: Mapping[str, NDArray[np.void]]) -> dict[str,
         said = fit_document(fit, way, source, notes)
         said |= {"bound_ms": worst, "largest_age": largest} if worst is not None else {"no_bound": no_bound}
         spec, seeded, text = fit.spec, f"a run with seed {experiment.seed}", ""
-        how = f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}"
+        how = "; ".join((f"estimated: {class_text(fit)}, from {len(sent)} packets of {seeded}", *notes))
         if fit.law_class == "none":
             ages = (run[ROWS.name]["tau"] if way == "sc" else run[APPLIED.name]["d"])[slots // 10 :]
             spec = {"kind": "trace", "ages": np.maximum(ages, 0).tolist(), "allow_gaps": True}

@@ -57,6 +57,7 @@ class PacketRecord(Struct, frozen=True, kw_only=True, eq=False):
         if len(wrong):
             k = int(wrong[0])
             said = f"got {self.latency_s[k]:.6g} s, expected a latency >= 0; clocks that differ need both directions"
+            said += ", and of two logs the sender's stands first"
             raise FieldError(f"latency_s[{k}]", said)
         if not came.any():
             raise FieldError("latency_s", "no packet came; expected a record of both ends")

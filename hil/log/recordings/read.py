@@ -146,7 +146,8 @@ def read_can_pair(sender: Path, receiver: Path, can_id: int | None, clocks: int)
     there, here = ([*_frames(path, can_id)] for path in (sender, receiver))
     for path, frames in ((sender, there), (receiver, here)):
         if not frames:
-            raise HilError(f"{path}: no frame{'' if can_id is None else f' of identifier {can_id:#x}'}")
+            which = "" if can_id is None else f" of identifier {can_id:#x}; what a log writes as 123 is --can-id 0x123"
+            raise HilError(f"{path}: no frame{which}")
     counts, seen = Counter(key for key, _ in there), Counter(key for key, _ in here)
     broken = next((key for key, n in counts.items() if n > 1 and seen[key] != n), None)
     if broken is not None:

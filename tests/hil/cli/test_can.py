@@ -70,6 +70,12 @@ def test_what_is_no_can_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFix
         assert end.value.code == 2 and str(path) in capsys.readouterr().err
 
 
+def test_a_log_without_a_frame_of_the_dbc_is_named(tmp_path: Path) -> None:
+    (tmp_path / "car.log").write_text("(1.000000) can0 123#0021\n")
+    with pytest.raises(HilError, match=r"car\.log: no frame has an identifier of this DBC"):
+        CliRunner().invoke(command, ["--decode", str(tmp_path / "car.log")], catch_exceptions=False)
+
+
 def test_each_node_has_messages_of_its_own_which_read_as_what_it_measured(tmp_path: Path) -> None:
     controller = "controller={kind='local', gain=[[-0.05, -0.006]]}"
     changes = [controller, "duration=1", "reference.0.at=0.1"]

@@ -44,6 +44,7 @@ def test_the_law_of_the_busy_bus_is_estimated_with_a_bound_and_an_experiment_inc
     monkeypatch.setattr(loop_on_bus, "LEAST_SLOTS", 300)
     text = bus_laws("--set", "duration=15", "-o", str(tmp_path / "law.toml"))
     assert "estimated: ages that are a semi-Markov chain, from 300 packets" in text and "no age is above 1" in text
+    assert "latencies are 30 ms less than on the bus" in " ".join(text.split())
     assert "at most 30.256 ms" in text and f'ca.law = {{ file = "{tmp_path}/law.ca.toml" }}' in text
     base = ("network.media={}", f"network.sc={{law={{file={str(tmp_path / 'law.sc.toml')!r}}}, max_age=2}}")
     one = load_experiment(BUSY, (*base, f"network.ca={{law={{file={str(tmp_path / 'law.ca.toml')!r}}}, max_age=1}}"))
