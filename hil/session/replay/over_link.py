@@ -2,7 +2,8 @@
 
 The answers of the process are compared with the recorded ones, as in openpilot's process replay: a change of the process shows as
 a difference of its data. The sensor frames are those of the log, bit for bit; `MAY_DIFFER` lists the fields in which answers may
-differ. A slot waits for its answer, so the result does not depend on the speed of the process or the machine.
+differ. A slot waits for its answer, so the result does not depend on the speed of the process or the machine; one whose answer
+was not recorded waits `UNRECORDED_S`, so that a row of them floods no queue.
 """
 
 from __future__ import annotations
@@ -38,6 +39,11 @@ from transport.packets import ControlPacket, decode
 MAY_DIFFER: Final = ("control_ns", "counter")
 """Fields of an answer that depend on its time and on the number of frames, not on what was computed."""
 
+UNRECORDED_S: Final = 0.01
+LESS: Final = 0.5
+"""Patience with a slot beside that with the one before it, in which nothing came: a process that ended costs two patiences, and
+`UNRECORDED_S` a slot."""
+
 MOST_TOLD: Final = 20
 """Differences that are kept, at most."""
 
@@ -48,7 +54,7 @@ class Difference:
 
     Args:
         slot: of the answer.
-        field: of `ControlPacket`; "answer" where one of the two is missing.
+        field: of `ControlPacket`; "answer" where one of the two is missing, "answers" of a slot that is answered again.
         recorded, now: its values, in words.
     """
 
@@ -85,7 +91,7 @@ def ask_process(
         run: the log.
         uri: of the link on which the controller's process is.
         source: the log's name, for messages.
-        patience_s: how long the controller has for the answer of a slot, s.
+        patience_s: how long the controller has for the answer of a slot, s; less after one in which nothing came.
         start_s: how long it has to start, up to its first answer, s.
 
     Raises:
@@ -105,13 +111,17 @@ def ask_process(
         if not result.answered:
             came = useless_frames(uri, link.counters, result.foreign)
             raise HilError(f"no controller answered on {uri} within {start_s:g} s" + (f"; {came}" if came else ""))
+        left_s, answered = patience_s, -1
         for k, group in groupby(frames(run.pieces(SENSOR.name, BATCH)), key=itemgetter(0)):
             for _, data in group:
                 link.send(data)
-            if k not in recorded:
-                continue  # it was lost; what comes is passed over
-            compared += 1
-            own = list(differences(k, recorded[k], _answer(link, k, patience_s)))
+            answer, again, silent = _answer(link, k, left_s if k in recorded else UNRECORDED_S, answered)
+            own = [Difference(slot=answered, field="answers", recorded="1", now="more")] * again
+            answered = answered if answer is None else k
+            if k in recorded:
+                left_s = max(LESS * left_s, UNRECORDED_S) if silent else patience_s
+                compared += 1
+                own += differences(k, recorded[k], answer)
             different += bool(own)
             found += own[: MOST_TOLD - len(found)]
     return AnswerComparison(compared=compared, different=different, differences=tuple(found))
@@ -127,14 +137,18 @@ def _answers_of(run: Run) -> dict[int, ControlPacket]:
     return found
 
 
-def _answer(link: Link, k: int, patience_s: float) -> ControlPacket | None:
-    limit = monotonic_ns() + round(patience_s * 1e9)
+def _answer(link: Link, k: int, patience_s: float, answered: int) -> tuple[ControlPacket | None, bool, bool]:
+    """Return the answer to slot k, whether slot `answered` was answered again before it, and whether nothing came."""
+    limit, again, silent = monotonic_ns() + round(patience_s * 1e9), False, True
     while (left := limit - monotonic_ns()) > 0:
         data = link.receive(left / 1e9)
         packet = decode(data) if data is not None else None
-        if isinstance(packet, ControlPacket) and packet.seq == k:
-            return packet
-    return None
+        if isinstance(packet, ControlPacket):
+            silent = False
+            if packet.seq == k:
+                return packet, again, silent
+            again = again or packet.seq == answered
+    return None, again, silent
 
 
 def differences(k: int, recorded: ControlPacket, now: ControlPacket | None) -> Iterator[Difference]:
