@@ -82,6 +82,22 @@ def held_exactly(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, reference
     return bool(np.abs(moves @ (np.linalg.pinv(moves) @ aims) - aims).max(initial=0.0) <= 1e-9)
 
 
+def nearest_held(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike, reference: npt.ArrayLike) -> list[float]:
+    """Return the outputs next to a reference, by least squares, at which some state and input hold them.
+
+    Args:
+        A, B, C: (n, n), (n, m), (p, n) discrete plant.
+        reference: (p,).
+
+    >>> nearest_held([[0.5, 0.0], [0.0, 0.5]], [[1.0], [0.0]], [[1.0, 0.0], [0.0, 1.0]], [3.0, 1.0])
+    [3.0, 0.0]
+    """
+    moves = _stacked(A, B, C)[: (n := len(np.asarray(A)))]
+    held = np.asarray(C) @ np.linalg.svd(moves)[2][np.linalg.matrix_rank(moves) :, :n].T
+    found = held @ (np.linalg.pinv(held) @ np.asarray(reference))
+    return [float(f"{y:.12g}") if abs(y) > 1e-12 * np.abs(found).max() else 0.0 for y in found]
+
+
 def _stacked(A: npt.ArrayLike, B: npt.ArrayLike, C: npt.ArrayLike) -> Matrix:
     """N = [[A - I, B], [C, 0]], which takes a state and an input that are held to 0 and the outputs."""
     A, B, C = (np.asarray(M, dtype=np.float64) for M in (A, B, C))

@@ -114,7 +114,7 @@ class DesignedWall:
             "taps": lambda: Coupler(taps_m_per_n=asked.taps_m_per_n, integrator_m_per_n=asked.integrator_m_per_n),
         }
         if not (asked.method == "taps" or beta > 0.0):
-            raise FieldError("coupler.damping_n_s_per_m", f"{beta:g}; without damping no coupler is safe for every hand")
+            raise FieldError("coupler.damping_n_s_per_m", f"{beta + 0.0:g}; without damping no coupler is safe for every hand")
         samples = 1 + spread if asked.equalise else 1
         coupler = makers[asked.method]()
         return VirtualWall(wall=self._sparing(coupler, model.period_s), coupler=coupler, equalise=asked.equalise, samples=samples)

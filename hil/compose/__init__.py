@@ -20,6 +20,7 @@ from design.controllers import (
     LoopModel,
     held_exactly,
     integrates,
+    nearest_held,
     packet_samples,
     row_count,
     row_sojourns_distinguished,
@@ -252,7 +253,8 @@ def check_references(e: Experiment, controller: Controller, model: LoopModel) ->
     if not isinstance(controller, GainTable) or n_outputs <= n_inputs:
         return
     faults = [
-        f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}"
+        f"reference[{i}].value: no input holds the {n_outputs} outputs at {list(step.value)}; the nearest that "
+        f"one holds are {nearest_held(model.A, model.B, model.C, step.value)}"
         for i, step in enumerate(e.reference)
         if not held_exactly(model.A, model.B, model.C, step.value)
     ]

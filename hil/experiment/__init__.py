@@ -66,7 +66,8 @@ def load_experiment(
         path.stat()
     except (FileNotFoundError, NotADirectoryError):
         files = map(str, path.parent.glob("*.toml")) if name.endswith(".toml") else ()
-        hint = (nearest(name, files) or near_shipped(name) or ";") + " `hil list` shows the shipped ones"
+        there = f"; did you mean '{name}.toml'?" if os.path.isfile(f"{name}.toml") else nearest(name, files)
+        hint = (there or near_shipped(name) or ";") + " `hil list` shows the shipped ones"
         where = f" in {Path.cwd()}" if name.endswith(".toml") and not path.is_absolute() else ""
         raise HilError(f"no experiment {name!r}: neither a file{where} nor a shipped name{hint}") from None
     except (OSError, ValueError):  # such as a name that is too long: the reading says so

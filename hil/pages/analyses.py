@@ -196,8 +196,8 @@ def stiffness_section(period_s: float, cells: Sequence[StiffnessCell], damping: 
                 title=f"Contours at T = {rate}: hand damping that a stiffness takes",
                 series=_contours(period_s, x, at, hands, damping), x_label="largest delay", x_unit="samples",
                 y_label="hand damping", y_unit="N s/m", sync=None, y_range=(0.0, max(*hands, 1.0)), x_ticks=ticks,
-                note="Points: certified, at the delays that were computed; lines join neighbours. Dashed: the ceiling of the "
-                "same stiffness. Below its points a stiffness is not certified; below its dashed line it is impossible.",
+                note="Points: certified, at the delays that were computed; a line joins delays one sample apart. Dashed: the "
+                "ceiling of the same stiffness. Below its points a stiffness is not certified; below its dashed line impossible.",
             ),
             Figure(
                 title=f"Stiffness at T = {rate}", series=tuple(curves), x_label="largest delay", x_unit="samples",

@@ -73,8 +73,8 @@ def _zero_order_hold(A: Rows, B: Rows, ratio: tuple[int, int]) -> tuple[Rows, Ro
     norm = max((sum(abs(a) for a in row) for row in M), default=0)
     doublings = max(0, norm.bit_length() - _BITS + 2)  # the scaled norm is below 1/4
     if doublings > _MAX_DOUBLINGS:
-        limit = 2 ** (_MAX_DOUBLINGS - 2)
-        raise PlantError(f"exp(A T): A T has norm 2**{norm.bit_length() - _BITS}, expected less than {limit}")
+        found = f"exp(A T): A T has norm 2**{norm.bit_length() - _BITS}, expected less than 2**{_MAX_DOUBLINGS - 2}"
+        raise PlantError(f"{found}: a shorter period, or a plant with slower motion")
     M = [[a >> doublings for a in row] for row in M]
     identity = [[_ONE if i == j else 0 for j in range(n)] for i in range(n)]
     phi_1 = [list(row) for row in identity]

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from design.controllers.gain_rows import held_exactly, steady_state
+from design.controllers.gain_rows import held_exactly, nearest_held, steady_state
 from design.errors import DesignError, Infeasible, NotStable
 from design.networked_loop.certify import certify_loop, certify_structure
 from design.networked_loop.closed_loop import loop_structure
@@ -264,6 +264,8 @@ def test_more_outputs_than_inputs_are_held_where_some_input_holds_them():
     assert held_exactly(A, B, np.eye(2), [[3.0, 0.0], [-1.0, 0.0], [0.0, 0.0]])
     for reference in ([3.0, 1.0], [0.0, 1.0]):  # an angle that stays has no speed
         assert not held_exactly(A, B, np.eye(2), [[3.0, 0.0], reference])
+    tanks = np.eye(2) + [[-0.053, 0.053], [0.053, -0.087]], [[0.11], [0.0]], [[0.0, 1.0], [1.0, 0.0]]
+    assert not held_exactly(*tanks, [5.0, 5.0]) and held_exactly(*tanks, nearest_held(*tanks, [5.0, 5.0]))
 
 
 def test_closed_classes_of_a_chain():

@@ -64,6 +64,11 @@ def test_a_wrong_option_is_answered_with_what_was_expected(cli: Hil, words: tupl
     assert status == 2 and not out and said in err
 
 
+def test_an_experiment_beside_is_meant_by_its_name_without_its_ending(cli: Hil, tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text("")
+    assert "did you mean 'a.toml'?" in cli("run", "a")[2]
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

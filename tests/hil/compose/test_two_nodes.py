@@ -133,7 +133,8 @@ def test_a_run_has_a_summary_per_node_and_replays(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("sets", "expected"),
     [
-        (['reference=[{at="1 s", value=[3.0, 1.0]}]'], "reference[0].value: no input holds the 2 outputs at [3.0, 1.0]"),
+        (['reference=[{at="1 s", value=[3.0, 1.0]}]'],
+         "reference[0].value: no input holds the 2 outputs at [3.0, 1.0]; the nearest that one holds are [3.0, 0.0]"),
         (['network.nodes.speed.outputs=["angle"]'],
          "network.nodes.speed.outputs[0]: 'angle' is measured by node 'angle' already"),
         (['network.nodes.speed.outputs=["angle"]'], "nodes: no node measures the output 'speed'"),
