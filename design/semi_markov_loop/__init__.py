@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -29,6 +29,8 @@ if TYPE_CHECKING:  # nothing of a solver
 
 
 FloatArray = npt.NDArray[np.float64]
+ENOUGH: Final = 4.0
+"""Other units are taken where they make the largest matrix smaller by this factor."""
 
 
 def _check(owner: object, shapes: Mapping[str, str], known: Mapping[str, int] | None = None, path: str = "") -> dict[str, int]:
@@ -232,3 +234,42 @@ class DelayedJumpSystem(_Sized):
             worst = int(np.argmax(slopes))
             raise FieldError(f"delay_slopes[{worst}]", f"{slopes[worst]:g} is not below 1, as (3.2) demands")
         check_at_least_zero(delay_max_s=self.delay_max_s)
+
+
+System = JumpSystem | DelayedJumpSystem
+
+
+def balanced(system: System, gain: ScheduledGain, period_s: float) -> tuple[System, ScheduledGain]:
+    """The same loop in units of its states and inputs in which its matrices are of one size: no verdict depends on units.
+
+        x = D x',  u = G u',  diagonal and powers of 2, so that nothing is rounded: the balance of [A, B; K / T, 0] in all modes.
+
+    A loop whose units are good enough stays as it is.
+
+    Args:
+        system: matrices; what it says of z and w is left out of account.
+        gain: fits the system.
+        period_s: T (s).
+
+    Reference: Parlett and Reinsch, Balancing a matrix for calculation of eigenvalues and eigenvectors, Numer. Math. 13 (1969).
+    """
+    from scipy.linalg import matrix_balance  # who only reads a system needs none of it
+
+    n, m = system.states, system.inputs
+    sizes = np.zeros((n + m, n + m))
+    sizes[:n, :n], sizes[:n, n:] = np.abs(system.a).max(axis=0), np.abs(system.b).max(axis=0)
+    sizes[n:, :n] = np.abs(gain.gain).max(axis=(0, 1)) / period_s
+    smaller, (units, _) = matrix_balance(sizes, permute=False, separate=True)
+    if np.linalg.norm(sizes) < ENOUGH * np.linalg.norm(smaller):
+        return system, gain
+    x, u = units[:n], units[n:]
+    state, given = x / x[:, None], u / x[:, None]
+    gain = replace(gain, gain=gain.gain * (x / u[:, None]))
+    if isinstance(system, DelayedJumpSystem):
+        return replace(system, a=system.a * state, ad=system.ad * state, b=system.b * given), gain
+    free, sensors = system.uncertainty, None if system.sensors is None else system.sensors * state
+    if isinstance(free, NormBounded):
+        free = replace(free, e=free.e / x[:, None], fa=free.fa * x, fb=free.fb * u)
+    elif free is not None:
+        free = replace(free, da=free.da * state, db=free.db * given)
+    return replace(system, a=system.a * state, b=system.b * given, uncertainty=free, sensors=sensors), gain

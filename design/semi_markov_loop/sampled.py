@@ -34,8 +34,7 @@ from design.errors import FieldError, check_above_zero
 from design.lmi.program import LmiSolution
 from design.processes.delay_chain import DelayChain
 from design.processes.semi_markov import FaultDetection, SemiMarkov
-from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded
-from design.semi_markov_loop.balanced import balanced
+from design.semi_markov_loop import DelayedJumpSystem, JumpSystem, NormBounded, balanced
 from design.semi_markov_loop.period_moments import TooLarge
 from design.semi_markov_loop.sampled_detection import DetectionLoop, growth_while_it_stays, lyapunov_decrease, slowest_growth
 from design.semi_markov_loop.sampled_inner_delay import delayed_decrease
