@@ -32,7 +32,6 @@ from transport.wire import (
     SELECTIONS,
     SENSOR,
     SENSOR_BYTES,
-    TAG_BYTES,
     TAGGED,
     TAU_LIMIT,
     ControlPacket,
@@ -225,18 +224,11 @@ def packet_size(data: bytes) -> int | None:
     known = len(data)
     if known < 4:
         return None
-    kind = data[2]
-    if kind == SENSOR:
-        if known < SENSOR_BYTES:
-            return None
-        values, tagged, used = (data[3] & 0x3F) * data[25] + (data[26] & 0x7F), data[26] >= TAGGED, SENSOR_BYTES
-    elif kind == CONTROL:
-        if known < CONTROL_BYTES:
-            return None
-        values, tagged, used = data[34] * data[35], data[3] >= TAGGED, CONTROL_BYTES
-    else:
+    kind = _KINDS.get(data[2])
+    if kind is None:
         return 0
-    return frame_length(used + 4 * values + TAG_BYTES * tagged) if values <= MAX_VALUES else 0
+    least, shape_of, reader_of = kind
+    return None if known < least else reader_of(*shape_of(data))[0]
 
 
 def node_of(data: bytes) -> int:
