@@ -52,23 +52,27 @@ class Impairment(Protocol):
 
 
 class AgeImpairment:
-    """Apply an age law without gaps: exactly one packet in every slot, the one of slot k - age.
+    """Apply an age law: exactly one packet in every slot, the one of slot k - age.
 
-    Where that packet was never offered, the next older one stands in for it, and an "absent" row says so. Ages grow by at most
-    one, so that k - age never falls: one packet is in use, at most `max_age + 1` newer ones wait, all older ones are forgotten.
+    Where that packet was never offered, the next older one stands in for it, and an "absent" row says so. A packet is forgotten
+    as soon as no later slot can ask for it. Under a law without gaps ages grow by at most one, so that k - age never falls: that
+    is every packet older than the one in use. Under one with gaps, which may come back, it is one older than `max_age`.
+
+    Args:
+        process: draws the ages.
+        period_s: length T of a slot, seconds.
+        max_age: of a law with gaps; None for one without.
+        first: slot in which the law begins.
     """
 
-    def __init__(self, process: AgeProcess, *, period_s: float, first: int = 0) -> None:
+    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int | None = None, first: int = 0) -> None:
         self._draw = process.draw
         self._period_s = period_s
-        self._used: tuple[int, object] | None = None
-        self._held: deque[tuple[int, object]] = deque()  # newer ones, which no slot has asked for yet
+        self._max_age = max_age
+        self._held: list[tuple[int, object]] = []  # what the receiver may still use
+        self._used: set[int] = set()  # slots of those that it has used
+        self._newest = -1
         self._next = first
-
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        return len(self._held)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
@@ -90,86 +94,32 @@ class AgeImpairment:
         if target < 0:
             draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
             return draws, []
-        used, held, reason = self._used, self._held, REPEATED
-        while held and held[0][0] <= target:
-            if used is not None and reason == DELIVERED:
-                draws.append(Draw(k, used[0], NO_MODE, k - used[0], nan, SUPERSEDED))
-            used, reason = held.popleft(), DELIVERED
-        if used is None or used[0] != target:
-            draws.append(Draw(k, target, mode, age, nan, ABSENT))
-            if used is None or used[0] > target:
-                return draws, []
-            mode, age = NO_MODE, k - used[0]
-        self._used = used
-        draws.append(_new(Draw, (k, used[0], mode, age, age * self._period_s, reason)))
-        return draws, [used]
-
-
-class GappedAgeImpairment:
-    """Apply an age law with gaps, which may come back to older packets, see `AgeImpairment`.
-
-    A packet is forgotten as soon as no later slot can ask for it, so that at most `max_age + 2` are held.
-    """
-
-    def __init__(self, process: AgeProcess, *, period_s: float, max_age: int, first: int = 0) -> None:
-        self._draw = process.draw
-        self._period_s = period_s
-        self._max_age = max_age
-        self._held: deque[tuple[int, object]] = deque()  # what the receiver may still use
-        self._unused: set[int] = set()  # slots of those that it has not used yet
-        self._newest = -1
-        self._next = first
-
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        return len(self._unused)
-
-    def offer(self, k: int, packet: object) -> None:
-        """Send a packet in slot k, see `Impairment.offer`."""
-        _check_offer(k, self._next, self._held[-1][0] if self._held else -1)
-        self._held.append((k, packet))
-        self._unused.add(k)
-
-    def collect(self, k: int) -> tuple[list[Draw], Arrivals]:
-        """Return the decisions of slot k and its one arrival (none before the first), see `Impairment.collect`."""
-        _check_collect(k, self._next)
-        draws: list[Draw] = []
-        arrivals: Arrivals = []
-        for slot in range(self._next, k + 1):
-            arrivals = self._step(slot, draws)
-        self._next = k + 1
-        return draws, arrivals
-
-    def _step(self, k: int, draws: list[Draw]) -> Arrivals:
-        mode, age = self._draw()
-        target = k - age
-        if target < 0:
-            draws.append(Draw(k, -1, mode, age, nan, NONE_YET))
-            return []
-        self._forget(k, k - self._max_age, draws)
-        found = next((held for held in reversed(self._held) if held[0] <= target), None)
+        held, used = self._held, self._used
+        oldest = target if self._max_age is None else k - self._max_age
+        while len(held) > 1 and held[1][0] <= oldest:
+            slot = held.pop(0)[0]
+            if slot in used:
+                used.remove(slot)
+            else:
+                draws.append(Draw(k, slot, NO_MODE, k - slot, nan, SUPERSEDED))
+        found: tuple[int, object] | None = None
+        for each in held:
+            if each[0] > target:
+                break
+            found = each
         if found is None or found[0] != target:
             draws.append(Draw(k, target, mode, age, nan, ABSENT))
             if found is None:
-                return []
-            mode = NO_MODE
+                return draws, []
+            mode, age = NO_MODE, k - found[0]
         slot, reason = found[0], REPEATED
-        if slot in self._unused:
-            reason = DELIVERED if slot > self._newest else DISORDERED
-            self._unused.remove(slot)
-        self._newest = max(self._newest, slot)
-        age = k - slot
-        draws.append(Draw(k, slot, mode, age, age * self._period_s, reason))
-        return [found]
-
-    def _forget(self, k: int, floor: int, draws: list[Draw]) -> None:
-        held, unused = self._held, self._unused
-        while len(held) > 1 and held[1][0] <= floor:
-            slot, _ = held.popleft()
-            if slot in unused:
-                unused.remove(slot)
-                draws.append(Draw(k, slot, NO_MODE, k - slot, nan, SUPERSEDED))
+        if slot not in used:
+            used.add(slot)
+            reason = DISORDERED
+            if slot > self._newest:
+                self._newest, reason = slot, DELIVERED
+        draws.append(_new(Draw, (k, slot, mode, age, age * self._period_s, reason)))
+        return draws, [found]
 
 
 class _Offered:
@@ -202,12 +152,6 @@ class PacketImpairment:
         self._last = (0, 0.0)
         self._newest = -1
         self._next = first
-
-    @property
-    def pending(self) -> int:
-        """Number of offered packets that may still arrive for the first time."""
-        flying = {entry[4].slot for entry in self._flying if not entry[4].arrived}
-        return len(flying) + len(self._offered)
 
     def offer(self, k: int, packet: object) -> None:
         """Send a packet in slot k, see `Impairment.offer`."""
@@ -277,9 +221,8 @@ def impair(
     if law.family == "age":
         age_law = cast(AgeLaw, law)
         # A foreign law that does not say is taken to have gaps: that is safe, it only holds packets for longer.
-        if not isinstance(law, GapLaw) or law.allow_gaps:
-            return GappedAgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age, first=first)
-        return AgeImpairment(age_law.start(rng), period_s=period_s, first=first)
+        gaps = not isinstance(law, GapLaw) or law.allow_gaps
+        return AgeImpairment(age_law.start(rng), period_s=period_s, max_age=age_law.max_age if gaps else None, first=first)
     if law.family == "packet":
         packet_law = cast(PerPacketLaw, law)
         process = packet_law.start(rng, period_s, deadline_s)
