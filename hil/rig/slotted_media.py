@@ -21,6 +21,7 @@ from transport.laws.delay_states import delay_states
 from transport.medium import Medium, SampleClock
 from transport.medium.independent import Impairment
 
+Samples = tuple[tuple[int, int], ...]  # (node, age of its sample) each
 Offers = dict[int, int]  # node: age of the sample that it sends in this slot
 Outcomes = Iterator[tuple[Any, Offers, float]]  # state that follows, what gets through, probability
 
@@ -103,10 +104,8 @@ def arbitrated(shared: SharedMedium, sensors: Sequence[Sensor]) -> SlottedMedium
         return Turns(received=bus_cycle([s.clock for s in sensors], table.frames, [s.can_id for s in sensors]), loss=table.loss)
 
     def outcomes(before: Any, t: int, due: Sequence[bool]) -> Outcomes:
-        waiting = {node: age + 1 for node, age in before or ()} | {node: 0 for node in members if due[node]}
-        first = [node for node in members if node in waiting][: table.frames]
-        left = tuple(sorted((node, age) for node, age in waiting.items() if node not in first))
-        for offers, share in _kept([(node, waiting[node]) for node in first], table.loss):
+        first, left = _arbitrated(before or (), due, members, table.frames)
+        for offers, share in _kept(first, table.loss):
             yield left, offers, share
 
     def running(channels: Sequence[Impairment], rng: np.random.Generator) -> Medium:
@@ -115,6 +114,13 @@ def arbitrated(shared: SharedMedium, sensors: Sequence[Sensor]) -> SlottedMedium
         return ArbitratedBus(channels, table.frames, table.loss, rng)
 
     return SlottedMedium(members, turns, outcomes, running, waits=True)
+
+
+def _arbitrated(before: Samples, due: Sequence[bool], order: Sequence[int], frames: int) -> tuple[Samples, Samples]:
+    """What the bus carries in a slot and what waits on, by what waited before it: (node, age of its sample) each."""
+    waiting = {node: age + 1 for node, age in before} | {node: 0 for node in order if due[node]}
+    first = tuple((node, waiting.pop(node)) for node in [node for node in order if node in waiting][:frames])
+    return first, tuple(sorted(waiting.items()))
 
 
 KINDS: Final = {"round-robin": in_order, "random": by_chance, "can-arbitration": arbitrated}
@@ -171,16 +177,14 @@ def _constant_delay(law: NetworkLaw) -> int | None:
 MOST_PHASES = 64
 """The theory takes one matrix per slot of the cycle, each on the stacked state."""
 
-BusCycle = tuple[tuple[tuple[int, int], ...], ...]
 
-
-def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> BusCycle:
+def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[int] = ()) -> tuple[Samples, ...]:
     """Return in every slot of the cycle, from slot 0, the (node, age) that the bus carries.
 
     There is one where the clocks of its nodes draw nothing.
 
-    The bus is run, by the rule that runs it in the rig, until what waits is as it was before. What is carried in the first slots
-    may lack samples from before slot 0 only, which were zero and are not needed.
+    The bus is run until what waits is as it was before. What is carried in the first slots may lack samples from before slot 0
+    only, which were zero and are not needed.
 
     Args:
         clocks: of all nodes, by number.
@@ -190,10 +194,7 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     Raises:
         NotKnown: there is no such cycle, or it is too long.
     """
-    from transport.medium.scheduled import Arbitration
-
     order = sorted(range(len(clocks)), key=lambda node: identifiers[node] if identifiers else node)
-    rank = {node: place for place, node in enumerate(order)}
     drawn = [i for i, clock in enumerate(clocks) if clock.drawn]
     if drawn:
         raise NotKnown(f"the theory knows no bus whose nodes have clocks that draw: nodes {drawn}")
@@ -201,21 +202,17 @@ def bus_cycle(clocks: Sequence[ClockTable], frames: int, identifiers: Sequence[i
     if common > MOST_PHASES:
         said = f"the clocks of the nodes come together every {common} slots"
         raise NotKnown(f"{said}, the theory takes cycles of {MOST_PHASES} slots")
-    running, bus = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks], Arbitration(frames)
-    carried: list[tuple[tuple[int, int], ...]] = []
-    seen: dict[tuple[tuple[int, int], ...], int] = {}
-    while True:
+    running = [SampleClock(every=clock.every, phase=clock.phase) for clock in clocks]
+    waits: Samples = ()
+    carried: list[Samples] = []
+    seen: dict[Samples, int] = {}
+    while len(carried) % common or waits not in seen:
         k = len(carried)
         if k % common == 0:
-            state = tuple(sorted((node, k - waiting.slot) for node, waiting in bus.waiting.items()))
-            if state in seen:
-                first = seen[state]
-                break
-            seen[state] = k
-        for node, clock in enumerate(running):
-            if clock.due(k):
-                bus.offer(rank[node], k, None)
-        carried.append(tuple((order[place], k - waiting.slot) for place, waiting in bus.winners()))
+            seen[waits] = k
+        now, waits = _arbitrated(waits, [clock.due(k) for clock in running], order, frames)
+        carried.append(now)
+    first = seen[waits]
     period = len(carried) - first
     if period > MOST_PHASES:
         raise NotKnown(f"the bus repeats itself every {period} slots, the theory takes cycles of {MOST_PHASES} slots")

@@ -18,7 +18,7 @@ from transport.law_fit.packet_record import LEAST, PacketRecord
 from transport.laws.age import MarkovAge
 from transport.laws.packet import PacketLaw
 from transport.links.can_identifiers import Identifiers
-from transport.medium.scheduled import Arbitration
+from transport.medium.scheduled import ArbitratedBus
 
 Make = Callable[..., object]
 HALVES = ((0.5, 0.5), (0.5, 0.5))
@@ -36,6 +36,10 @@ def record(n: int = LEAST, late: int = LEAST, until: int | None = None, sent: tu
     at: NDArray[np.float64] = np.linspace(0.0, 0.1 * (n - 1), n)
     at[sent[0]] += sent[1]
     return PacketRecord(sent_s=at, latency_s=np.zeros(late), until_s=None if until is None else np.full(until, math.inf))
+
+
+def bus(frames: int) -> ArbitratedBus:
+    return ArbitratedBus([], frames, 0.0, np.random.default_rng(0))
 
 
 def law(*rows: object) -> PacketLaw:
@@ -70,7 +74,7 @@ def law(*rows: object) -> PacketLaw:
         (Identifiers, {"sensors": (range(1), range(1, 1)), "control": range(5, 6)}, "node 1"),
         (Identifiers, {"sensors": (range(-1, 1),), "control": range(5, 6)}, "node 0"),
         (Identifiers, {"sensors": (range(1),), "control": range(0x7FF, 0x801)}, "control"),
-        (Arbitration, {"frames": 0}, "frames"),
+        (bus, {"frames": 0}, "frames"),
     ],
 )
 def test_a_value_out_of_range_is_refused_with_its_field(make: Make, values: dict[str, Any], field: str) -> None:
@@ -91,7 +95,7 @@ def test_a_value_out_of_range_is_refused_with_its_field(make: Make, values: dict
         (record, {"sent": (3, 0.1)}),
         (MarkovAge, {"matrix": HALVES, "ages": (0, 1)}),
         (Identifiers, {"sensors": (range(1),), "control": range(0x7FE, 0x800)}),
-        (Arbitration, {"frames": 1}),
+        (bus, {"frames": 1}),
     ],
 )
 def test_a_value_at_the_edge_of_its_range_is_taken(make: Make, values: dict[str, Any]) -> None:

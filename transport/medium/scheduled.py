@@ -5,7 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from math import nan
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -124,42 +124,6 @@ REMEMBERED = 4096
 """Packets of a node whose slot of sampling is kept, for records about them."""
 
 
-class Waiting(NamedTuple):
-    """A packet that waits for the bus.
-
-    Attributes:
-        slot: slot in which it was offered.
-        packet: what is sent.
-    """
-
-    slot: int
-    packet: Any
-
-
-class Arbitration:
-    """Which waiting packets win the bus in a slot: those of the lowest node numbers.
-
-    Args:
-        frames: frames that the bus carries in a slot.
-    """
-
-    def __init__(self, frames: int) -> None:
-        if frames < 1:
-            raise FieldError("frames", f"{frames} in a slot, expected at least 1")
-        self._frames = frames
-        self.waiting: dict[int, Waiting] = {}
-
-    def offer(self, node: int, k: int, packet: object) -> Waiting | None:
-        """Let a packet wait for the bus; return the older one of its node whose place it takes."""
-        replaced = self.waiting.get(node)
-        self.waiting[node] = Waiting(k, packet)
-        return replaced
-
-    def winners(self) -> list[tuple[int, Waiting]]:
-        """Return (node, packet) of those that the bus carries in this slot, in order of priority."""
-        return [(node, self.waiting.pop(node)) for node in sorted(self.waiting)[: self._frames]]
-
-
 class Behind:
     """The channel behind a bus: it takes one packet a slot, the newest, and names it by the slot of its sample.
 
@@ -217,8 +181,11 @@ class ArbitratedBus:
     """
 
     def __init__(self, channels: Sequence[Impairment], frames: int, loss: float, rng: np.random.Generator) -> None:
+        if frames < 1:
+            raise FieldError("frames", f"{frames} in a slot, expected at least 1")
         self._behind = [Behind(channel) for channel in channels]
-        self._bus, self._frames, self._loss, self._rng = Arbitration(frames), min(frames, len(channels)), loss, rng
+        self._frames, self._loss, self._rng = min(frames, len(channels)), loss, rng
+        self._waiting: dict[int, tuple[int, object]] = {}  # by node, of which slot each is
         self._next = 0
 
     def may_send(self, node: int, k: int) -> bool:
@@ -233,11 +200,12 @@ class ArbitratedBus:
         """
         if k < self._next:
             raise FieldError("k", f"slot {k} is offered a packet after it was collected")
-        old = self._bus.offer(node, k, packet)
-        if old is not None and old.slot >= k:
-            raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old.slot}")
-        if old is not None:
-            self._behind[node].book(k, [old.slot], REPLACED)
+        if node in self._waiting:
+            old, _ = self._waiting[node]
+            if old >= k:
+                raise FieldError("k", f"node {node} offers a packet in slot {k} after one in slot {old}")
+            self._behind[node].book(k, [old], REPLACED)
+        self._waiting[node] = k, packet
 
     def collect(self, k: int) -> list[Delivery]:
         """Return what the bus has carried and each channel lets arrive, see `Medium.collect`."""
@@ -248,8 +216,9 @@ class ArbitratedBus:
 
     def _carry(self, k: int) -> None:
         lost = (self._rng.random(self._frames) < self._loss).tolist()
-        for (node, won), gone in zip(self._bus.winners(), lost):
+        for node, gone in zip(sorted(self._waiting), lost):
+            won = self._waiting.pop(node)
             if gone:
-                self._behind[node].book(k, [won.slot], LOST)
+                self._behind[node].book(k, [won[0]], LOST)
             else:
-                self._behind[node].carry(k, [(won.slot, won.packet)])
+                self._behind[node].carry(k, [won])
