@@ -64,10 +64,13 @@ class VirtualWall:
         direct = self.coupler.taps_m_per_n[0] + self.coupler.integrator_m_per_n
         for i, each in enumerate(self.wall.materials):
             steep = each.stiffness_n_per_m + each.damping_n_s_per_m / model.period_s
-            if each.spared_m_per_n and 1.0 + (direct - each.spared_m_per_n) * steep <= 0.0:
+            if 1.0 + (direct - each.spared_m_per_n) * steep <= 0.0:
+                name, value = "coupler.taps_m_per_n[0]", self.coupler.taps_m_per_n[0]
+                if each.spared_m_per_n:
+                    name, value = f"wall.materials[{i}].spared_m_per_n", each.spared_m_per_n
                 raise FieldError(
-                    f"wall.materials[{i}].spared_m_per_n", f"{each.spared_m_per_n!r}; behind a first tap of {direct:.6g} m/N the "
-                    f"force has no one value from {direct + 1.0 / steep:.6g} m/N on",
+                    name, f"{value!r}; the force of wall.materials[{i}] has no one value: the first tap less what is spared is "
+                    f"{direct - each.spared_m_per_n:.6g} m/N, expected above {-1.0 / steep:.6g} m/N",
                 )
         return VirtualWallRun(self, model)
 

@@ -39,6 +39,7 @@ Reference: Chapter 6, 6.4, (6.12)-(6.17); Theorem 6.1; ERRATA 22, 23.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -170,10 +171,11 @@ def sparing(materials: Sequence[Material], coupler: Coupler, period_s: float) ->
 
 
 def felt_n_per_m(material: Material, coupler: Coupler) -> float:
-    """Return 1/(1/K + C_i(1)) in N/m: how stiff a material feels under a constant force; 0 behind an integrator.
+    """Return 1/(1/K + C_i(1)) in N/m: how stiff a material feels under a constant force; 0 behind an integrator, inf if rigid.
 
     Args:
         material: K, and what it spares the coupler.
         coupler: C.
     """
-    return 1.0 / (1.0 / material.stiffness_n_per_m + coupler.static_compliance_m_per_n - material.spared_m_per_n)
+    yields = 1.0 / material.stiffness_n_per_m + coupler.static_compliance_m_per_n - material.spared_m_per_n
+    return 1.0 / yields if yields else math.inf

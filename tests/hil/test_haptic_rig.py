@@ -96,6 +96,7 @@ def test_the_arm_presses_45_mm_deep_while_it_slides() -> None:
         (("plant.inertia=-0.7",), r"plant\.inertia: -0\.7"),
         (("controller.wall.materials=[{stiffness_n_per_m=-5}]",), r"stiffness_n_per_m: -5"),
         (("controller.coupler.method=soft",), "controller.coupler.method"),
+        (('controller.coupler={method="taps", taps_m_per_n=[-0.001, 0.5]}',), r"taps_m_per_n\[0\]: -0\.001; .* above -0\.00096"),
         (("plant={kind='dc-motor'}", "limits={}"), r"controller\.wall: needs"),
         (("network.sc.law.age=6", "controller.coupler.delays=[6]"), r"9 samples"),
         (("plant.encoder_step_m=0.0001",), "an encoder that rounds"),

@@ -79,11 +79,20 @@ def _softness(view: RunView, loop: Loop) -> str:
     most = float(np.nanmax(-whole(view.run.arrays[APPLIED], force), initial=0.0))
     if most <= 0.0:
         return ""
-    behind = loop.model.tau_max + loop.model.d_max
     return (
         f"The largest force is {most:.3g} {view.signals.inputs[force]}, the largest depth {1e3 * depth:.3g} mm, behind a delay "
-        f"of {behind} samples of {1e3 * loop.model.period_s:g} ms: the shorter, the stiffer a safe wall (hil stiffness-map). "
+        f"of {_delay(loop)} samples of {1e3 * loop.model.period_s:g} ms: the shorter, the stiffer a safe wall (hil "
+        "stiffness-map). "
     )
+
+
+def _delay(loop: Loop) -> int:
+    """Return the largest delay of a loop, both ways, in samples: ends that equalise wait for what they have rows for."""
+    rows = (loop.model.tau_max, loop.model.d_max)
+    if isinstance(loop.controller, WallController) and loop.controller.equalise:
+        return sum(rows)
+    chains = (loop.chains.sc, loop.chains.ca)
+    return sum(most if chain is None else chain.max_delay for chain, most in zip(chains, rows))
 
 
 def _over_time(view: RunView, path: AvatarPath | None) -> list[Block]:
@@ -143,7 +152,7 @@ def _margin(loop: Loop, controller: WallController) -> Figure | None:
     from design.passivity import HapticLoop, HeldDevice
 
     device = HeldDevice(mass_kg=port.mass, damping_n_s_per_m=port.damping, hand_stiffness_n_per_m=port.stiffness)
-    own = loop.model.tau_max + loop.model.d_max
+    own = _delay(loop)
     delays = list(range(own + FURTHER + 1))
     felt = HapticLoop(
         device=device, coupler=controller.coupler, period_s=loop.model.period_s, sc_max=delays[-1], ca_max=0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from design.controllers.rendered_wall import static_coupler, wave_coupler
+from design.controllers.rendered_wall import Coupler, static_coupler, wave_coupler
 from design.controllers.virtual_wall import VirtualWall
 from design.controllers.wall import MATERIALS, Contact, Material, Wall
 from design.controllers.wall_pattern import square_rows
@@ -101,6 +101,10 @@ def test_the_shipped_experiment_is_felt_stiffer_than_with_one_coupler():
     assert own.controller.coupler == one.controller.coupler
 
 
+def test_what_gives_way_to_no_constant_force_feels_rigid():
+    assert felt_n_per_m(Material(stiffness_n_per_m=1000.0), Coupler(taps_m_per_n=(0.001, -0.002))) == np.inf
+
+
 def test_a_constant_force_is_felt_as_said():
     device = HeldDevice(mass_kg=0.8, damping_n_s_per_m=7.0)
     coupler = wave_coupler(0.001, 7.0, 4)
@@ -124,5 +128,5 @@ def test_bad_values_are_refused_by_name():
         Material(stiffness_n_per_m=1000.0, spared_m_per_n=1e-3)
     model = compose(load_experiment("omni-1khz")).model
     stiff = Wall(materials=(Material(stiffness_n_per_m=1000.0, damping_n_s_per_m=2.0, spared_m_per_n=9e-4),))
-    with pytest.raises(FieldError, match=r"^wall\.materials\[0\]\.spared_m_per_n: 0\.0009; behind a first tap of .* no one"):
+    with pytest.raises(FieldError, match=r"^wall\.materials\[0\]\.spared_m_per_n: 0\.0009; the force of .* no one value"):
         VirtualWall(wall=stiff, coupler=wave_coupler(0.001, 7.0, 0)).start(model)

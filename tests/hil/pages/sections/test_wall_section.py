@@ -63,6 +63,23 @@ def test_a_haptic_run_opens_with_its_wall_and_has_no_reference() -> None:
     assert '"label":"reference"' not in page and "largest depth" in page and " mm, behind a delay of 6 samples of 50 ms" in page
 
 
+@pytest.mark.parametrize(("name", "waits", "samples"), [
+    ("omni-push", "false", 6), ("omni-wifi", "true", 12), ("omni-wifi", "false", 10),
+])  # fmt: skip
+def test_the_page_says_the_delay_that_the_loop_has_and_not_the_largest_that_it_has_rows_for(name, waits, samples):
+    coupler = f"controller.coupler={{method='wave',equalise={waits}}}"
+    changes = coupler, "network.sc.max_age=7", "duration=0.5", "allow_uncertified=true", "plant.hand.push.force_n=1.0"
+    found = section(name, *changes)[1]
+    (margin,) = [block for block in found.blocks if block.title == "Stability in contact, over delay"]
+    assert f"behind a delay of {samples} samples" in found.intro and margin.markers[0].x == samples
+
+
+def test_a_wall_over_what_measures_no_position_has_no_margin_over_delay():
+    plant = "plant={kind='state-space',A=[[0,1],[0,-2]],B=[[0],[1]],C=[[2,0],[0,0],[0,0]]}"
+    found = section("omni-push", plant, "limits={}", "duration=0.5", "allow_uncertified=true", "report.measures=[]")[1]
+    assert "Stability in contact, over delay" not in [block.title for block in found.blocks]
+
+
 def test_the_certificate_is_read_as_sentences_and_numbers_with_units():
     """Lists were shown as JSON, in one line that was cut."""
     run = run_of("omni-push", "duration=2", certify=True)
